@@ -77,11 +77,11 @@ def LoadCase(*, elements: tuple[int, int] = (4, 4), **load: Any) -> Problem:
     Raises:
         InputError: naming the field that is out of its bounds.
     """
-    given = LoadSettings(**load)
+    bar = LoadSettings(**load)
     return Problem(
-        mesh=rectangle(given.width, given.height, elements),
-        conditions=given.conditions,
-        duration=given.duration,
-        output_interval=given.output_interval,
-        watched={"point": given.watched},
+        mesh=rectangle(bar.width, bar.height, elements),
+        conditions=bar.conditions,
+        duration=bar.duration,
+        output_interval=bar.output_interval,
+        watched={"point": bar.watched},
     )

@@ -87,14 +87,14 @@ class Symmetry(Condition):
     on: str = setting(about="boundary")
 
 
-def _components_of(where: str, given: Any) -> tuple[float | None, float | None]:
+def _components_of(where: str, entry: Any) -> tuple[float | None, float | None]:
     """Components of a displacement, of which "free" ones are None."""
-    if isinstance(given, list | tuple):
-        given = [None if each == "free" else each for each in given]
-    found: tuple[float | None, float | None] = check_value(
-        where, given, tuple[float | None, float | None], {"unit": LENGTH}
+    if isinstance(entry, list | tuple):
+        entry = [None if each == "free" else each for each in entry]
+    components: tuple[float | None, float | None] = check_value(
+        where, entry, tuple[float | None, float | None], {"unit": LENGTH}
     )
-    return found
+    return components
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -235,7 +235,7 @@ def supports_of(problem: Problem, places_of: Callable[[Condition], Index]) -> li
     Args:
         places_of: the places that a condition holds or moves.
     """
-    found = []
+    supports = []
     for condition in problem.conditions:
         match condition:
             case Fixed():
@@ -244,16 +244,16 @@ def supports_of(problem: Problem, places_of: Callable[[Condition], Index]) -> li
             case Symmetry():
                 largest = {_normal_component(problem.mesh, condition): 0.0}
             case PrescribedMotion():
-                given = enumerate(condition.displacement)
-                largest = {k: value for k, value in given if value is not None}
+                ends = enumerate(condition.displacement)
+                largest = {k: value for k, value in ends if value is not None}
             case _:
                 continue
         places = places_of(condition)
         unknowns = (2 * places[:, None] + np.array([*largest], dtype=np.int64)).ravel()
         amplitude = condition.amplitude if isinstance(condition, PrescribedMotion) else ONE
         values = np.tile([*largest.values()], places.size)
-        found.append(Support(label(condition), unknowns, values, amplitude))
-    return found
+        supports.append(Support(label(condition), unknowns, values, amplitude))
+    return supports
 
 
 def without_overlap(

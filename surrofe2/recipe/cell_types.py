@@ -83,12 +83,12 @@ class CellType:
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """The sections of a recipe that state it, defaults filled in."""
-        found = {
+        sections = {
             "cell": {"preset": self.preset, **self.cell.to_dict()},
             "samples": asdict(self.samples),
             "training": {**asdict(self.training), "file": self.training_file},
         }
-        return found if self.range is None else found | {"range": asdict(self.range)}
+        return sections if self.range is None else sections | {"range": asdict(self.range)}
 
 
 def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
@@ -193,13 +193,13 @@ def points_of_cells(mesh: skfem.Mesh, types: Mapping[str, CellType]) -> dict[str
     filled, rests = {}, []
     for name, each in types.items():
         known = mesh.subdomains or {}
-        own = [part for part in each.regions if part in known or part != REST]
-        rests += [name] * (not each.regions or len(own) < len(each.regions))
-        found = [region(mesh, part, f"cells.{name}.regions") for part in own]
-        filled[name] = np.unique(np.concatenate([np.zeros(0, np.int64), *found]))
-    left = np.setdiff1d(np.arange(mesh.nelements), np.concatenate([*filled.values()]))
+        parts = [part for part in each.regions if part in known or part != REST]
+        rests += [name] * (not each.regions or len(parts) < len(each.regions))
+        inside = [region(mesh, part, f"cells.{name}.regions") for part in parts]
+        filled[name] = np.unique(np.concatenate([np.zeros(0, np.int64), *inside]))
+    others = np.setdiff1d(np.arange(mesh.nelements), np.concatenate([*filled.values()]))
     for name in rests:
-        filled[name] = np.union1d(filled[name], left)
+        filled[name] = np.union1d(filled[name], others)
     for name, elements in filled.items():
         if not elements.size:
             raise InputError(

@@ -39,15 +39,15 @@ def with_changes(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[s
             raise InputError(f"{quoted(name)}: it must be an entry, such as cell.wall_stiffness")
         at: Any = changed
         for k, part in enumerate(way):
-            told = ".".join(way[: k + 1])
+            where = ".".join(way[: k + 1])
             if isinstance(at, list):
-                at = _of_list(at, told, part)
+                at = _of_list(at, where, part)
             elif part not in at and way[0] in _NAMED and k == 1:
-                raise unknown(told, part, f"name in [{way[0]}]", at)
+                raise unknown(where, part, f"name in [{way[0]}]", at)
             else:
                 at = at.setdefault(part, {})
             if not isinstance(at, dict | list):
-                raise InputError(told, f"{quoted(at)}; it has no entry {last}")
+                raise InputError(where, f"{quoted(at)}; it has no entry {last}")
         if isinstance(at, list):
             _of_list(at, name, last)
             at[int(last)] = value
@@ -56,12 +56,12 @@ def with_changes(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[s
     return changed
 
 
-def _of_list(found: list[Any], told: str, part: str) -> Any:
-    if not (part.isdecimal() and int(part) < len(found)):
+def _of_list(entries: list[Any], where: str, part: str) -> Any:
+    if not (part.isdecimal() and int(part) < len(entries)):
         raise InputError(
-            told, f"{quoted(part)}; it must be a number from 0 to {len(found) - 1} of a list"
+            where, f"{quoted(part)}; it must be a number from 0 to {len(entries) - 1} of a list"
         )
-    return found[int(part)]
+    return entries[int(part)]
 
 
 def listed_values(name: str, text: str) -> list[Any]:
@@ -76,13 +76,13 @@ def listed_values(name: str, text: str) -> list[Any]:
     Raises:
         InputError: there is none, one is there twice, or a span is not of numbers.
     """
-    found = [value for part in _parts(text) for value in _values(name, part)]
-    for k, value in enumerate(found):
-        if value in found[:k]:
+    values = [value for part in _parts(text) for value in _values(name, part)]
+    for k, value in enumerate(values):
+        if value in values[:k]:
             raise InputError(f"{name}: {quoted(value)}; it is there twice")
-    if not found:
+    if not values:
         raise InputError(f"{name}: {quoted(text)}; it must be values between commas")
-    return found
+    return values
 
 
 def _parts(text: str) -> Iterator[str]:

@@ -226,15 +226,15 @@ class Recipe:
 
         Of one cell it has the sections of a [cell], whatever its name.
         """
-        own = {name: asdict(attrgetter(name)(self)) for name in _SETTINGS if name != "surface"}
+        settings = {name: asdict(attrgetter(name)(self)) for name in _SETTINGS if name != "surface"}
         if self.surface is not None:
-            own["surface"] = asdict(self.surface)
+            settings["surface"] = asdict(self.surface)
         if self.part is not None or "" in self.cells:
-            found = self.cells[self.cell_name].to_dict()
+            cells = self.cells[self.cell_name].to_dict()
         else:
-            found = {"cells": {name: _entries(each) for name, each in self.cells.items()}}
+            cells = {"cells": {name: _entries(each) for name, each in self.cells.items()}}
         plainly: dict[str, Any] = plain(
-            {"recipe": self.path.name, **found, **own, **self.stated.to_dict()}
+            {"recipe": self.path.name, **cells, **settings, **self.stated.to_dict()}
         )
         return plainly
 
@@ -290,9 +290,9 @@ def load_recipe(path: str | Path, changes: Mapping[str, Any] = MappingProxyType(
     try:
         return make_recipe(with_changes(table, changes), path)
     except (FileError, InputError) as error:
-        told = type(error)(f"{path.name}: {error}")
-        told.faults = error.faults or (error,)
-        raise told from None
+        named = type(error)(f"{path.name}: {error}")
+        named.faults = error.faults or (error,)
+        raise named from None
 
 
 def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> Recipe:
@@ -302,7 +302,7 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
         InputError: naming the section or key that is unknown or out of its range; its `faults`
             are all that is wrong.
     """
-    faults, made = Faults(), dict[str, Any]()
+    faults, entries = Faults(), dict[str, Any]()
     tables = dict[str, Any]()
     known = (*SECTIONS, *PROBLEM_SECTIONS, "cells")
     for name, section in table.items():
@@ -315,22 +315,22 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
     macro = dict(tables.get("macro", {}))
     given = macro.pop("elements", (4, 4))
     elements = faults.take(check_value, "macro.elements", given, tuple[int, int], {"least": 1})
-    made["stated"] = faults.take(stated_problem, tables, path.parent, elements or (4, 4))
-    made["cells"] = faults.take(cell_types, tables)
+    entries["stated"] = faults.take(stated_problem, tables, path.parent, elements or (4, 4))
+    entries["cells"] = faults.take(cell_types, tables)
     faults.take(_check_homes, tables)
     for name, kind in _SETTINGS.items():
         if name == "macro":
-            made[name] = faults.take(build, kind, macro, name, ("elements",))
+            entries[name] = faults.take(build, kind, macro, name, ("elements",))
         elif name in tables or name != "surface":
-            made[name] = faults.take(build, kind, tables.get(name, {}), name)
+            entries[name] = faults.take(build, kind, tables.get(name, {}), name)
     faults.check()
-    made["macro"] = changed(made["macro"], frames=made["stated"].time.frames)
-    return Recipe(path=path, **made)
+    entries["macro"] = changed(entries["macro"], frames=entries["stated"].time.frames)
+    return Recipe(path=path, **entries)
 
 
-def changed(settings: T, **given: Any) -> T:
+def changed(settings: T, **entries: Any) -> T:
     """The settings of a section with other entries; None leaves an entry as it is."""
-    wanted = {name: value for name, value in given.items() if value is not None}
+    wanted = {name: value for name, value in entries.items() if value is not None}
     return replace(settings, **wanted)  # type: ignore[type-var]
 
 

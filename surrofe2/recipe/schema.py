@@ -87,11 +87,11 @@ def _with(table: Schema, more: Schema) -> Schema:
 
 def _kinds(kinds: Any) -> list[Schema]:
     """The tables whose `kind` says what they are."""
-    found = []
+    tables = []
     for name, kind in kinds.items():
         table = _with(_settings(kind), {"kind": {"enum": [name]}})
-        found.append({**table, "required": ["kind", *table["required"]]})
-    return found
+        tables.append({**table, "required": ["kind", *table["required"]]})
+    return tables
 
 
 def _settings(kind: Any) -> Schema:

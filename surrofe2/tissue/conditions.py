@@ -63,13 +63,13 @@ class Conditions:
 
     def boundary(self, name: str) -> Index:
         """Numbers of the wall particles of a boundary, increasing."""
-        found = np.flatnonzero(self._is_outer(self.tissue.outline))
-        points = self.tissue.outline[found]
+        indices = np.flatnonzero(self._is_outer(self.tissue.outline))
+        points = self.tissue.outline[indices]
         part = self.problem.boundaries.get(name)
-        found = found[self._on_sides(name, points) if part is None else part.holds(points)]
-        if not found.size:
+        indices = indices[self._on_sides(name, points) if part is None else part.holds(points)]
+        if not indices.size:
             raise InputError(f"boundary {name}: it holds no wall particle of the outline")
-        return found
+        return indices
 
     def lengths(self, name: str) -> Array:
         """(k,) unloaded length of the outline that each particle of a boundary stands for, µm."""
@@ -86,13 +86,13 @@ class Conditions:
     @cached_property
     def supports(self) -> tuple[Support, ...]:
         """Components of particles that are held or moved, those along x first."""
-        found = []
+        supports = []
         for support in supports_of(self.problem, self.places):
             order = np.argsort(support.unknowns % 2, kind="stable")
-            found.append(
+            supports.append(
                 replace(support, unknowns=support.unknowns[order], largest=support.largest[order])
             )
-        return without_overlap(found, self.tissue.outline, "particle")
+        return without_overlap(supports, self.tissue.outline, "particle")
 
     @property
     def held(self) -> NDArray[np.bool_]:
@@ -126,20 +126,20 @@ class Conditions:
     @property
     def acting(self) -> list[str]:
         """Names of all that exerts a force: supports, loads, bodies."""
-        found = [each.name for each in self.supports] + [label(each) for each in self.loads]
-        return found + [each.name for each in self.problem.bodies]
+        names = [each.name for each in self.supports] + [label(each) for each in self.loads]
+        return names + [each.name for each in self.problem.bodies]
 
     def dead_loads(self) -> Array:
         """(loads, particles, 2) µN at amplitude 1; one of nothing where there is none."""
         mass = self.tissue.each(self.tissue.mass)
-        found = np.zeros((max(1, len(self.loads)), self.tissue.particles, 2))
+        forces = np.zeros((max(1, len(self.loads)), self.tissue.particles, 2))
         for n, load in enumerate(self.loads):
             if isinstance(load, BodyForce):
-                found[n] = (self._part_of(load) * mass)[:, None] * np.array(load.acceleration)
+                forces[n] = (self._part_of(load) * mass)[:, None] * np.array(load.acceleration)
             elif isinstance(load, Traction):
                 lengths = self.lengths(load.on)[:, None]
-                found[n, self.boundary(load.on)] = lengths * np.array(load.traction)
-        return found
+                forces[n, self.boundary(load.on)] = lengths * np.array(load.traction)
+        return forces
 
     def driven(self) -> DrivenParticles:
         """Motion of the supports that move, numbered as in `motions`."""
@@ -249,10 +249,10 @@ class Conditions:
         points, springs, owners = [_NONE], [np.zeros((0, 4))], [_NONE]
         for n, load in enumerate(loads):
             if isinstance(load, Pressure):
-                found = self._sides(load.on)
-                pairs.append(found)
-                sizes.append(np.full(len(found), load.pressure))
-                numbers.append(np.full(2 * len(found), n))
+                bonds = self._sides(load.on)
+                pairs.append(bonds)
+                sizes.append(np.full(len(bonds), load.pressure))
+                numbers.append(np.full(2 * len(bonds), n))
             elif isinstance(load, Foundation):
                 i, lengths = self.boundary(load.on), self.lengths(load.on)
                 points.append(i)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numba
 import numpy as np
@@ -41,7 +42,7 @@ class TissueState(RunState):
         journal: ``rows`` (r, c) at the output times passed, the columns of `columns_of`;
             ``frames.…`` as of `ParticleFrames`.
         identity: numbers that a run to be resumed must share.
-        relaxation_time, run_time: s. steps, force_evaluations, list_builds: counts.
+        seconds: of `relaxation` and `run`. counts: `steps`, `force_evaluations`, `list_builds`.
     """
 
     SERIES: ClassVar[tuple[str, ...]] = (
@@ -57,11 +58,8 @@ class TissueState(RunState):
     bodies: Array
     journal: Journal
     identity: Array
-    relaxation_time: float
-    steps: int = 0
-    force_evaluations: int = 0
-    list_builds: int = 0
-    run_time: float = 0.0
+    seconds: dict[str, float]
+    counts: dict[str, int]
 
     @property
     def rows(self) -> int:
@@ -121,8 +119,9 @@ class TissueRun(ViewedRun):
         }
 
 
+_COUNTS = ("steps", "force_evaluations", "list_builds")
 _WORKS = ("bodies", "motion", "contact dissipated", "dissipated")
-"""What `Recorder.record` is told besides the works of loads."""
+"""What `Recorder.record` takes besides the works of loads."""
 
 
 def columns_of(conditions: Conditions) -> list[str]:
@@ -170,7 +169,6 @@ class Recorder:
         """Record the tissue at rest and, with the velocities of `TissueDynamics.start`, t = 0."""
         dynamics = self._dynamics
         relaxed = dynamics.x
-        relaxation_time = clock() - self._created
         self._started = clock()
         dynamics.counts.clear()
         elastic = dynamics.elastic_energy()
@@ -188,23 +186,21 @@ class Recorder:
             bodies=np.stack([dynamics.bodies.x, dynamics.bodies.v]),
             journal=Journal.of({}),
             identity=self._identity,
-            relaxation_time=relaxation_time,
+            seconds={"relaxation": self._started - self._created},
+            counts={},
         )
         rows = {"rows": self._row(0.0, state, works)[None]}
         rows |= frame_series(ParticleFrames(np.zeros(1), 0.0 * relaxed[None], v[None]))
-        self._state = replace(state, journal=Journal.of(rows), **self._counted())
+        self._state = self._with_counts(replace(state, journal=Journal.of(rows)))
 
     def restore(self, state: TissueState) -> None:
         """Go on from where `state` was taken."""
         dynamics = self._dynamics
         dynamics.bodies.x[:], dynamics.bodies.v[:] = state.bodies
         dynamics.place(state.x, state.v, state.listed)
-        dynamics.counts.clear()
-        dynamics.counts.update(
-            force_evaluations=state.force_evaluations, list_builds=state.list_builds
-        )
+        dynamics.counts = Counter(state.counts)
         self._state = replace(state, journal=state.journal.copy())
-        self._started = clock() - state.run_time
+        self._started = clock() - state.seconds["run"]
 
     def record(self, steps: int, works: Array) -> None:
         """Record the next output time, `steps` after the last.
@@ -214,22 +210,17 @@ class Recorder:
                 supports and bodies, lost in contact and in the tissue, pJ.
         """
         dynamics, before = self._dynamics, self._state
+        dynamics.counts["steps"] += steps
         row, t = before.rows, self._t[before.rows]
         x, v = dynamics.x, dynamics.v
-        found = before.journal["rows"][-1, -len(works) :] + works
-        journal = before.journal.written({"rows": self._row(t, before, found)[None]})
+        works = before.journal["rows"][-1, -len(works) :] + works
+        journal = before.journal.written({"rows": self._row(t, before, works)[None]})
         if self._frames_due(t) > self._frames_due(self._t[row - 1]):
             frame = ParticleFrames(np.array([t]), (x - before.relaxed)[None], v[None])
             journal = journal.written(frame_series(frame))
-        self._state = replace(
-            before,
-            x=x,
-            v=v,
-            listed=dynamics.listed,
-            bodies=np.stack([dynamics.bodies.x, dynamics.bodies.v]),
-            journal=journal,
-            steps=before.steps + steps,
-            **self._counted(),
+        bodies = np.stack([dynamics.bodies.x, dynamics.bodies.v])
+        self._state = self._with_counts(
+            replace(before, x=x, v=v, listed=dynamics.listed, bodies=bodies, journal=journal)
         )
 
     @property
@@ -246,13 +237,10 @@ class Recorder:
         """The state at the last output time recorded."""
         return replace(self._state, journal=self._state.journal.copy())
 
-    def _counted(self) -> dict[str, Any]:
-        counts = self._dynamics.counts
-        return {
-            "force_evaluations": counts["force_evaluations"],
-            "list_builds": counts["list_builds"],
-            "run_time": clock() - self._started,
-        }
+    def _with_counts(self, state: TissueState) -> TissueState:
+        counts = {name: self._dynamics.counts[name] for name in _COUNTS}
+        seconds = state.seconds | {"run": clock() - self._started}
+        return replace(state, counts=counts, seconds=seconds)
 
     def _row(self, t: float, before: TissueState, works: Array) -> Array:
         """What `columns_of` lists; works: since t = 0, else as of `record`."""
@@ -288,13 +276,13 @@ class Recorder:
             pull = factor * dynamics.loads[n]
             needed -= pull
             pulled[n] += pull.sum(axis=0)
-        found = []
+        reactions = []
         for support in self._conditions.supports:
             i, axis = np.divmod(support.unknowns, 2)
             second = support.amplitude.at(t, t)[2] * support.largest
             force = needed[i, axis] + dynamics.mass[i] * second
-            found.append(np.bincount(axis, force, 2))
-        return np.array([*found, *pulled, *dynamics.bodies.force])
+            reactions.append(np.bincount(axis, force, 2))
+        return np.array([*reactions, *pulled, *dynamics.bodies.force])
 
     def run(self, finished: bool) -> TissueRun:
         """The results so far."""
@@ -302,8 +290,10 @@ class Recorder:
         problem = self._conditions.problem
         columns = named_columns(columns_of(self._conditions), state.journal["rows"])
         curves = curves_of(self._t[: state.rows], columns)
-        own = [name for name in columns if name.startswith("energy ")]
-        energies = {name.removeprefix("energy "): columns[name] for name in own}
+        begin = "energy "
+        energies = {
+            name.removeprefix(begin): columns[name] for name in columns if name.startswith(begin)
+        }
         lost = ("kinetic", "elastic", "contact", "contact dissipated", "dissipated")
         signs = {name: -1.0 if name in lost else 1.0 for name in energies}
         balance = np.sum([signs[name] * column for name, column in energies.items()], axis=0)
@@ -325,17 +315,11 @@ class Recorder:
             bonds=bonded_particles(tissue),
             is_wall=np.arange(tissue.particles) < tissue.wall_particles,
             frames=ParticleFrames(**state.journal.part("frames")),
-            wall_time={
-                "total": state.relaxation_time + state.run_time,
-                "relaxation": state.relaxation_time,
-                "run": state.run_time,
-            },
+            wall_time={"total": sum(state.seconds.values()), **state.seconds},
             counts={
-                "steps": state.steps,
-                "force_evaluations": state.force_evaluations,
-                "list_builds": state.list_builds,
+                **state.counts,
                 "particles": tissue.particles,
-                "particle_steps": tissue.particles * state.steps,
+                "particle_steps": tissue.particles * state.counts["steps"],
             },
             threads=numba.get_num_threads(),
             finished=finished,

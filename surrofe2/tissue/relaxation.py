@@ -146,12 +146,12 @@ def stable_step(
 def _largest(product: Callable[[Array], Array], mass: Array) -> float:
     """Largest eigenvalue of a matrix by the masses (n, 1), by power iteration."""
     u = np.random.default_rng(1).standard_normal((len(mass), 2))
-    found = 0.0
+    largest = 0.0
     for _ in range(_POWERS):
         u /= np.sqrt((mass * u * u).sum())
         force = product(u)
         if not force.any():
             return 0.0
-        found = max(found, float((u * force).sum()))
+        largest = max(largest, float((u * force).sum()))
         u = force / mass
-    return found
+    return largest

@@ -45,6 +45,8 @@ Cells = CellParameters | Sequence[CellParameters]
 References = ReferenceState | Sequence[ReferenceState]
 
 DEFAULTS = TissueSettings()
+_STATE = 2
+"""Version of what a state holds."""
 
 
 def simulate_tissue(
@@ -284,10 +286,10 @@ def identity(conditions: Conditions, settings: TissueSettings) -> Array:
     """Numbers that two runs share if one may go on where the other stopped."""
     problem, tissue = conditions.problem, conditions.tissue
     stated = problem.conditions, problem.bodies, problem.duration, problem.output_interval
-    digest = hashlib.sha256(repr((stated, tissue.types, settings)).encode())
+    digest = hashlib.sha256(repr((_STATE, stated, tissue.types, settings)).encode())
     digest.update(repr([*columns_of(conditions), *problem.watched.items()]).encode())
     sides = [conditions.boundary(name) for name in problem.acted_boundaries()]
-    found = conditions.held, conditions.dead_loads(), conditions.velocity()
-    for array in (tissue.mass, tissue.kind, *sides, *found):
+    acts = conditions.held, conditions.dead_loads(), conditions.velocity()
+    for array in (tissue.mass, tissue.kind, *sides, *acts):
         digest.update(array.tobytes())
     return np.array(list(digest.digest()), dtype=np.float64)
