@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from surrofe2 import CellParameters, RveLaw
 from surrofe2.base.errors import SimulationError
-from surrofe2.ranks import Driver, distributed, distributed_law, serve
+from surrofe2.ranks import DistributedLaw, Driver, distributed_law, serve
 
 
 def check(laws, F, F_dot, states, **options):
@@ -42,7 +42,7 @@ def check_states(law, there):
     F[first], F_dot[first] = 1.001 * F[some], F_dot[some]
     both = zip(whole, part, strict=True)
     mixed = check(laws, F, F_dot, [state.put(first, other) for state, other in both])
-    stored = [state.to_arrays() for state in mixed]
+    stored = [law.state_to_arrays(state) for law, state in zip(laws, mixed, strict=True)]
     assert list(stored[0]) == list(stored[1])
     again = [law.state_from_arrays(each) for law, each in zip(laws, stored[::-1], strict=True)]
     check(laws, 1.001 * F, F_dot, again)
@@ -64,7 +64,7 @@ def main():
     distributed_law.LEAST, distributed_law.PIECE = 1, 16  # states of 99 points come in pieces
     law = RveLaw(CellParameters.preset("printed"))
     with Driver(MPI.COMM_WORLD) as driver:
-        there = distributed(law, driver)
+        there = DistributedLaw(law, driver)
         check_states(law, there)
         check_few_points(driver, there)
         assert len(driver._worker.states) < 3  # the others were dropped with the next task

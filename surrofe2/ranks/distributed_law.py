@@ -11,11 +11,8 @@ from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError
 from surrofe2.base.simd import TILE
-from surrofe2.cache.cached_law import CachedLaw
-from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.law.stress_law import (
     Acceptance,
-    StressLaw,
     StressResponse,
     Tangents,
     check_deformation,
@@ -24,7 +21,6 @@ from surrofe2.law.stress_law import (
 from surrofe2.plant_cell.tiles import tiles_for
 from surrofe2.ranks.driver import Driver, Worker, driver_at_work
 from surrofe2.rve.rve_law import RveLaw
-from surrofe2.surrogate.surrogate_law import SurrogateLaw
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -88,22 +84,12 @@ class RankState:
         self.law.driver.do(_join, [each if len(each[1]) else None for each in places])
         return after
 
-    def to_arrays(self) -> dict[str, NDArray]:
-        """All of it, as one `RveState` of all points would give it."""
-        whole, shares = dict[str, NDArray](), self.shares()
-        for begin in range(0, max(map(len, shares)), PIECE):
-            pieces = [own[begin : begin + PIECE] for own in shares]
-            tasks = [(self.number, begin, len(own)) if len(own) else None for own in pieces]
-            _collect(whole, len(self.owner), pieces, self.law.driver.do(_to_arrays, tasks))
-        return whole
-
 
 class DistributedLaw:
     """σ(F, Ḟ) of RVEs that live on the ranks of a driver; see `StressLaw` and `cache.Fallback`.
 
-    Points without a state are dealt to ranks in equal blocks of whole tiles, few points to one
-    rank, each time to the next one. RVE states, with their factors, stay there: on rank 0 a
-    `RankState` stands for them. (F, Ḟ) are scattered and stresses gathered.
+    Points without a state are given to ranks in equal blocks of whole tiles, few points to one
+    rank, each time to the next. RVE states stay there. (F, Ḟ) are scattered, stresses gathered.
 
     Attributes:
         law: that of rank 0; every rank has the same.
@@ -118,10 +104,16 @@ class DistributedLaw:
         driver.do(_have, [(self._number, law)] * driver.ranks)
 
     def state_to_arrays(self, state: RankState) -> dict[str, NDArray]:
-        return state.to_arrays()
+        """All of a state, as one `RveState` of all points would give it, piece by piece."""
+        whole, shares = dict[str, NDArray](), state.shares()
+        for begin in range(0, max(map(len, shares)), PIECE):
+            pieces = [own[begin : begin + PIECE] for own in shares]
+            tasks = [(state.number, begin, len(own)) if len(own) else None for own in pieces]
+            _collect(whole, len(state.owner), pieces, self.driver.do(_to_arrays, tasks))
+        return whole
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> RankState:
-        """The state whose `to_arrays`, or that of an `RveState`, gave these arrays."""
+        """The state of which `state_to_arrays`, or an `RveState`, gave these arrays."""
         state = RankState(self, self._dealt(len(arrays["z"])), arrays["left"])
         parts = [{name: each[own] for name, each in arrays.items()} for own in state.shares()]
         tasks = [(self._number, state.number, part) if len(part["z"]) else None for part in parts]
@@ -187,10 +179,7 @@ class DistributedLaw:
     def _checked(self, state: Any, points: int) -> RankState:
         if isinstance(state, RankState) and len(state.owner) == points and state.law is self:
             return state
-        raise InputError(
-            f"state: not a state of this DistributedLaw for {points} points; pass what an earlier "
-            "answer for the same points carried, or None"
-        )
+        raise InputError(f"state: not one of this DistributedLaw for {points} points; pass None")
 
 
 def _collect(
@@ -253,31 +242,6 @@ def _to_arrays(worker: Worker, number: int, begin: int, points: int) -> dict[str
 
 def _from_arrays(worker: Worker, law: int, number: int, arrays: Mapping[str, NDArray]) -> None:
     worker.states[number] = worker.laws[law].state_from_arrays(arrays)
-
-
-def distributed(law: StressLaw, driver: Driver) -> Any:
-    """The same law with its RVEs on all ranks.
-
-    A surrogate, a table, and what a cached law decides and counts stay on rank 0.
-
-    Raises:
-        InputError: it is none of ours.
-    """
-    match law:
-        case RveLaw():
-            return DistributedLaw(law, driver)
-        case SurrogateLaw():
-            return law
-        case CachedLaw(fallback=RveLaw() as fallback):
-            rves = DistributedLaw(fallback, driver)
-            return CachedLaw(law.surrogate, rves, law.settings, law.on_true_answer)
-        case RegionalLaw():
-            laws = {name: distributed(each, driver) for name, each in law.laws.items()}
-            return RegionalLaw(laws, law.points)
-    raise InputError(
-        f"law: {type(law).__name__}; it must be an RveLaw, a SurrogateLaw, a CachedLaw with RVEs "
-        "or a RegionalLaw of these"
-    )
 
 
 def shared(law: RveLaw) -> Any:

@@ -1,7 +1,4 @@
-"""The ranks of MPI: whether there are any, told without loading MPI, and how rank 0 drives them.
-
-One task at a time is scattered to all ranks, and its results are gathered.
-"""
+"""Whether there are ranks of MPI, seen without loading it, and how rank 0 scatters them tasks."""
 
 from __future__ import annotations
 
@@ -26,17 +23,17 @@ _SIZES = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE")
 _RANKS = ("PMI_RANK", "OMPI_COMM_WORLD_RANK", "MV2_COMM_WORLD_RANK", "PMIX_RANK")
 _LOCAL_SIZES = ("MPI_LOCALNRANKS", "OMPI_COMM_WORLD_LOCAL_SIZE", "MV2_COMM_WORLD_LOCAL_SIZE")
 _WATCH = 'read done || echo "$0" >&2'
-"""Says its sentence where its input ends without a line, whoever had the other end."""
+"""Prints its message where its input ends without a line, whoever had the other end."""
 _Task = tuple[Callable[..., Any], tuple[Any, ...] | None, list[int]]
-"""For one rank: a function `work(worker, *arguments)`, no arguments where it has nothing to do, and
-the states to forget before."""
+"""work(worker, *arguments) of one rank, no arguments where it has nothing to do, and the states to
+forget before."""
 _Result = tuple[Any, float, str | None]
-"""What a rank's task returned, after how many seconds, and its error message."""
+"""What the task of a rank returned, its seconds, and its error message."""
 _drivers = list["Driver"]()
 
 
 def world_size() -> int:
-    """How many ranks whoever started this process has started with it; 1 without MPI."""
+    """How many ranks were started with this process; 1 without MPI."""
     known = [os.environ[name] for name in _SIZES if name in os.environ]
     if not known and "PMIX_RANK" in os.environ:
         known = [os.environ.get("SLURM_STEP_NUM_TASKS", "1")]
@@ -81,13 +78,13 @@ def own_threads() -> int:
 
 @contextmanager
 def watched(what: str, arguments: Sequence[str]) -> Iterator[None]:
-    """Say a sentence even where this process is killed in the block.
+    """Print a message even where this process is killed in the block.
 
-    A launcher that loses one rank kills the others, who can say nothing any more. A shell waits
-    beside this process and speaks where it ended without a word.
+    A launcher that loses one rank kills the others. A shell waits beside this process and prints
+    where it ended without a word.
 
     Args:
-        what: is kept; arguments: of the command that goes on.
+        what: is kept; arguments: of the command that resumes.
     """
     again = shlex.join(["surrofe2", *(each for each in arguments if each != "--fresh")])
     sentence = f"error: a rank died; {what}; any number of ranks goes on with: {again}"
@@ -101,7 +98,7 @@ def watched(what: str, arguments: Sequence[str]) -> Iterator[None]:
 
 
 def leave() -> None:
-    """Take leave of MPI, which takes a rank that ends without for one that was lost."""
+    """Leave MPI, which takes a rank that ends without leaving for one that was lost."""
     if "mpi4py" in sys.modules:
         from mpi4py import MPI
 
@@ -140,17 +137,11 @@ class Driver:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
-        if kind is None:
-            self.dismiss()
-        else:
-            self.dismiss(1 if issubclass(kind, Surrofe2Error) else exit_code())
-
-    def dismiss(self, code: int = 0) -> None:
-        """End the workers, each with this exit code: launchers take that of any rank."""
-        if self in _drivers:
-            _drivers.remove(self)
-            with held():
-                self._comm.scatter([code] * self.ranks)
+        """End the workers, all with one exit code: launchers take that of any rank."""
+        code = 0 if kind is None else 1 if issubclass(kind, Surrofe2Error) else exit_code()
+        _drivers.remove(self)
+        with held():
+            self._comm.scatter([code] * self.ranks)
 
     def new_number(self) -> int:
         """A number for a law or a state."""
