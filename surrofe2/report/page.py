@@ -342,7 +342,7 @@ def _events(seen: ReportData) -> list[str]:
         if len(shown) < len(each.events):
             parts.append(paragraph(f"{each.name}: the last {len(shown)} of {len(each.events)}."))
         listed = table(keys, rows, words=True)
-        parts.append(folded(f"{each.name}: {len(each.events)} events", listed))
+        parts.append(folded(f"{each.name}, events: {len(each.events)}", listed))
     return parts
 
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2.base.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.questions import memory
 from surrofe2.questions.memory import returning, steady_shear
@@ -44,8 +43,3 @@ def test_fading_time():
     t = np.linspace(0.0, 10.0, 1001)
     assert memory.fading_time(t, np.exp(-t / 2.0), np.exp(-1.0)) == pytest.approx(2.0, abs=0.02)
     assert memory.fading_time(t, np.ones_like(t), 0.5) is None
-
-
-def test_settings_are_checked():
-    with pytest.raises(InputError, match=r"memory\.period: 0"):
-        memory.MemorySettings(period=0)

@@ -10,7 +10,6 @@ from surrofe2.questions.moduli import (
     MODULI,
     cell_moduli,
     changed_cells,
-    moduli_tables,
     turgor,
     voigt,
     with_turgor,
@@ -54,16 +53,6 @@ def test_voigt_of_an_isotropic_tangent():
     shear = np.einsum("ac,bd->abcd", d, d) + np.einsum("ad,bc->abcd", d, d)
     C = voigt(3.0 * np.einsum("ab,cd->abcd", d, d) + 2.0 * shear)
     np.testing.assert_allclose(C, [[7, 3, 0], [3, 7, 0], [0, 0, 2]])
-
-
-def test_three_dimensional_moduli_are_per_thickness():
-    cell = CELLS["water"]
-    tables = moduli_tables(cell, {"elastic": cell_moduli(cell, "elastic")})
-    (flat,) = tables["Elastic moduli, N/m"].to_records()
-    (solid,) = tables["Elastic moduli, MPa"].to_records()
-    assert flat["initialisation"] == solid["initialisation"] == "elastic"
-    assert solid["bulk"] == pytest.approx(flat["bulk"] / 10.0)
-    assert solid["poisson"] == pytest.approx(flat["poisson"])
 
 
 def test_turgor_can_be_given_instead_of_mass():

@@ -80,7 +80,7 @@ def test_what_ran_stands_in_the_page(page):
         "answers are; the worst error is 0.003 µN/µm",
         f"where the risk was {RISK} (step 7, point 3). The risks of its answers are {RISK} to "
         f"{RISK}.",
-        "cached: 2 events",
+        "cached, events: 2",
         "Range that was met",
         "No look into the plant cells",
     ):
