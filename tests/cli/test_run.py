@@ -88,7 +88,7 @@ def test_a_finished_run_is_kept(invoke, recipe_path, folder):
 
 def test_another_run_is_refused(invoke, recipe_path, changed_recipe, folder):
     command = ("run", recipe_path, "--law", "rve", "--out", folder)
-    invoke(*command, law=StoppingLaw(calls=60))
+    invoke(*command, law=StoppingLaw(calls=62))
     for options, told in (
         (["--integrator", "implicit"], "macro.integrator: this call has implicit, what is there "),
         (["--initialisation", "elastic"], "rve.initialisation: this call has elastic, what is "),
@@ -154,7 +154,7 @@ class BrokenLaw(SoftLaw):
 
 def test_only_a_checkpoint_without_a_state_of_the_run_is_blamed(invoke, recipe_path, folder):
     command = ("run", recipe_path, "--law", "rve", "--out", folder)
-    assert invoke(*command, law=StoppingLaw(calls=60)).exit_code == 130
+    assert invoke(*command, law=StoppingLaw(calls=62)).exit_code == 130
     faulty = invoke(*command, law=BrokenLaw())
     assert isinstance(faulty.exception, ZeroDivisionError)
     path = folder / "checkpoint.h5"
