@@ -1,8 +1,9 @@
-"""The loop of every run over time: steps with progress, checkpoints and interrupts."""
+"""The loop of every run: steps with progress, checkpoints and interrupts; how work reports."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from time import monotonic
 from typing import Any, Protocol, TypeVar
@@ -10,6 +11,10 @@ from typing import Any, Protocol, TypeVar
 from surrofe2.base.errors import InputError, SimulationError
 
 Run = TypeVar("Run")
+Report = Callable[[float, str], None]
+"""Called with how much is done and a remark."""
+Stage = Callable[[str, float, str], AbstractContextManager[Report]]
+"""Begins to display a stage: what is done, how much of it, in which unit."""
 
 SHARE = 0.05
 """Of the time of a run, what its checkpoints may take."""
@@ -91,3 +96,12 @@ def carry_out(
             checkpoint(recorder.checkpoint())
         raise
     return results(True)
+
+
+def no_report(done: float, note: str = "") -> None:
+    """A report that displays nothing."""
+
+
+def no_stage(what: str, total: float, unit: str) -> AbstractContextManager[Report]:
+    """A stage that displays nothing."""
+    return nullcontext(no_report)

@@ -2,7 +2,6 @@
 
 In reading order:
 
-    progress     how work reports what it does
     laws         the stress law of a run, of one cell type or several
     surfaces     the law of free sides, kept
     run          a problem by a stress law, and what it leaves in its folder

@@ -23,6 +23,7 @@ from surrofe2.problem.bar import LoadCase
 from surrofe2.problem.conditions import BodyForce, Condition, DrivenCondition, InitialVelocity
 from surrofe2.problem.rigid_bodies import RigidBody
 from surrofe2.recipe.recipe import Recipe
+from surrofe2.run.loop import Report, no_report
 from surrofe2.rve import RveLaw
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.calibration import Truth
@@ -45,7 +46,6 @@ from surrofe2.surrogate.settings import (
 )
 from surrofe2.workflow import laws
 from surrofe2.workflow.laws import law_by_region
-from surrofe2.workflow.progress import Report, no_report
 
 log = logging.getLogger(__name__)
 

@@ -27,13 +27,13 @@ from surrofe2.law.stress_law import StressLaw, StressResponse
 from surrofe2.macro import MetRange, simulate
 from surrofe2.macro.history import NO_EXTREMES, widen_extremes
 from surrofe2.recipe.recipe import Recipe, load_recipe
+from surrofe2.run.loop import Report, no_report
 from surrofe2.store.samples import check_harvest, read_data_set, read_harvest
 from surrofe2.store.surrogates import check_surrogate, read_surrogate
 from surrofe2.surrogate.deformation_paths import WatchedLaw
 from surrofe2.workflow import laws
 from surrofe2.workflow.generate import check_data
 from surrofe2.workflow.laws import law_by_region
-from surrofe2.workflow.progress import Report, no_report
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.train import is_trained
 

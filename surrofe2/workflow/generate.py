@@ -21,6 +21,7 @@ from surrofe2.base.tensors import stress_error, stress_spread
 from surrofe2.law.samples import StressSamples
 from surrofe2.law.stress_law import StressLaw, StressResponse, describe
 from surrofe2.recipe.recipe import Recipe
+from surrofe2.run.loop import Report, Stage, no_report, no_stage
 from surrofe2.rve import RveLaw
 from surrofe2.store.samples import (
     DataSetHeader,
@@ -32,7 +33,6 @@ from surrofe2.store.samples import (
     writing_data_set,
 )
 from surrofe2.workflow import laws
-from surrofe2.workflow.progress import Report, Stage, no_report, no_stage
 from surrofe2.workflow.workers import in_pieces
 
 log = logging.getLogger(__name__)

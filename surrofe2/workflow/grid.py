@@ -15,11 +15,11 @@ from surrofe2.base.settings import unknown
 from surrofe2.recipe.entries import name_of_values
 from surrofe2.recipe.recipe import Recipe, load_recipe
 from surrofe2.report.grid import Grid, grid_row, write_grid_plot
+from surrofe2.run.loop import Stage, no_stage
 from surrofe2.store.run_folder import read_run
 from surrofe2.store.store import locked_folder, write_json, write_text
 from surrofe2.workflow.generate import generate_data_set, wanted_count
 from surrofe2.workflow.laws import use_threads
-from surrofe2.workflow.progress import Stage, no_stage
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.train import is_trained, train_surrogate
 from surrofe2.workflow.workers import Processes

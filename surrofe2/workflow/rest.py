@@ -20,6 +20,7 @@ from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
 from surrofe2.macro.rest import RestState
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.run.journal import part_of, within
+from surrofe2.run.loop import Report, Stage, no_report, no_stage
 from surrofe2.store.fields import write_fields
 from surrofe2.store.run_folder import (
     CHECKPOINT_INTERVAL,
@@ -30,7 +31,6 @@ from surrofe2.store.run_folder import (
 )
 from surrofe2.store.store import keep
 from surrofe2.workflow.laws import cell_of_elements, choose_laws
-from surrofe2.workflow.progress import Report, Stage, no_report, no_stage
 from surrofe2.workflow.run import new_record, problem_record, with_rest, write_points
 from surrofe2.workflow.surfaces import with_surface
 

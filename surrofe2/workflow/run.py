@@ -42,6 +42,7 @@ from surrofe2.ranks.driver import driver_at_work
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.report.comparison import audit_sentence
 from surrofe2.run.journal import part_of, within
+from surrofe2.run.loop import Report, no_report
 from surrofe2.rve import RveLaw
 from surrofe2.store.fields import (
     DISPLACEMENT_NAME,
@@ -75,7 +76,6 @@ from surrofe2.workflow.laws import (
     choose_laws,
     surrogate_record,
 )
-from surrofe2.workflow.progress import Report, no_report
 from surrofe2.workflow.surfaces import surface_record, with_surface
 
 HARVEST = "harvest.h5"

@@ -15,6 +15,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem import Problem
 from surrofe2.recipe.cell_types import kinds_of_cells
 from surrofe2.recipe.recipe import Recipe
+from surrofe2.run.loop import Report, no_report
 from surrofe2.store.fields import write_particle_fields
 from surrofe2.store.run_folder import (
     CHECKPOINT_INTERVAL,
@@ -25,7 +26,6 @@ from surrofe2.store.run_folder import (
 from surrofe2.tissue import TissueRun, TissueState, simulate_tissue
 from surrofe2.tissue.simulation import cells_that_fill, make_conditions, step_at_rest, with_step
 from surrofe2.workflow.laws import kept_reference
-from surrofe2.workflow.progress import Report, no_report
 from surrofe2.workflow.run import new_record
 
 

@@ -16,6 +16,7 @@ from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.law.samples import StressSamples
 from surrofe2.recipe.recipe import Recipe
+from surrofe2.run.loop import Report, Stage, no_stage
 from surrofe2.store.hdf5 import read_seconds
 from surrofe2.store.samples import read_reference, stored_count
 from surrofe2.store.store import START_OVER, check_same, file_lock, locked_file, remove
@@ -31,7 +32,6 @@ from surrofe2.workflow.calibrate import (
     shaping_truths,
 )
 from surrofe2.workflow.generate import counts_of, training_samples
-from surrofe2.workflow.progress import Report, Stage, no_stage
 
 if TYPE_CHECKING:
     from surrofe2.surrogate.training import TrainingState

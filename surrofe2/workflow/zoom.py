@@ -17,6 +17,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe.recipe import Recipe, make_recipe
 from surrofe2.report.figures import cell_figure
 from surrofe2.run.charts import encoded
+from surrofe2.run.loop import Report, no_report
 from surrofe2.rve import RveLaw
 from surrofe2.rve.particles import Particles
 from surrofe2.store.fields import (
@@ -31,7 +32,6 @@ from surrofe2.store.fields import (
 from surrofe2.store.run_folder import RunRecord, read_record
 from surrofe2.store.store import locked_folder, write_bytes, write_columns
 from surrofe2.workflow.laws import true_law
-from surrofe2.workflow.progress import Report, no_report
 
 Array = NDArray[np.float64]
 

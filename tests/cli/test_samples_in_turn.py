@@ -10,12 +10,12 @@ import pytest
 
 from surrofe2.recipe import cell_types
 from surrofe2.recipe.recipe import load_recipe
+from surrofe2.run.loop import no_stage
 from surrofe2.store.hdf5 import read_seconds
 from surrofe2.store.samples import read_data_set, stored_count
 from surrofe2.store.surrogates import read_surrogate
 from surrofe2.surrogate import training
 from surrofe2.workflow.generate import generate_data_set, wanted_count
-from surrofe2.workflow.progress import no_stage
 from surrofe2.workflow.refine import refine_surrogate
 from surrofe2.workflow.train import train_surrogate
 
