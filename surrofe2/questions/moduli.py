@@ -21,12 +21,10 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from surrofe2.base.errors import InputError
-from surrofe2.base.simd import TILE
-from surrofe2.plant_cell.forces import fluid_specific_volume
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
-from surrofe2.rve.unit_cell import UnitCell
+from surrofe2.rve.particles import look_into
 
 Array = NDArray[np.float64]
 
@@ -95,42 +93,17 @@ class Turgor:
 
 def turgor(cell: CellParameters) -> Turgor:
     """Fluid pressure of the undeformed cell."""
-    unit = RveLaw(cell).unit_cell
-    topology = unit.topologies[0]
-    x = np.ascontiguousarray(np.repeat(unit.position.T[..., None], TILE, axis=-1))
-    slope = np.empty((len(topology.fluid_pairs), TILE))
-    volume = np.empty((topology.particles - topology.walls, TILE))
-    fluid_specific_volume(x, topology, unit.constants, slope, volume)
-    per_density = volume[:, 0]
-    speed = unit.constants.sound_speed_squared
-    i, j = topology.fluid_pairs.T
-    square = np.sum((unit.position[j] - unit.position[i]) ** 2, axis=1)
-    v = per_density[i - topology.walls] + per_density[j - topology.walls]
-    pull = cell.fluid_particle_mass**2 * speed * slope[:, 0] * v
-    t = cell.tissue_thickness
-    return Turgor(
-        mean=float(np.mean(speed / per_density)) / t,
-        virial=float(-np.sum(pull * square)) / (2.0 * topology.area * t),
-        walls=_wall_virial(cell, unit) / (2.0 * topology.area * t),
+    unit, still = RveLaw(cell).unit_cell, np.zeros((1, 2, 2))
+    position = unit.position[None]
+    seen, t = (
+        look_into(unit, np.eye(2)[None], still, position, 0.0 * position),
+        cell.tissue_thickness,
     )
-
-
-def _wall_virial(cell: CellParameters, unit: UnitCell) -> float:
-    """Σ f·r of the springs and contacts between wall particles at rest, µN µm."""
-    topology, beyond = unit.topologies[0], cell.repulsion_cutoff**-6
-    owner = np.concatenate([np.arange(topology.particles), topology.owner])
-    image = unit.position[topology.owner] + topology.image_offset
-    local = np.concatenate([unit.position, image])
-
-    def length(pairs: NDArray[Any]) -> Array:
-        return np.asarray(np.linalg.norm(local[pairs[:, 1]] - local[pairs[:, 0]], axis=1))
-
-    spring = length(topology.bonds)
-    contact = length(topology.contacts[(owner[topology.contacts] < topology.walls).all(axis=1)])
-    contact = contact[contact < cell.repulsion_cutoff]
-    tension = cell.wall_stiffness * (spring - unit.rest_length)
-    repulsion = cell.repulsion_strength * (contact**-6 - beyond)
-    return float(np.sum(tension * spring) - np.sum(repulsion * contact))
+    return Turgor(
+        mean=float(seen.pressure.mean()) / t,
+        virial=-float(np.trace(seen.fluid_stress[0])) / 2.0 / t,
+        walls=float(np.trace(seen.wall_stress[0])) / 2.0 / t,
+    )
 
 
 def with_turgor(cell: CellParameters, pressure: float) -> CellParameters:

@@ -35,7 +35,8 @@ class Particles:
         contact_pressure: (n, walls) largest force of the fluid on one side of the wall particle
             per length of wall, µN/µm.
         area_ratio: (n, cells) area within the walls over that in the reference.
-        stress: (n, 2, 2) Cauchy stress as the virial of all pairs, µN/µm.
+        stress: (n, 2, 2) Cauchy stress as the virial of all pairs, µN/µm; wall_stress and
+            fluid_stress: what pairs of two wall or of two fluid particles are of it.
         is_wall: (p,). fluid_cell: (f,) plant cell of each fluid particle.
         lattice: (2, 2) periods of the reference, its columns, µm; they move along with F.
     """
@@ -54,6 +55,8 @@ class Particles:
     contact_pressure: Array
     area_ratio: Array
     stress: Array
+    wall_stress: Array
+    fluid_stress: Array
     is_wall: NDArray[np.bool_]
     fluid_cell: Index
     lattice: Array
@@ -102,34 +105,36 @@ def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Arr
     cell, patch = unit.cell, unit.patches[-1]
     arrangement = make_arrangement(cell)
     x, v = np.einsum("nij,npj->npi", F, z), np.einsum("nij,npj->npi", F_dot, z) + fluctuation
-    force, virial = np.zeros_like(x), np.zeros((len(F), 2, 2))
+    force = np.zeros_like(x)
+    area = (np.linalg.det(F) * patch.topology.area)[:, None, None]
 
     def pairs_of(listed: NDArray[np.int32]) -> _Pairs:
         return _pairs(patch, listed, x, v, F, F_dot)
 
-    def act(pairs: _Pairs, forces: Array) -> None:
+    def act(pairs: _Pairs, forces: Array) -> Array:
+        """Add the forces; the virial of each pair as stress, (n, k, 2, 2)."""
         force[:] += _summed(pairs.i, forces, patch.topology.particles)
         force[:] -= _summed(pairs.j, forces, patch.topology.particles)
-        virial[:] += np.einsum("nki,nkj->nij", forces, pairs.r)
+        return np.einsum("nki,nkj->nkij", forces, pairs.r) / area[:, None]
 
     bonds = pairs_of(patch.topology.bonds)
     tension = cell.wall_stiffness * (bonds.length - unit.rest_length)
     tension += unit.constants.wall_damping * bonds.rate
-    act(bonds, (tension / bonds.length)[:, :, None] * bonds.r)
+    bond_stress = act(bonds, (tension / bonds.length)[:, :, None] * bonds.r).sum(axis=1)
 
     contacts = pairs_of(patch.topology.contacts)
     along = _contact_tension(unit, contacts) / contacts.length
     pushes = along[:, :, None] * contacts.r
-    act(contacts, pushes)
+    contact_stress = act(contacts, pushes)
+    between_walls = np.maximum(contacts.i, contacts.j) < patch.topology.walls
 
     fluid = pairs_of(patch.topology.fluid_pairs)
     density, forces = _fluid(unit, patch, fluid)
-    act(fluid, forces)
+    fluid_stress = act(fluid, forces).sum(axis=1)
 
     starts = patch.topology.fluid_start.astype(np.int64)
     fluid_cell = np.repeat(np.arange(starts.size - 1), np.diff(starts))
     spacing = unit.rest_length
-    area = np.linalg.det(F) * patch.topology.area
     rims = _rim_areas(arrangement.rims, x, patch.lattice, F)
     at_rest = _rim_areas(arrangement.rims, unit.position[None], patch.lattice, np.eye(2)[None])
     return Particles(
@@ -146,7 +151,9 @@ def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Arr
         stretch=bonds.length / unit.rest_length,
         contact_pressure=_push_on_walls(patch, contacts, pushes, fluid_cell) / spacing,
         area_ratio=rims / at_rest,
-        stress=virial / area[:, None, None],
+        stress=bond_stress + contact_stress.sum(axis=1) + fluid_stress,
+        wall_stress=bond_stress + contact_stress[:, between_walls].sum(axis=1),
+        fluid_stress=fluid_stress,
         is_wall=np.arange(patch.topology.particles) < patch.topology.walls,
         fluid_cell=fluid_cell,
         lattice=patch.lattice,
