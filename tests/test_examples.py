@@ -13,10 +13,8 @@ import pytest
 import skfem
 
 from surrofe2 import CellParameters, Fixed, Problem, RveLaw, Traction, find_rest, simulate
-from surrofe2.problem.amplitude import Constant, Sine
+from surrofe2.problem.amplitude import Constant
 from surrofe2.recipe.recipe import load_recipe
-from surrofe2.tissue import TissueSettings, simulate_tissue
-from surrofe2.tissue.simulation import make_conditions
 from surrofe2.workflow.comparison import compare_runs
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.laws import law_by_region
@@ -116,57 +114,6 @@ def test_wall_stiffness_and_viscosity_come_out_within_1_percent_from_1_percent_o
 def whole(name):
     recipe = load_recipe(FOLDER / f"{name}.toml")
     return recipe, run_of(recipe, recipe.problem())
-
-
-SMALL_TISSUES = {  # length of the small one by the recipe's, time by its time, width, height
-    "block-between-plates": (0.25, 0.04, 100.0, 100.0),
-    "drop-on-plate": (0.12, 0.05, 600.0, 600.0),
-}
-
-
-@pytest.mark.parametrize("name", SMALL_TISSUES)
-def test_recipes_with_bodies_run_on_the_full_tissue(name):
-    """On 4 × 4 plant cells, smaller and faster: forces move the tissue, friction is Coulomb's."""
-    length, time, width, height = SMALL_TISSUES[name]
-    recipe = load_recipe(FOLDER / f"{name}.toml")
-    stated = recipe.stated
-    bodies = []
-    for body in stated.bodies:
-        amplitude = body.amplitude
-        if isinstance(amplitude, Sine):
-            amplitude = replace(amplitude, frequency=amplitude.frequency / time)
-        position, way = (
-            tuple(length * np.array(each)) for each in (body.position, body.displacement)
-        )
-        bodies.append(replace(body, position=position, displacement=way, amplitude=amplitude))
-    small = replace(
-        stated,
-        mesh=replace(stated.mesh, width=width, height=height),
-        bodies=tuple(bodies),
-        watched={"top": (0.0, height)},
-        time=replace(stated.time, duration=time * stated.time.duration, output_interval=0.1),
-    )
-    problem = replace(recipe, stated=small).problem()
-    reference = RveLaw(recipe.cell).reference
-    run = simulate_tissue(problem, recipe.cell, TissueSettings(frames=2), reference=reference)
-    scale = max(
-        run.energies["kinetic"][0], run.energies["contact"].max(), run.energies["elastic"].max()
-    )
-    assert abs(run.energies["balance"]).max() < 2e-3 * scale
-    conditions = make_conditions(problem, recipe.cell, reference)
-    names = [each.name for each in (*conditions.supports, *problem.bodies)]
-    total = np.stack([sum(run.history[f"force {one} {axis}"] for one in names) for axis in "xy"], 1)
-    mass = conditions.tissue.mass.reshape(-1)[conditions.tissue.where]
-    gained = mass @ (run.frames.velocity[-1] - run.frames.velocity[0])
-    impulse = 0.1 * (total.sum(axis=0) - 0.5 * (total[0] + total[-1]))
-    largest = 0.1 * abs(total).sum(axis=0).max()
-    np.testing.assert_allclose(impulse, gained, rtol=0, atol=0.01 * largest)
-    for body in problem.bodies:
-        along, across = (abs(run.history[f"force {body.name} {axis}"]) for axis in "xy")
-        assert across.max() > 20.0
-        assert (along <= body.friction * across + 1e-9).all()
-        assert along.max() > 0.01 * across.max()
-    assert run.energies["contact dissipated"][-1] > 0.0
 
 
 @pytest.mark.slow

@@ -173,20 +173,17 @@ def test_why_a_surrogate_is_not_trusted_is_one_line(caplog, tmp_path):
     samples = sample_stress(law, wanted, 64)
     surrogate = train(samples, TrainingSettings(hidden=(4,), iterations=20))
 
-    def told(surrogate):
+    def warnings(surrogate):
         caplog.clear()
         with caplog.at_level(logging.WARNING):
             CachedLaw(surrogate, law)
         return [record.getMessage() for record in caplog.records]
 
-    (line,) = told(surrogate)
-    assert "was not calibrated, its bound is infinite" in line
-    assert "surrofe2.calibrate" in line
+    assert ["not calibrated" in line for line in warnings(surrogate)] == [True]
     write_surrogate(surrogate, str(tmp_path / "own-surrogate.h5"))
     assert not read_surrogate(str(tmp_path / "own-surrogate.h5")).is_calibrated
     paths = CalibrationSettings(walks=40, runs=0, alpha=0.1)
-    known = calibrate(surrogate, samples, settings=paths)
-    assert told(known) == []
+    assert warnings(calibrate(surrogate, samples, settings=paths)) == []
 
     class Failing(RveLaw):
         def respond(self, F, F_dot, state=None, *, tangents=False):
