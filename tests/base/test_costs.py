@@ -14,7 +14,7 @@ from surrofe2.store.surrogates import content_fingerprint, read_surrogate, write
 from surrofe2.workflow.comparison import compare_runs
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.run import run_study
-from tests.laws import SoftLaw, StoppingLaw
+from tests.laws import SoftLaw
 
 
 @pytest.mark.parametrize(
@@ -35,21 +35,6 @@ def test_when_a_cache_pays(costs, gain, pays_from, sentence):
         made, run, true = costs
         assert made + pays_from * run <= pays_from * true * (1.0 + 1e-12)
         assert made + (pays_from - 1) * run > (pays_from - 1) * true
-
-
-def test_a_data_set_counts_all_calls_that_made_it(recipe, monkeypatch):
-    recipe = recipe.with_cell(samples=replace(recipe.samples, count=40))
-    law = StoppingLaw(2).of(recipe.cell, recipe.rve)
-    with pytest.raises(KeyboardInterrupt):
-        generate_data_set(recipe, law, chunk=8)
-    before = read_seconds(recipe.data_path())
-    assert 0.0 < before < 60.0
-    monkeypatch.setattr("surrofe2.base.compilation.clock", lambda: next(moments))
-    moments = iter(range(1000, 100_000, 7))
-    generate_data_set(recipe, SoftLaw().of(recipe.cell, recipe.rve), chunk=8)
-    more = read_seconds(recipe.data_path()) - before
-    assert more > 0.0
-    assert more == pytest.approx(7.0 * round(more / 7.0))
 
 
 @pytest.fixture

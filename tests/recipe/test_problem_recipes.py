@@ -188,26 +188,11 @@ def test_every_kind_of_condition_body_and_part(changed):
 
 def test_the_whole_problem_is_in_its_provenance_and_comes_back(changed):
     recipe = load_recipe(changed())
-    stored = recipe.to_dict()
-    json.dumps(stored, allow_nan=False)
+    stored = json.loads(json.dumps(recipe.to_dict(), allow_nan=False))
+    sections = {name: stored[name] for name in ("mesh", "conditions", "bodies", "watch", "time")}
+    assert sections["mesh"].pop("sha256") is None
+    assert make_recipe(sections).stated == recipe.stated
     assert "load" not in stored
-    assert stored["conditions"]["pull"]["amplitude"] == {
-        "kind": "ramp", "begin": 0.0, "end": 10.0, "smooth": True,
-    }  # fmt: skip
-    assert stored["bodies"]["blade"]["corner"] == {
-        "axis": [0.0, 1.0], "angle": 30.0, "radius": 2.0,
-    }  # fmt: skip
-    given = tomllib.loads(RECIPE)
-    for section in ("mesh", "conditions", "bodies", "watch", "time"):
-        for name, entries in given[section].items():
-            there = stored[section][name]
-            if isinstance(entries, dict) and section != "mesh":
-                for key in entries.keys() - {"amplitude", "displacement"}:
-                    assert there[key] == entries[key], (name, key)
-            elif section != "mesh" or name not in ("boundaries", "regions"):
-                assert there == entries
-    assert stored["mesh"]["boundaries"] == given["mesh"]["boundaries"]
-    assert stored["mesh"]["regions"] == given["mesh"]["regions"]
 
 
 def test_conditions_may_be_a_list():

@@ -3,15 +3,13 @@
 import importlib.util
 import json
 import tomllib
-from dataclasses import fields
 from pathlib import Path
 
 import pytest
 from jsonschema import Draft7Validator
 
 from surrofe2.base.errors import InputError
-from surrofe2.plant_cell.parameters import LivingTissue
-from surrofe2.recipe.recipe import SECTIONS, make_recipe
+from surrofe2.recipe.recipe import make_recipe
 from surrofe2.recipe.schema import recipe_schema
 from surrofe2.workflow.new_recipe import KINDS, write_recipe
 from tests.recipe.test_problem_recipes import RECIPE
@@ -33,13 +31,6 @@ def test_the_page_is_what_the_settings_say(reference):
     assert reference.PAGE.read_text(encoding="utf-8") == reference.page(), (
         "python docs/recipe_reference.py"
     )
-
-
-@pytest.mark.parametrize("kind", [*SECTIONS.values(), LivingTissue])
-def test_every_key_says_what_it_is(kind):
-    for item in fields(kind):
-        if item.metadata:
-            assert item.metadata["about"], item.name
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from surrofe2.plant_cell.parameters import CellParameters
@@ -28,3 +30,15 @@ def tissue_of(reference):
         return make_tissue(*reference(preset), cells)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def types():
+    """Two cells that differ in all that may differ, and their reference states."""
+    soft = CellParameters.preset("water")
+    stiff = replace(
+        soft, wall_stiffness=5000.0, wall_particle_mass=0.7, wall_damping_ratio=0.8,
+        repulsion_strength=4e5, contact_damping_ratio=0.9, smoothing_length=5.2,
+        fluid_particle_mass=0.4, sound_speed=45.0, viscosity=0.2,
+    )  # fmt: skip
+    return [soft, stiff], [RveLaw(cell).reference for cell in (soft, stiff)]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surrofe2.base.simd import TILE
-from surrofe2.tissue import TissueDynamics
+from surrofe2.tissue import TissueDynamics, make_mixed_tissue
 from tests.plant_cell.twin import Twin
 from tests.tissue.twin import TissueTwin
 
@@ -47,10 +47,18 @@ def test_forces_energy_and_dissipation_are_those_of_the_twin(case):
     np.testing.assert_array_equal(tissue.mass.reshape(-1)[tissue.where], twin.mass[order])
 
 
-def test_mass_is_that_of_the_macro_scale(case):
-    tissue, *_ = case
-    area = tissue.cell.cell_side**2 * float(np.prod(tissue.cells))
-    assert tissue.mass.sum() == pytest.approx(tissue.cell.density * area, rel=1e-14)
+@pytest.fixture(params=[((2, 2), "printed"), ((3, 2), "water"), ((1, 1), "water"), None])
+def any_tissue(request, tissue_of, types):
+    """Tissues of one plant cell, and one of two types."""
+    if request.param is not None:
+        return tissue_of(*request.param)
+    return make_mixed_tissue(*types, np.array([[0, 1], [1, 1], [0, 0]]))
+
+
+def test_mass_is_that_of_the_macro_scale(any_tissue, types):
+    cells = types[0] if any_tissue.kind.any() else [any_tissue.cell]
+    mass = sum(cells[k].density for k in any_tissue.kind.ravel()) * any_tissue.cell.cell_side**2
+    assert any_tissue.mass.sum() == pytest.approx(mass, rel=1e-13)
 
 
 def test_paper_s_bar_has_its_particles(tissue_of):
@@ -58,18 +66,16 @@ def test_paper_s_bar_has_its_particles(tissue_of):
     assert (tissue.particles, tissue.wall_particles) == (9281, 5185)
 
 
-def test_forces_sum_to_zero(case):
-    tissue, *_ = case
-    dynamics = TissueDynamics(tissue)
-    dynamics.place(*shaken(tissue))
+def test_forces_sum_to_zero(any_tissue):
+    dynamics = TissueDynamics(any_tissue)
+    dynamics.place(*shaken(any_tissue))
     f = dynamics.forces()
     assert abs(f.sum(axis=0)).max() < 1e-12 * abs(f).max() * len(f)
 
 
-def test_force_is_minus_the_gradient_of_the_energy(case):
-    tissue, *_ = case
-    dynamics = TissueDynamics(tissue)
-    x, _ = shaken(tissue)
+def test_force_is_minus_the_gradient_of_the_energy(any_tissue):
+    dynamics = TissueDynamics(any_tissue)
+    x, _ = shaken(any_tissue)
     dynamics.place(x)
     f = dynamics.forces()
     step = 1e-4

@@ -8,22 +8,8 @@ import numpy as np
 import pytest
 
 from surrofe2.base.errors import InputError
-from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.rve import RveLaw
 from surrofe2.tissue import TissueDynamics, make_mixed_tissue
 from tests.tissue.test_tissue_forces import shaken
-
-
-@pytest.fixture(scope="module")
-def types():
-    """Two cells that differ in all that may differ, and their reference states."""
-    soft = CellParameters.preset("water")
-    stiff = replace(
-        soft, wall_stiffness=5000.0, wall_particle_mass=0.7, wall_damping_ratio=0.8,
-        repulsion_strength=4e5, contact_damping_ratio=0.9, smoothing_length=5.2,
-        fluid_particle_mass=0.4, sound_speed=45.0, viscosity=0.2,
-    )  # fmt: skip
-    return [soft, stiff], [RveLaw(cell).reference for cell in (soft, stiff)]
 
 
 def tissue_of(types, kind):
@@ -46,26 +32,6 @@ def test_equal_types_are_one_type(types):
         np.testing.assert_allclose(there, here, rtol=0, atol=1e-12 * abs(here).max())
     assert two.elastic_energy() == pytest.approx(one.elastic_energy(), rel=1e-12)
     assert two.dissipation_rate() == pytest.approx(one.dissipation_rate(), rel=1e-10)
-
-
-def test_forces_are_minus_the_gradient_of_the_energy_and_sum_to_zero(types):
-    tissue = tissue_of(types, [[0, 1], [1, 1], [0, 0]])
-    dynamics = TissueDynamics(tissue)
-    x, v = shaken(tissue)
-    dynamics.place(x, v)
-    f = dynamics.forces()
-    assert abs(f.sum(axis=0)).max() < 1e-12 * abs(f).max() * len(f)
-    dynamics.place(x)
-    f = dynamics.forces()
-    for seed in range(3):
-        direction = np.random.default_rng(seed).normal(size=x.shape)
-        energy = []
-        for sign in (1e-4, -1e-4):
-            dynamics.place(x + sign * direction)
-            energy.append(dynamics.elastic_energy())
-        slope = (energy[0] - energy[1]) / 2e-4
-        size = np.linalg.norm(f) * np.linalg.norm(direction)
-        assert slope == pytest.approx(-np.sum(f * direction), abs=1e-7 * size)
 
 
 def test_a_wall_between_two_types_is_half_of_each(types):
@@ -101,13 +67,6 @@ def test_mirrored_types_have_mirrored_forces(types):
     two.place(*mirrored)
     f = one.forces()
     np.testing.assert_allclose(two.forces()[order], mirror * f, rtol=0, atol=1e-9 * abs(f).max())
-
-
-def test_mass_is_that_of_the_macro_scale(types):
-    kind = np.array([[0, 1], [1, 1], [0, 0]])
-    tissue = tissue_of(types, kind)
-    mass = sum(types[0][k].density for k in kind.ravel()) * 25.0**2
-    assert tissue.mass.sum() == pytest.approx(mass, rel=1e-13)
 
 
 @pytest.mark.parametrize("change", [{"cell_side": 30.0}, {"repulsion_cutoff": 9.0}])
