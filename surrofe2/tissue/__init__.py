@@ -1,7 +1,7 @@
 """The full microscopic tissue: every particle of every plant cell, nothing homogenised.
 
-Reading order: settings, layout (which particles there are); pair_kinds, pair_constants and
-pair_lists (who interacts, and how strongly); external_forces (prescribed motion, the outline, rigid
+Reading order: settings, layout (which particles there are); pair_constants (who may interact, how
+strongly), pair_lists (who does now); external_forces (prescribed motion, the outline, rigid
 bodies), kernels, dynamics (particles in motion); conditions (a problem made particles), relaxation
 (at rest without load, and the step that is stable there), history, simulation (a run).
 """

@@ -24,8 +24,13 @@ from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.errors import SimulationError
 from surrofe2.base.simd import TILE
 from surrofe2.tissue.layout import Tissue, tiled
-from surrofe2.tissue.pair_constants import ConstantsMaker, PairConstants
-from surrofe2.tissue.pair_kinds import RINGS, PairKinds, make_pair_kinds
+from surrofe2.tissue.pair_constants import (
+    RINGS,
+    ConstantsMaker,
+    PairConstants,
+    PairKinds,
+    make_pair_kinds,
+)
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
