@@ -38,7 +38,7 @@ from surrofe2.report.html import (
 from surrofe2.report.player import SOURCES, ReportData, RunData, motion_section, tissue_image
 from surrofe2.report.tables import percent
 from surrofe2.run.charts import Curve, Panel
-from surrofe2.store.fields import RISK_NAME, SOURCE_NAME
+from surrofe2.store.fields import SOURCE_NAME
 from surrofe2.store.run_folder import caches_of, made_for
 from surrofe2.store.store import flat
 
@@ -231,7 +231,7 @@ def _over_time_and_mesh(run: RunData) -> str:
 
 
 def _audits(seen: ReportData) -> list[str]:
-    """Audited errors with the tolerance, and the risks of the answers."""
+    """Audited errors with the tolerance."""
     figures, parts = [], []
     for each in seen.runs:
         for cell, cache in caches_of(each.record.cache).items():
@@ -242,34 +242,23 @@ def _audits(seen: ReportData) -> list[str]:
             labels = "error of the stress (µN/µm)", "answers with at most this error (%)"
             panel = Panel(*labels, tuple(audit_curves(audit, 0, of)), log_x=True, zero=True)
             figures.append(figure(chart(panel), f"{of}: audited errors"))
-            parts.append(_worst(of, audit, "" if cell else _risks(each)))
+            parts.append(_worst(of, audit))
     if not figures and not parts:
         parts = [missing("No run through a cache, so nothing was audited.")]
     return [*parts, grid(figures)]
 
 
-def _risks(run: RunData) -> str:
-    """Least and largest risk of the cache's answers at stored times, in words."""
-    known = run.points or (run.fields.values if run.fields is not None else {})
-    if not {RISK_NAME, SOURCE_NAME} <= known.keys():
-        return ""
-    risk = known[RISK_NAME][np.isin(known[SOURCE_NAME], _CACHE) & (known[RISK_NAME] > 0.0)]
-    if not risk.size:
-        return ""
-    return f" The risks of its answers are {risk.min():.2g} to {risk.max():.2g}."
-
-
-def _worst(of: str, audit: Mapping[str, Any], risks: str) -> str:
+def _worst(of: str, audit: Mapping[str, Any]) -> str:
     worst = audit["worst"]
     text = f"{of}: {audit['audited']:,} answers audited, {audit['violations']} above the tolerance"
     if audit["wrong_at_most"] is not None:
         most = percent(2)(audit["wrong_at_most"])
         text += f", so with 95 % confidence at most {most} of all answers are"
     if not isinstance(worst, Mapping):
-        return paragraph(f"{text}.{risks}")
+        return paragraph(f"{text}.")
     return paragraph(
         f"{text}; the worst error is {number(worst['error'])} µN/µm, where the risk was "
-        f"{number(worst['risk'])} (step {worst['step']}, point {worst['point']}).{risks}"
+        f"{number(worst['risk'])} (step {worst['step']}, point {worst['point']})."
     )
 
 
@@ -290,18 +279,14 @@ def _energies(seen: ReportData) -> list[str]:
     """Energies over time and how well they balance."""
     figures, lacking = [], []
     for each in seen.runs:
-        if not each.energies:
+        named = {name: e for name, e in each.run.energies.items() if np.isfinite(e).any()}
+        if not named:
             lacking.append(missing(f"{each.name}: no energies.csv in its folder."))
             continue
-        columns = dict(each.energies)
-        t = next(iter(columns.values()))
-        named = {
-            name.removesuffix("_pJ"): values
-            for name, values in columns.items()
-            if name.endswith("_pJ") and np.isfinite(values).any()
-        }
         balance = named.pop("balance", None)
-        curves = tuple(Curve("", t, values, name, False) for name, values in named.items())
+        curves = tuple(
+            Curve("", each.run.curve.t, values, name, False) for name, values in named.items()
+        )
         caption = f"{each.name}: energies and works"
         largest = max((float(np.nanmax(abs(values))) for values in named.values()), default=0.0)
         if balance is not None and largest:

@@ -19,18 +19,16 @@ from surrofe2.report.comparison import Comparison
 from surrofe2.report.figures import Colours, DrawnBody, box, draw_tissue, drawn_bodies, rim
 from surrofe2.report.html import figure, grid, image, missing
 from surrofe2.run.charts import encoded
-from surrofe2.store.fields import RISK_NAME, SOURCE_NAME, StoredFields
+from surrofe2.store.fields import SOURCE_NAME, StoredFields
 from surrofe2.store.run_folder import RunRecord, StoredRun
 
 Array = NDArray[np.float64]
 
 VON_MISES, WALL_STRETCH = "von_mises_in_plane_uN_per_um", "largest_wall_stretch"
 OF_ELEMENTS = (
-    VON_MISES, SOURCE_NAME, RISK_NAME, WALL_STRETCH,
+    VON_MISES, SOURCE_NAME, WALL_STRETCH,
 )  # fmt: skip
 """What a page shows of elements."""
-OF_POINTS = (SOURCE_NAME, RISK_NAME)
-"""What a page shows of points of the law."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,16 +36,12 @@ class RunData:
     """A run as a page shows it; what its folder lacks is None or empty.
 
     Attributes:
-        energies: columns of energies.csv by heading.
-        points: values at the points of the law by name, (m, n).
         events: lines of events.jsonl.
         particles: PNG of each look into the plant cells, by the name of its folder.
     """
 
     run: StoredRun
-    energies: Mapping[str, Array] = field(default_factory=dict)
     fields: StoredFields | None = None
-    points: Mapping[str, Array] = field(default_factory=dict)
     events: Sequence[Mapping[str, Any]] = ()
     particles: Mapping[str, bytes] = field(default_factory=dict)
 

@@ -10,10 +10,10 @@ from typing import Any
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.report.comparison import compare, order_runs
 from surrofe2.report.page import page_of
-from surrofe2.report.player import OF_ELEMENTS, OF_POINTS, ReportData, RunData
-from surrofe2.store.fields import DISPLACEMENT_NAME, FIELDS, POINTS, read_fields
+from surrofe2.report.player import OF_ELEMENTS, ReportData, RunData
+from surrofe2.store.fields import DISPLACEMENT_NAME, FIELDS, read_fields
 from surrofe2.store.run_folder import EVENTS, StoredRun, read_run
-from surrofe2.store.store import check_replaceable, read_bytes, read_columns, write_text
+from surrofe2.store.store import check_replaceable, read_bytes, write_text
 
 _MOST_PICTURES = 4
 
@@ -52,15 +52,11 @@ def load_runs(folders: Sequence[str | Path]) -> ReportData:
 
 def _load(run: StoredRun) -> RunData:
     folder = run.folder
-    energies = folder / "energies.csv"
-    columns = read_columns(energies) if energies.exists() else {}
-    has_fields, has_points = ((folder / f"{name}.h5").exists() for name in (FIELDS, POINTS))
+    has_fields = (folder / f"{FIELDS}.h5").exists()
     zooms = sorted(folder.glob("zoom-*/zoom.png"))[:_MOST_PICTURES]
     return RunData(
         run=run,
-        energies=columns,
         fields=read_fields(folder, [DISPLACEMENT_NAME], OF_ELEMENTS) if has_fields else None,
-        points=read_fields(folder, (), OF_POINTS, POINTS).values if has_points else {},
         events=_events(folder / EVENTS),
         particles={path.parent.name: read_bytes(path) for path in zooms},
     )
