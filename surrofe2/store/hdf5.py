@@ -44,9 +44,9 @@ Shape = tuple[int | None, ...]
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _DAMAGED = (
     OSError, RuntimeError, KeyError, TypeError, ValueError, AttributeError, OverflowError,
-    MemoryError,
+    MemoryError, SystemError,
 )  # fmt: skip
-"""What reading damaged entries of a file raises."""
+"""What reading damaged entries of a file raises; the last is h5py's for names not in UTF-8."""
 _numbers = count()
 
 

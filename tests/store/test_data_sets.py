@@ -15,7 +15,7 @@ from surrofe2.base.sampling import SEQUENCE, sample
 from surrofe2.law.samples import StressSamples
 from surrofe2.law.stress_law import Status, describe
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.store import samples
+from surrofe2.store import samples, store
 from surrofe2.store.hdf5 import reading, write_checkpoint, writing, writing_hdf5
 from surrofe2.store.samples import (
     DATA_SET,
@@ -206,6 +206,16 @@ def test_later_schema(tmp_path, monkeypatch):
         later.setattr(samples, "DATA_SET", replace(samples.DATA_SET, version=3))
         write_all(path)
     with pytest.raises(FileError, match="data set schema 3; this surrofe2 reads 2"):
+        read_data_set(path)
+
+
+def test_a_sealed_name_that_is_no_utf8_is_damage(tmp_path):
+    path = tmp_path / "cells.h5"
+    write_all(path)
+    content = path.read_bytes().replace(b"stress\0", b"str\xffss\0")
+    begin, end = store._place(content)
+    path.write_bytes(store.sealed(content[:begin] + store.NO_DIGEST.encode() + content[end:]))
+    with pytest.raises(FileError, match="not a whole surrofe2 data set"):
         read_data_set(path)
 
 
