@@ -12,7 +12,7 @@ from surrofe2.base.errors import InputError
 from surrofe2.cli import console
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.report.tables import Quantity, Table, percent
-from surrofe2.store.c_source import c_source
+from surrofe2.store.c_source import c_header, c_source
 from surrofe2.store.store import read_bytes, write_text
 from surrofe2.store.surrogates import read_surrogate
 from surrofe2.workflow.generate import data_summary, generate_data_set, wanted_count
@@ -172,17 +172,22 @@ def export(
         Path | None,
         typer.Option(metavar="FILE", help="The file to write; default: beside SURROGATE, .c."),
     ] = None,
+    name: Annotated[
+        str, typer.Option(metavar="NAME", help="What the names of its functions begin with.")
+    ] = "surrofe2",
     fresh: console.Fresh = False,
 ) -> None:
-    """Write a surrogate as C source: stress, tangents, domain and bound of the error.
+    """Write a surrogate as C source and header: stress, tangents, domain and bound of the error.
 
-    The source needs the standard library alone; its head says how to call it, and examples/umat.c
-    calls it as a material routine of a finite-element program.
+    The source needs the standard library alone; its head says how to call it, and examples/umat.f90
+    calls it as the UMAT of a finite-element program.
 
     Example: surrofe2 export training/bending-bar.h5 --to c
     """
-    path, text = out or surrogate.with_suffix(f".{to}"), c_source(read_surrogate(surrogate))
+    law, path = read_surrogate(surrogate), out or surrogate.with_suffix(f".{to}")
+    text = c_source(law, name)
     if path.exists() and not fresh and read_bytes(path) != text.encode("utf-8"):
-        raise InputError(f"{path}: another source is there; --fresh writes this one in its place")
+        raise InputError(f"{path}: another source is there; --fresh writes this one instead")
     write_text(path, text)
+    write_text(path.with_suffix(".h"), c_header(law, name))
     console.done(path, f"{len(text.splitlines())} lines of C, {len(text.encode()) / 1e3:.0f} kB")

@@ -1,13 +1,16 @@
 """Each safeguard sees its planted fault, and only that."""
 
 import logging
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 from scipy.stats import binom
 
 from surrofe2 import LoadCase
-from surrofe2.cache import CachedLaw, CacheSettings
+from surrofe2.base.errors import MismatchError
+from surrofe2.base.sampling import SamplingRange
+from surrofe2.cache import CachedLaw, CacheSettings, sampled_spread
 from surrofe2.cache.branches import CachedState, Narrowed
 from surrofe2.cache.trust import (
     AUDITS,
@@ -95,6 +98,27 @@ def test_a_surrogate_that_lies_grossly_is_switched_off_and_the_run_is_the_true_o
     assert done.counts["rolled_back_steps"] == last - 1
     assert cached.counts["hits"] == 60
     assert cached.counts["fallbacks"] == 60 * done.counts["steps"]
+
+
+@pytest.mark.parametrize(("times", "is_refused"), [(1.0, False), (3.0, True), (1e6, True)])
+def test_a_scale_of_stress_that_is_not_the_rves_is_refused(times, is_refused):
+    """Tolerances are shares of it, so no audit by the file's own scale would find the fault."""
+    learnt = Learnt(SMALL, sound_bound)
+    learnt.range = SamplingRange(stretch=(0.95, 1.05), shear=0.05, rate=0.01)
+    learnt.stress_spread = times * sampled_spread(Truth(), learnt.range)
+    with pytest.raises(MismatchError, match="spread of stress") if is_refused else nullcontext():
+        CachedLaw(learnt, Truth(), CacheSettings())
+
+
+def test_audits_say_so_where_the_tolerance_is_larger_than_the_stress():
+    learnt = Learnt(SMALL, sound_bound)
+    learnt.stress_spread = 1e6
+    cached = CachedLaw(learnt, Truth(), CacheSettings(audit=0.05))
+    simulate(LOAD_CASE, cached, SETTINGS)
+    findings = [event["finding"] for event in cached.report()["trust"]["events"]]
+    assert len(findings) == 1
+    assert findings[0].startswith("audits say little")
+    assert cached.report()["trust"]["events"] == cached.history()["trust"]["events"]
 
 
 def test_without_any_audit_nobody_notices():

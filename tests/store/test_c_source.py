@@ -13,7 +13,7 @@ import pytest
 
 from surrofe2.base.errors import FileError, InputError
 from surrofe2.law.stress_law import Status
-from surrofe2.store.c_source import c_source
+from surrofe2.store.c_source import c_header, c_source
 from surrofe2.store.surrogates import read_surrogate, write_surrogate
 from tests.surrogate.networks import make_law, with_bound
 
@@ -130,22 +130,113 @@ def test_the_source_says_whose_it_is():
     assert max(len(line) for line in text.split("static const")[0].splitlines()) <= 100
 
 
-def test_the_example_of_a_material_routine(tmp_path):
-    """Its stresses are the surrogate's, its slope that of a step by backward differences."""
-    law = make_law()
+@pytest.mark.skipif(shutil.which("gfortran") is None, reason="no Fortran compiler is here")
+def test_the_example_of_an_abaqus_umat(tmp_path):
+    """A strip that is stretched, turned and free across: solved by UMAT as by the law itself."""
+    law, dt = make_law(), 2.0
     (tmp_path / "law.c").write_text(c_source(law), encoding="utf-8")
-    example = Path(__file__).parents[2] / "examples" / "umat.c"
-    command = [COMPILER, "-std=c99", "-Wall", "-Werror", str(example), str(tmp_path / "law.c")]
-    subprocess.run([*command, "-o", str(tmp_path / "umat"), "-lm"], check=True)
-    said = subprocess.run([str(tmp_path / "umat")], capture_output=True, text=True, check=True)
-    rows = np.loadtxt(said.stdout.splitlines(), delimiter=",", skiprows=1)
-    assert len(rows) == 20
-    F, F_dot = np.tile(np.eye(2), (20, 1, 1)), np.zeros((20, 2, 2))
-    F[:, 0, 0] = rows[:, 1]
-    F_dot[:, 0, 0] = np.diff(rows[:, 1], prepend=1.0) / 2.0
-    answer = law.respond(F, F_dot, tangents=True)
-    assert np.allclose(rows[:, 2], answer.stress[:, 0, 0], rtol=1e-12, atol=1e-14)
-    assert np.allclose(rows[:, 3], answer.stress[:, 1, 1], rtol=1e-12, atol=1e-14)
-    slopes = answer.tangents
-    whole = slopes.P_by_F[:, 0, 0, 0, 0] + slopes.P_by_F_dot[:, 0, 0, 0, 0] / 2.0
-    assert np.allclose(rows[:, 4], whole, rtol=1e-11)
+    example = Path(__file__).parents[2] / "examples" / "umat.f90"
+    strict = ["-O1", "-Wall", "-Wno-unused-dummy-argument", "-fcheck=all", "-shared", "-fPIC"]
+    for command in (
+        [COMPILER, "-O2", "-fPIC", "-c", "-o", "law.o", "law.c"],
+        ["gfortran", *strict, "-o", "umat.so", str(example), "law.o"],
+    ):
+        subprocess.run(command, check=True, cwd=tmp_path)
+    call = ctypes.CDLL(str(tmp_path / "umat.so")).umat_
+
+    def umat(F0, F1):
+        """(σ (3,) xx, yy, xy, its slope (3, 3), pnewdt)."""
+        numbers = {name: np.zeros(size) for name, size in (("stress", 4), ("slope", 16))}
+        new_dt = ctypes.c_double(1.0)
+        three = [np.eye(3) for _ in range(2)]
+        for whole, F in zip(three, (F0, F1), strict=True):
+            whole[:2, :2] = F
+        f0, f1 = (np.asfortranarray(each).ravel(order="F") for each in three)
+        spare, none = np.zeros(16), ctypes.c_int(0)
+        pointer = lambda each: each.ctypes.data_as(DOUBLES)  # noqa: E731
+        given = dict.fromkeys(range(37), pointer(spare))
+        given |= {0: pointer(numbers["stress"]), 2: pointer(numbers["slope"])}
+        given |= {13: ctypes.byref(ctypes.c_double(dt)), 18: b" " * 80}
+        given |= {k: ctypes.byref(none) for k in (19, 20, 22, 24, *range(31, 37))}
+        given |= {21: ctypes.byref(ctypes.c_int(4)), 27: ctypes.byref(new_dt)}
+        given |= {29: pointer(f0), 30: pointer(f1)}
+        call(*given.values(), ctypes.c_size_t(80))
+        at = [0, 1, 3]
+        return numbers["stress"][at], numbers["slope"].reshape(4, 4).T[np.ix_(at, at)], new_dt.value
+
+    def by_law(F0, F1):
+        return law.respond(F1[None], (F1 - F0)[None] / dt, tangents=True)
+
+    def sides(angle):
+        c, s = np.cos(angle), np.sin(angle)
+        return np.array([[c, -s], [s, c]])
+
+    normal, before = np.array([0.0, 1.0]), (np.eye(2), np.eye(2))
+    for stretch, angle, wanted in ((1.005, 0.01, 1.001), (1.01, 0.02, 1.002), (1.01, 0.03, 1.001)):
+        R = sides(angle)
+        across = R[:, 1]
+        F = R @ np.diag([stretch, wanted])
+        pull = across @ by_law(before[1], F).first_piola(F[None])[0] @ normal
+        widths, D = [1.0, 1.0], np.array([*across**2, 2.0 * across[0] * across[1]])
+        for _ in range(12):  # the nominal traction across is `pull`, by Newton steps
+            Fs = [R @ np.diag([stretch, width]) for width in widths]
+            stress, slope, _ = umat(before[0], Fs[0])
+            rise = stretch * (D @ slope @ D - D @ stress) / widths[0]
+            widths[0] -= (stretch * (D @ stress) - pull) / rise
+            answer = by_law(before[1], Fs[1])
+            tangent = answer.tangents.over_step(dt)[0]
+            rise = np.einsum("a,b,abcd,c,d", across, normal, tangent, across, normal)
+            P = answer.first_piola(Fs[1][None])[0]
+            widths[1] -= (across @ P @ normal - pull) / rise
+        assert abs(widths[0] - widths[1]) < 1e-8
+        assert abs(widths[1] - wanted) < 1e-8
+        stress, _, new_dt = umat(before[0], Fs[0])
+        exact = by_law(before[1], Fs[1]).stress[0]
+        symmetric = [exact[0, 0], exact[1, 1], 0.5 * (exact[0, 1] + exact[1, 0])]
+        assert np.abs(stress - symmetric).max() < 1e-8 * np.abs(exact).max()
+        assert new_dt == 1.0
+        before = Fs[0], Fs[1]
+    # DDSDDE is the slope of J σ along symmetric D, over J
+    F0, F1, h = before[0], before[0] @ np.diag([1.002, 0.997]), 1e-6
+    _, slope, _ = umat(F0, F1)
+    for k, D in enumerate(
+        ([[1.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.0, 1.0]], [[0, 0.5], [0.5, 0]])
+    ):
+        moved = [(np.eye(2) + sign * h * np.array(D)) @ F1 for sign in (1.0, -1.0)]
+        rise = [np.linalg.det(F) * umat(F0, F)[0] for F in moved]
+        by_differences = (rise[0] - rise[1]) / (2.0 * h * np.linalg.det(F1))
+        assert np.abs(slope[:, k] - by_differences).max() < 1e-6 * np.abs(slope).max()
+    assert umat(F0, 3.0 * F1)[2] == 0.5
+
+
+def test_two_surrogates_in_one_program(tmp_path):
+    law, other = make_law(), make_law("none")
+    for name, each in (("first", law), ("second", other)):
+        (tmp_path / f"{name}.c").write_text(c_source(each, name), encoding="utf-8")
+        (tmp_path / f"{name}.h").write_text(c_header(each, name), encoding="utf-8")
+    main = '#include "first.h"\n#include "second.h"\nextern "C" void ask(const double *F, '
+    main += "const double *A, double *out, double *bound, int *status) {\n"
+    main += "  first_stress_of(3, F, A, 1e300, out, bound, 0, 0, status);\n"
+    main += "  second_stress_of(3, F, A, 1e300, out + 12, bound, 0, 0, status);\n}\n"
+    (tmp_path / "main.cpp").write_text(main, encoding="utf-8")
+    objects = ["first.o", "second.o"]
+    for name in ("first", "second"):
+        command = [COMPILER, "-std=c99", "-fPIC", "-c", f"{name}.c"]
+        subprocess.run(command, check=True, cwd=tmp_path)
+    join = [COMPILER, "-shared", "-fPIC", "-x", "c++", "-c", "main.cpp", "-o", "main.o"]
+    subprocess.run(join, check=True, cwd=tmp_path)
+    link = [COMPILER, "-shared", "-o", "both.so", "main.o", *objects, "-lm"]
+    subprocess.run(link, check=True, cwd=tmp_path)
+    F, F_dot = (each[:3].copy() for each in states(law, beyond=0.3))
+    out, bound, status = np.empty((2, 3, 2, 2)), np.empty(3), np.empty(3, dtype=np.int32)
+    pointers = [each.ctypes.data_as(DOUBLES) for each in (F, F_dot, out, bound)]
+    ctypes.CDLL(str(tmp_path / "both.so")).ask(*pointers, status.ctypes.data_as(DOUBLES))
+    for found, each in zip(out, (law, other), strict=True):
+        expected = each.respond(F, F_dot).stress
+        assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("name", ["", "two words", "1st", "a(b)", "x" * 50, "a;b", "ä"])
+def test_a_name_that_is_none_of_c(name):
+    with pytest.raises(InputError, match="name: "):
+        c_source(make_law(), name)
