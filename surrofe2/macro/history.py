@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.compilation import clock, cpu_clock, kernel
-from surrofe2.law.stress_law import Sources
+from surrofe2.law.stress_law import AuditedLaw, Sources
 from surrofe2.macro.elements import (
     Discretisation,
     element_mean_F,
@@ -279,6 +279,7 @@ class Recorder:
         begin = clock() if begin is None else begin
         self._started = begin - (resume.wall_time["total"] if resume else 0.0)
         self._cpu_started = cpu_clock() - (resume.wall_time.get("cpu", 0.0) if resume else 0.0)
+        self._audited: AuditedLaw | None = None
         self._state: MacroState
         if resume is not None:
             self._state = resume.copy()
@@ -360,12 +361,42 @@ class Recorder:
         """Of the last step recorded, µs."""
         return self._state.t
 
-    def mark(self) -> None:
-        """What was recorded so far stands."""
-        marked = replace(self._state, law_state=None, mark=None)
-        self._state = replace(self._state, mark=marked)
+    def watch(self, resume: MacroState | None) -> None:
+        """From here on an audited law is asked after every step whether what was recorded stands.
 
-    def go_back(self) -> MacroState:
+        Args:
+            resume: that the run goes on from; its window goes on too where the law knows of it.
+        """
+        law = self._equations.law
+        self._audited = law if isinstance(law, AuditedLaw) and law.is_audited else None
+        if resume is None or resume.mark is None or resume.law_state is None:
+            self._mark()
+
+    def settle(self, *, final: bool = False) -> MacroState | None:
+        """The state to go back to where the steps since the mark do not stand, else None.
+
+        final: no step follows, or none can.
+        """
+        equations, back = self._equations, None
+        if self._audited is not None:
+            equations.is_committing = True
+            stands = self._audited.verdict(final=final)
+            if stands:
+                self._mark()
+            elif stands is not None:
+                equations.law_state = self._audited.roll_back(self.t)
+                back = self._go_back()
+        equations.is_committing = False
+        return back
+
+    def _mark(self) -> None:
+        """What was recorded so far stands."""
+        if self._audited is not None:
+            self._audited.mark(self.t, self._equations.law_state)
+            marked = replace(self._state, law_state=None, mark=None)
+            self._state = replace(self._state, mark=marked)
+
+    def _go_back(self) -> MacroState:
         """The state at the mark, by the law's state as it is now; what was spent stays spent."""
         mark, counts = self._state.mark, self._equations.tally.counts
         assert mark is not None

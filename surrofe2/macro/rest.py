@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.law.stress_law import StressLaw, require_tangents
-from surrofe2.macro.contact import Contact, Grip
 from surrofe2.macro.elements import displacement_basis
 from surrofe2.macro.equations_of_motion import (
     EquationsOfMotion,
@@ -33,7 +32,7 @@ from surrofe2.macro.equations_of_motion import (
     Tally,
     factorised,
 )
-from surrofe2.macro.forces import Matrix, Slopes
+from surrofe2.macro.forces import Contact, Grip, Matrix, Slopes
 from surrofe2.macro.history import NO_EXTREMES, Frames, widen_extremes
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.system import System, system_of

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from surrofe2.base.compilation import clock, one_blas_thread
 from surrofe2.base.errors import MismatchError, SimulationError
 from surrofe2.base.units import LENGTH, NONE, RATE, STRESS, TIME, VELOCITY
-from surrofe2.law.stress_law import AuditedLaw, StressLaw
+from surrofe2.law.stress_law import StressLaw
 from surrofe2.macro.elements import displacement_basis
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, NoStress, Switched
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha
@@ -31,45 +31,6 @@ from surrofe2.run.loop import carry_out
 from surrofe2.run.views import Facts, ViewedRun, course
 
 Array = NDArray[np.float64]
-
-
-class Chunks:
-    """Asks the law of a run after every step whether what was recorded stands.
-
-    Args:
-        resume: that the run goes on from; its chunk goes on too where the law knows of it.
-    """
-
-    def __init__(
-        self, equations: EquationsOfMotion, recorder: Recorder, resume: MacroState | None
-    ) -> None:
-        law = equations.law
-        self._law = law if isinstance(law, AuditedLaw) and law.is_audited else None
-        self._equations, self._recorder = equations, recorder
-        known = resume is not None and resume.mark is not None and resume.law_state is not None
-        if self._law is not None and not known:
-            self._mark(self._law)
-
-    def settle(self, *, final: bool = False) -> MacroState | None:
-        """The state to go back to where the steps since the mark do not stand, else None.
-
-        final: no step follows, or none can.
-        """
-        back, equations = None, self._equations
-        if self._law is not None:
-            equations.is_committing = True
-            stands, t = self._law.verdict(final=final), self._recorder.t
-            if stands:
-                self._mark(self._law)
-            elif stands is not None:
-                equations.law_state = self._law.roll_back(t)
-                back = self._recorder.go_back()
-        equations.is_committing = False
-        return back
-
-    def _mark(self, law: AuditedLaw) -> None:
-        law.mark(self._recorder.t, self._equations.law_state)
-        self._recorder.mark()
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,17 +216,17 @@ def _steps(
     resume: MacroState | None,
 ) -> Iterator[float]:
     """Steps to the end of the run, some of them again where an audited law says so."""
-    chunks = Chunks(equations, recorder, resume)
+    recorder.watch(resume)
     equations.is_committing = False
     while stepper.now.t < recorder.end:
         try:
             recorder.record(stepper.advance(), stepper)
         except SimulationError:  # wrong answers may have led there
-            back = chunks.settle(final=True)
+            back = recorder.settle(final=True)
             if back is None:
                 raise
         else:
-            back = chunks.settle(final=stepper.now.t >= recorder.end)
+            back = recorder.settle(final=stepper.now.t >= recorder.end)
         if back is not None:
             equations.go_to(back.t)
             stepper = _make_stepper(equations, settings, recorder, back)

@@ -17,18 +17,15 @@ import scipy.sparse
 import scipy.sparse.linalg
 import skfem
 from numpy.typing import NDArray
-from skfem.helpers import dot
 
 from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import StressLaw
-from surrofe2.macro.contact import Contact, make_contact
 from surrofe2.macro.elements import (
     Discretisation,
-    displacement_basis,
     make_discretisation,
     n_points_of,
 )
-from surrofe2.macro.forces import Force, Matrix, make_loads, traction_load
+from surrofe2.macro.forces import Contact, Force, Matrix, make_contact, make_loads, traction_load
 from surrofe2.macro.free_sides import SurfaceForce, make_surface
 from surrofe2.problem.amplitude import Proportional
 from surrofe2.problem.conditions import InitialVelocity
@@ -55,13 +52,14 @@ def tissue_mass(mesh: skfem.Mesh, density: Array) -> Matrix:
     Eq. 59 with the reference density (n_el,), ng/µm², over the reference area, which mass
     conservation makes constant.
     """
-    basis = displacement_basis(mesh)
-    form = skfem.BilinearForm(lambda u, v, w: w.density * dot(u, v))
-    return form.assemble(basis, density=np.broadcast_to(density[:, None], basis.dx.shape))
+    basis = skfem.Basis(mesh, mesh.elem())
+    form = skfem.BilinearForm(lambda u, v, w: w.density * u * v)
+    mass = form.assemble(basis, density=np.broadcast_to(density[:, None], basis.dx.shape))
+    return scipy.sparse.kron(mass, np.eye(2), "csc")
 
 
-def mass_solver(mass: Matrix) -> Callable[[Array], Array]:
-    """Inverse of a mass (m, m), applied to (m,).
+def mass_solver(mass: Matrix, free: Index) -> Callable[[Array], Array]:
+    """Inverse of the mass (m, m) between the free unknowns, applied to (m,).
 
     The matrix is symmetric and positive definite, so a sparse one needs no pivoting and an
     ordering that keeps symmetry.
@@ -69,13 +67,19 @@ def mass_solver(mass: Matrix) -> Callable[[Array], Array]:
     if mass.shape[0] <= DENSE_LIMIT:
         inverse = np.linalg.inv(mass.toarray())
         return lambda r: inverse @ r
+    # Where x and y are free alike, both have one factor.
+    each = 2 if np.array_equal(free[::2] + 1, free[1::2]) and not (free[::2] % 2).any() else 1
     factor = scipy.sparse.linalg.splu(
-        mass,
+        scipy.sparse.csc_matrix(mass[::each][:, ::each]),
         permc_spec="MMD_AT_PLUS_A",
         diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},
     )
-    solve: Callable[[Array], Array] = factor.solve
+
+    def solve(r: Array) -> Array:
+        result: Array = factor.solve(r.reshape(-1, each)).ravel()
+        return result
+
     return solve
 
 
@@ -369,7 +373,7 @@ def make_system(
         free=free,
         supports=supports,
         forces=tuple(forces),
-        solve_mass=mass_solver(free_mass),
+        solve_mass=mass_solver(free_mass, free),
         initial_velocity=_initial_velocity(problem, supports, n),
         watched=tuple(
             space.locate(np.array(at, dtype=np.float64), f"watched.{name}")

@@ -252,17 +252,14 @@ class Stepper:
 
     def _first_length(self, problem: str) -> float:
         """Length of a first step by the method; `problem` begins the message where it has none."""
-        while True:
-            try:
-                return min(self._method.first_length(self.now, self._end()), self._largest)
-            except Switched as switched:
-                points = switched.points
-            except NoStress as failure:
-                raise SimulationError(f"{problem}: {failure}") from failure
-            try:
-                self.now = self._equations.restart_step(points)
-            except NoStress as failure:
-                raise SimulationError(f"{problem}: {failure}") from failure
+        try:
+            while True:
+                try:
+                    return min(self._method.first_length(self.now, self._end()), self._largest)
+                except Switched as switched:
+                    self.now = self._equations.restart_step(switched.points)
+        except NoStress as failure:
+            raise SimulationError(f"{problem}: {failure}") from failure
 
 
 STAGES = 7

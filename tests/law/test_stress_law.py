@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from surrofe2.base.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw, RveSettings
 from tests.laws import KelvinVoigt
@@ -34,11 +33,3 @@ def test_the_slope_over_a_step_is_that_of_the_first_piola_stress(law):
         change[k] = h
         slope = (first_piola(F + change) - first_piola(F - change)) / (2.0 * h)
         assert abs(slope - found[:, :, :, *k]).max() < 2e-6 * abs(found).max()
-
-
-def test_a_step_has_a_length():
-    answer = KelvinVoigt().respond(np.eye(2)[None], np.zeros((1, 2, 2)), tangents=True)
-    np.testing.assert_array_equal(answer.tangents.over_step(np.inf), answer.tangents.P_by_F)
-    for dt in (0.0, -1.0, np.nan):
-        with pytest.raises(InputError, match=r"dt: .* positive"):
-            answer.tangents.over_step(dt)

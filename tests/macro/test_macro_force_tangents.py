@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surrofe2.macro import MacroSettings, find_rest
-from surrofe2.macro.contact import Grip
+from surrofe2.macro.forces import Grip
 from surrofe2.macro.system import make_system
 from surrofe2.problem import (
     BodyForce,

@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2 import LoadCase, Table
+from surrofe2 import LoadCase
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.macro import MacroSettings, simulate
-from surrofe2.macro.generalised_alpha import GeneralisedAlpha, Weights
+from surrofe2.macro.generalised_alpha import Weights
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from tests.laws import DryFriction, Fibres, KelvinVoigt
-from tests.macro.bars import equations_of_bar, with_load
 
 LOAD_CASE = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0), duration=12.8, elements=(2, 2))
 IMPLICIT = MacroSettings(integrator="implicit")
@@ -56,12 +55,6 @@ def test_energy_balances_with_what_the_method_dissipates():
         assert (abs(each["numerical"][-1]) < 1e-9 * each["load"].max()) == (spectral_radius == 1.0)
 
 
-def test_energy_balances_to_1e_6_at_the_default_tolerance():
-    energies = simulate(LOAD_CASE, KelvinVoigt(), IMPLICIT).energies
-    assert abs(energies["balance"]).max() < 1e-6 * energies["load"].max()
-    assert abs(energies["numerical"]).max() < 1e-5 * energies["load"].max()
-
-
 def test_error_follows_the_tolerance():
     law = KelvinVoigt()
     exact = simulate(LOAD_CASE, law, TIGHT)
@@ -77,21 +70,6 @@ def test_error_follows_the_tolerance():
     assert np.log10(errors[0] / errors[-1]) == pytest.approx(2.0, abs=0.5)
     assert np.log10(steps[-1] / steps[0]) == pytest.approx(1.0, abs=0.3)
     assert errors[1] < 1e-2
-
-
-def test_newton_converges_quadratically():
-    """A long step under a load a hundred times the usual: residuals square, r₊ ≤ c r²."""
-    law = KelvinVoigt()
-    hundredfold = with_load(LOAD_CASE, amplitude=Table(points=((0.0, 100.0),)))
-    equations = equations_of_bar(hundredfold, law)
-    method = GeneralisedAlpha(equations, replace(IMPLICIT, newton_tolerance=1e-12))
-    start = equations.evaluate(0.0, np.zeros(2 * equations.system.free.size))
-    a = start.acceleration
-    residuals = np.array(method.solve(start, a, 0.0 * a, 1.0).residuals)
-    # 0.36, 0.025, 7e-5, 8e-10, rounding.
-    assert residuals.size == 5
-    assert (residuals[2:4] < 0.3 * residuals[1:3] ** 2).all()
-    assert residuals[4] < 1e-13
 
 
 def test_weights_keep_their_amplification():

@@ -246,15 +246,3 @@ def test_watched_point_between_nodes_is_interpolated(rng):
     field = np.stack([2.0 * x + 0.3 * x * y, -x * y], axis=1)
     expected = [2.0 * 13.0 + 0.3 * 13.0 * 7.3, -13.0 * 7.3]
     np.testing.assert_allclose(bar.at_watched_points(field), [expected], rtol=1e-12)
-
-
-def test_point_position_is_where_the_point_is(rng):
-    bar = distorted_bar(rng).discretisation
-    x = bar.nodes
-    F, _, _ = deformation_gradient(bar, np.stack([0.5e-3 * x[:, 0] ** 2, 0 * x[:, 0]], 1), 0 * x)
-    positions = bar.point_positions()
-    centre = positions[5 * 7 + 4]
-    np.testing.assert_allclose(centre, bar.nodes[bar.elements[7]].mean(axis=0), rtol=1e-12)
-    np.testing.assert_allclose(positions[35:39].mean(axis=0), centre, rtol=1e-12)
-    # Neighbouring elements' order: F₁₁ grows with x, so it ranks points as their positions do.
-    assert np.corrcoef(F[:, 0, 0], positions[:, 0])[0, 1] > 0.97

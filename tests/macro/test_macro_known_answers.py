@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2 import LoadCase, Table
+from surrofe2 import LoadCase
 from surrofe2.macro import MacroSettings, simulate
 from tests.laws import DryFriction, Fibres
 from tests.macro.bars import with_load
@@ -89,20 +89,6 @@ def test_dissipated_energy_is_of_second_order_in_the_samples():
         assert (np.diff(found) >= 0.0).all()
         errors.append(abs(found - dissipated_by_oscillator(run.curve.t)).max())
     assert np.log2(np.divide(errors[:-1], errors[1:])) == pytest.approx(2.0, abs=0.3)
-
-
-def test_load_follows_its_amplitude():
-    """Twice the amplitude, twice the displacement; and none before it sets in."""
-    late = replace(
-        with_load(ONE_ELEMENT, amplitude=Table(points=((0.0, 0.0), (2.0, 0.0), (2.001, 2.0)))),
-        duration=8.0,
-    )
-    settings = replace(FINE, largest_step=0.05)
-    curve = simulate(late, LAW, settings).curve
-    assert abs(curve.displacement[curve.t < 2.0]).max() == 0.0
-    u, _ = oscillator(curve.t - 2.0005, LAW)
-    after = curve.t > 2.01
-    np.testing.assert_allclose(curve.displacement[after, 0], 2.0 * u[after], atol=1e-4 * u.max())
 
 
 def test_dry_friction_takes_its_energy_once():

@@ -11,7 +11,7 @@ from surrofe2.law.stress_law import Status
 from surrofe2.macro import simulate
 from surrofe2.macro.equations_of_motion import Evaluation
 from surrofe2.macro.simulation import make_method
-from surrofe2.macro.time_stepping import NO_MEMORY, WEIGHTS, DormandPrince, Stepper
+from surrofe2.macro.time_stepping import NO_MEMORY, DormandPrince, Stepper
 from tests.laws import Failing, KelvinVoigt
 from tests.macro.bars import LOAD_CASE, SETTINGS, equations_of_bar, with_load
 
@@ -205,27 +205,6 @@ def test_dormand_prince_is_of_fifth_order_and_of_fourth_within_a_step():
         )
     rates = np.log2(np.divide(errors[:-1], errors[1:]))
     assert rates[-1] == pytest.approx([6.0, 6.0, 5.0, 5.0], abs=0.3)
-
-
-def test_the_method_dissipates_what_its_tableau_says():
-    """Work of inertia less kinetic energy gained is h²/2 Σ (bᵢaᵢⱼ + bⱼaⱼᵢ − bᵢbⱼ) v̇ᵢ v̇ⱼ, which
-    Burrage and Butcher, SIAM J. Numer. Anal. 16 (1979) 46–57, find to vanish where no energy is."""
-    h, asked = 0.4, []
-
-    def noted(t, y):
-        asked.append(Oscillator()(t, y))
-        return asked[-1]
-
-    step = DormandPrince(noted, 1.0, 1.0).step(noted(0.5, exact(0.5)), NO_MEMORY, 0.5 + h)
-    gained = 0.5 * (step.end.y[1] ** 2 - step.start.y[1] ** 2)
-    a = np.array([stage.rate[1] for stage in asked[:6]])
-    b, tableau = WEIGHTS[-1], np.zeros((6, 6))
-    for stage in range(6):
-        tableau[stage, :stage] = WEIGHTS[stage]
-    form = b[:, None] * tableau + b * tableau.T - np.outer(b, b)
-    dissipated = 0.5 * h**2 * a @ form @ a
-    assert abs(dissipated) > 1e-9
-    assert step.work(0.5 + h)[1] - gained == pytest.approx(dissipated, rel=1e-6)
 
 
 def test_dormand_prince_takes_the_steps_of_scipy():

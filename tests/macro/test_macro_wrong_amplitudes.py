@@ -2,7 +2,6 @@
 
 import pytest
 
-from surrofe2 import LoadCase
 from surrofe2.base.errors import InputError
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.problem import Plane, RigidBody
@@ -15,18 +14,6 @@ from tests.laws import KelvinVoigt
 
 def points():
     yield (0.0, 1.0)
-
-
-@pytest.mark.parametrize("wrong", [points(), points, [(0.0, 1.0)], "ramp"])
-def test_generators_and_functions_are_no_amplitudes(wrong):
-    if callable(wrong):
-        with pytest.raises(InputError, match=r"load.amplitude: .*; it must be"):
-            LoadCase(amplitude=wrong)
-    with pytest.raises(InputError, match=r"amplitude: .*; it must be"):
-        Problem(
-            mesh=rectangle(1.0, 1.0, (1, 1)),
-            conditions=(BodyForce(acceleration=(0.0, -1.0), amplitude=wrong),),
-        )
 
 
 SQUARE = rectangle(10.0, 10.0, (2, 2))
