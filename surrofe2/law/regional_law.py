@@ -115,27 +115,27 @@ class RegionalLaw(Viewed):
             law.prepare(F[own], F_dot[own], part) if isinstance(law, LearningLaw) else None
             for (law, own), part in zip(self._parts, parts, strict=True)
         ]
-        said = [
+        answers = [
             law.accept(F[own], F_dot[own], part) if ready is None else Acceptance(ready[0])
             for (law, own), part, ready in zip(self._parts, parts, prepared, strict=True)
         ]
-        if not any(answer.status.any() for answer in said):
-            pairs = zip(said, prepared, strict=True)
-            said = [answer if ready is None else ready[1]() for answer, ready in pairs]
-        return self._together(said, parts)
+        if not any(answer.status.any() for answer in answers):
+            pairs = zip(answers, prepared, strict=True)
+            answers = [answer if ready is None else ready[1]() for answer, ready in pairs]
+        return self._together(answers, parts)
 
     def restart_step(
         self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
     ) -> Acceptance:
         """As of `SwitchingLaw`; a law none of whose points switched stays as it is."""
-        parts, told = self._parts_of(response), list[Acceptance]()
+        parts, answers = self._parts_of(response), list[Acceptance]()
         for (law, own), part in zip(self._parts, parts, strict=True):
             if switched[own].any():
                 law = cast(SwitchingLaw, law)
-                told.append(law.restart_step(F[own], F_dot[own], part, switched[own]))
+                answers.append(law.restart_step(F[own], F_dot[own], part, switched[own]))
             else:
-                told.append(Acceptance(part.status, part.state))
-        return self._together(told, parts)
+                answers.append(Acceptance(part.status, part.state))
+        return self._together(answers, parts)
 
     @property
     def is_audited(self) -> bool:
@@ -208,17 +208,19 @@ class RegionalLaw(Viewed):
             for (_, own), state in zip(self._parts, response.state, strict=True)
         ]
 
-    def _together(self, told: Sequence[Acceptance], parts: Sequence[StressResponse]) -> Acceptance:
+    def _together(
+        self, answers: Sequence[Acceptance], parts: Sequence[StressResponse]
+    ) -> Acceptance:
         """What all laws say of their `parts` of a response."""
         stresses = None
-        if any(answer.stress is not None for answer in told):
-            pairs = zip(told, parts, strict=True)
+        if any(answer.stress is not None for answer in answers):
+            pairs = zip(answers, parts, strict=True)
             stresses = [part.stress if a.stress is None else a.stress for a, part in pairs]
         return Acceptance(
-            status=self._whole([answer.status for answer in told]),
-            state=tuple(answer.state for answer in told),
+            status=self._whole([answer.status for answer in answers]),
+            state=tuple(answer.state for answer in answers),
             stress=None if stresses is None else self._whole(stresses),
-            left_bifurcation=self._whole([answer.left_bifurcation for answer in told]),
+            left_bifurcation=self._whole([answer.left_bifurcation for answer in answers]),
         )
 
     def _whole(self, values: Sequence[Any]) -> Any:

@@ -106,8 +106,8 @@ class Sources:
     """Where the stress of n points came from.
 
     Attributes:
-        source: (n,) int8 `SURROGATE`, `TABLE`, or the `Status` for which the true law was asked.
-        risk: (n,) bound of the error over the error allowed there; 0 where the true law answered.
+        source: (n,) int8 `SURROGATE`, `TABLE`, or the `Status` for which an RVE was solved.
+        risk: (n,) bound of the error over the error allowed there; 0 where an RVE was solved.
     """
 
     source: NDArray[np.int8]
@@ -156,9 +156,9 @@ class StressResponse:
 
     def __repr__(self) -> str:
         count, lost = len(self.status), int((self.status != 0).sum())
-        told = ", with tangents" if self.tangents is not None else ""
-        told += f", {lost} without stress" if lost else ""
-        return f"<StressResponse: {count} point{'s' * (count != 1)}{told}>"
+        more = ", with tangents" if self.tangents is not None else ""
+        more += f", {lost} without stress" if lost else ""
+        return f"<StressResponse: {count} point{'s' * (count != 1)}{more}>"
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +166,7 @@ class Acceptance:
     """What a stress law says of an accepted time step.
 
     Attributes:
-        status: (n,) int8 codes; a law may check here what is too dear for every trial.
+        status: (n,) int8 codes; a law may check here what is too expensive for every trial.
         state: the state to carry into the next step.
         stress: (n, 2, 2) by which the next step begins at the same (F, Ḟ), where the law answers
             by another branch from there on; None from most laws: the stress that was accepted.

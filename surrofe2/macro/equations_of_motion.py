@@ -142,7 +142,7 @@ class EquationsOfMotion:
     def go_to(self, t: float) -> None:
         """Enter the piece of the amplitudes in which t is.
 
-        At a corner the piece before it: whoever goes on from there crosses it.
+        At a corner this is the piece before it: the next step crosses the corner first.
         """
         self.enter_piece(max(0, int(np.searchsorted(self.corners, t)) - 1))
 
@@ -176,9 +176,10 @@ class EquationsOfMotion:
             bad = ~np.isfinite(response.stress).all(axis=(1, 2))
             raise self.no_stress(t, int(np.argmax(bad)), F, describe(Status.NOT_FINITE))
         surface = self.system.surface
+        # The last of the forces; behind them are the powers of supports and inertia.
         if surface is not None and not np.isfinite(now.powers[-3]):
-            told = surface.refusal(self.discretisation.nodes, u, v)
-            raise NoStress(f"{self.clock.format(t)}, {told}")
+            message = surface.refusal(self.discretisation.nodes, u, v)
+            raise NoStress(f"{self.clock.format(t)}, {message}")
         return now
 
     def accept(self, now: Evaluation) -> Evaluation:
@@ -332,7 +333,7 @@ class EquationsOfMotion:
         return self.no_stress(now.t, point, now.F, reason)
 
     def _begin(self, at: Evaluation, acceptance: Acceptance) -> Evaluation:
-        """Commit what the law said of an evaluation."""
+        """The evaluation by which a step begins, after what the law committed there."""
         if acceptance.status.any():
             raise self._failed(at.t, at.F, acceptance.status)
         self.law_state = acceptance.state
@@ -395,9 +396,9 @@ class EquationsOfMotion:
         self, t: float, F: Array, status: NDArray[np.int8], reasons: Mapping[int, str] | None = None
     ) -> NoStress:
         point = int(np.flatnonzero(status)[0])
-        said = (reasons or {}).get(point)
+        detail = (reasons or {}).get(point)
         reason = describe(status[point])
-        return self.no_stress(t, point, F, reason if said is None else f"{said}; {reason}")
+        return self.no_stress(t, point, F, reason if detail is None else f"{detail}; {reason}")
 
 
 def _tangents(response: StressResponse) -> Tangents:

@@ -148,10 +148,10 @@ class Frames:
         and values at the points, which are kept if `points` says so, and from `dissipated` (n_el,).
         """
         (u, v), (F, F_dot), n = motion, gradients, len(space.nodes)
-        told = np.empty((2, 0))
+        known = np.empty((2, 0))
         if sources is not None:
-            told = np.stack([sources.source, sources.risk]).astype(np.float64)
-        largest = told.reshape(2, len(space.elements), -1).max(axis=2) if told.size else told
+            known = np.stack([sources.source, sources.risk]).astype(np.float64)
+        largest = known.reshape(2, len(space.elements), -1).max(axis=2) if known.size else known
         kept = slice(0, int(points))  # of the only row
         return cls(
             t=np.array([t]),
@@ -165,8 +165,8 @@ class Frames:
             dissipated=dissipated[None],
             point_t=np.array([t])[kept],
             point_stress=stress[None][kept],
-            point_source=told[:1][kept],
-            point_risk=told[1:][kept],
+            point_source=known[:1][kept],
+            point_risk=known[1:][kept],
         )
 
 

@@ -46,7 +46,7 @@ class Modes:
 
     @property
     def decrements(self) -> Array:
-        """(m,) logarithmic decrement a period, 2π δ/ω."""
+        """(m,) logarithmic decrement per period, 2π δ/ω."""
         return -self.eigenvalues.real * self.periods
 
     @property

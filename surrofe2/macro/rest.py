@@ -447,7 +447,7 @@ class Newton:
     ) -> tuple[Evaluation, list[float], Slopes]:
         """The equilibrium, the residuals on the way to it, and K and C.
 
-        Newton begins anew where points leave their branch of the law, and continues where the
+        Newton starts again where points leave their branch of the law, and continues where the
         equilibrium of the tissue is none of a point.
 
         Args:

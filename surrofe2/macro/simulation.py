@@ -167,7 +167,7 @@ def simulate(
             commit, of which it may have taken down a part.
         checkpoint_interval: s.
         resume: a state that `checkpoint` was given, of the same problem and density. The results
-            are those of the uninterrupted run to the bit where the law goes on from
+            are those of the uninterrupted run to the bit where the law resumes from
             `MacroState.law_state`, or has no state; else it starts cold.
 
     Raises:
@@ -343,9 +343,9 @@ def _check_same_run(state: MacroState, system: System, settings: MacroSettings) 
     if state.t > 0.0 and begun != settings.integrator and not corner:
         raise MismatchError(
             f"resume: macro.integrator: {settings.integrator}; the checkpoint is of an {begun} "
-            "run: resume with that or run anew"
+            "run: resume with that or start over"
         )
     now = system.identity()
     for name in state.identity | now:
         if not np.array_equal(state.identity.get(name, NOTHING), now.get(name, NOTHING)):
-            raise MismatchError(f"resume: {name}: not that of the checkpoint; run anew")
+            raise MismatchError(f"resume: {name}: not that of the checkpoint; start over")

@@ -2,7 +2,7 @@
 
 The length of a step follows from its error, and is halved where the law fails.
 
-Every corner of an amplitude is the end of a step; there the method begins anew, with a short step.
+Every corner of an amplitude is the end of a step; there the method starts again, with a short step.
 
 A method tries one step and hands back a `StepResult`, or why there is none. Here its error decides
 whether the step is kept, the law is asked to accept its end, and the next length is chosen. A trial
@@ -240,7 +240,7 @@ class Stepper:
         return min(self._t_end, self._equations.piece_end)
 
     def _cross_corner(self) -> None:
-        """Begin anew on the other side of a corner of an amplitude."""
+        """Start again on the other side of a corner of an amplitude."""
         try:
             self.now, self._work_before = self._equations.cross_corner(self.now)
         except NoStress as failure:
@@ -299,7 +299,7 @@ _ENERGY = 0.1
 
 @dataclass(frozen=True, slots=True)
 class DormandPrince:
-    """The explicit `Method`; it needs no memory, for each step starts anew from y.
+    """The explicit `Method`; it needs no memory, for each step starts from y alone.
 
     Attributes:
         rhs: ẏ and powers at (t, y), or why there are none.

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from surrofe2.law.stress_law import SURROGATE, TABLE, Status
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw, RveSettings
 from tests.laws import KelvinVoigt
@@ -33,3 +34,9 @@ def test_the_slope_over_a_step_is_that_of_the_first_piola_stress(law):
         change[k] = h
         slope = (first_piola(F + change) - first_piola(F - change)) / (2.0 * h)
         assert abs(slope - found[:, :, :, *k]).max() < 2e-6 * abs(found).max()
+
+
+def test_codes_of_sources_are_no_reasons():
+    """A stress of the surrogate has the code of no failure, one of the table none of `Status`."""
+    assert SURROGATE == Status.OK
+    assert TABLE not in {*Status}
