@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from functools import cache
 from pathlib import Path
 
@@ -62,38 +59,3 @@ def test_two_processes_of_which_one_is_killed_give_the_bits_of_one(laws, tmp_pat
     assert (tmp_path / "dead").exists()
     assert "a worker was lost" in caplog.text
     check(out, alone, laws)
-
-
-BY_MPI = """
-from mpi4py.futures import MPIPoolExecutor
-from surrofe2.workflow.grid import run_grid
-from surrofe2.workflow.workers import in_pieces
-from tests.some_work import squares
-if __name__ == "__main__":
-    with MPIPoolExecutor() as executor:
-        assert executor.num_workers == 2
-        parts = [*in_pieces(squares, range(5, 61), 3, executor)]
-        assert sum(parts, []) == [k * k for k in range(5, 61)]
-        run_grid("recipe.toml", {values}, "out", laws={laws}, threads=1, executor=executor)
-"""
-
-
-@pytest.mark.slow
-def test_ranks_of_mpi(tmp_path, alone):
-    pytest.importorskip("mpi4py")
-    mpiexec = Path(sys.executable).with_name("mpiexec")
-    if not mpiexec.exists():
-        pytest.skip("no mpiexec beside this Python")
-    (tmp_path / "recipe.toml").write_text(SHORT, encoding="utf-8")
-    script = tmp_path / "by_mpi.py"
-    script.write_text(BY_MPI.format(values=VALUES, laws=BOTH), encoding="utf-8")
-    done = subprocess.run(
-        [mpiexec, "-n", "3", sys.executable, "-m", "mpi4py.futures", script],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    check(tmp_path / "out", alone, BOTH)

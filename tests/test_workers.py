@@ -12,7 +12,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
 import pytest
 
 from surrofe2 import RveLaw, load_recipe, sample_stress
@@ -144,13 +143,3 @@ def test_a_cluster_of_dask_that_loses_a_worker(tmp_path):
     ):
         assert joined(partial(squares_or_death, str(tmp_path), 1), executor) == joined(squares)
     assert len(list(tmp_path.iterdir())) == 1
-
-
-def test_laws_can_be_sent_to_a_process(recipe):
-    import pickle
-
-    law = RveLaw(recipe.cell, recipe.rve)
-    again = pickle.loads(pickle.dumps(law))
-    F, F_dot = np.eye(2)[None] + 0.01, np.full((1, 2, 2), 1e-3)
-    assert np.array_equal(again.respond(F, F_dot).stress, law.respond(F, F_dot).stress)
-    assert again.reference is not law.reference

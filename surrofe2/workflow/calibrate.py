@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from surrofe2.problem.bar import LoadCase
 from surrofe2.problem.conditions import BodyForce, Condition, DrivenCondition, InitialVelocity
 from surrofe2.problem.rigid_bodies import RigidBody
 from surrofe2.recipe.recipe import Recipe
+from surrofe2.report.tables import percent
 from surrofe2.run.loop import Report, no_report
 from surrofe2.rve import RveLaw
 from surrofe2.surrogate import SurrogateLaw
@@ -70,6 +72,8 @@ def calibrate(
     problem: Problem | None = None,
     macro: MacroSettings = SECTION_6_2,
     report: Report = no_report,
+    shaping: Sequence[Truth] = (),
+    runs: Runs | None = None,
 ) -> SurrogateLaw:
     """The surrogate with the bound of its error, without which a `CachedLaw` never trusts it.
 
@@ -83,26 +87,58 @@ def calibrate(
         problem: whose runs under other loads are paths too; None: the paper's bar.
         macro: settings of these runs; the paper's bar has 2 × 2 elements.
         report: called with the fraction that is done, up to 1, and a remark.
+        shaping: as of `shaping_truths`, which computes it where it is left out.
+        runs: instead of those of `problem`.
 
     Raises:
         InputError: no path to calibrate on.
     """
-
-    def runs(count: int, seed: int) -> Iterator[list[State]]:
-        if problem is None:
-            cases = random_loads(LoadCase(elements=(RUN_ELEMENTS, RUN_ELEMENTS)), count, seed)
-        else:
-            cases = varied_problems(problem, count, seed)
-        return _met_in_runs(surrogate, cases, macro, seed)
-
     law = law or RveLaw(samples.cell, initialisation=samples.initialisation)
     settings = settings or CalibrationSettings()
-    shaping = shaping_truths(samples, law, settings)
-    surrogate = _calibrated(surrogate, samples, law, settings, runs, report, shaping)
-    why = _unbounded(surrogate)
+    if runs is None:
+
+        def runs(count: int, seed: int) -> Iterator[list[State]]:
+            bar = LoadCase(elements=(RUN_ELEMENTS, RUN_ELEMENTS))
+            vary = varied_problems if problem else random_loads
+            return _met_in_runs(surrogate, vary(problem or bar, count, seed), macro, seed)
+
+    # Which samples there are may depend on what another surrogate did along paths of this seed
+    # (`refine`), so these samples choose the paths that calibrate.
+    drawn = np.random.SeedSequence([settings.seed, 0, int(samples.fingerprint, 16)])
+    walk_seed, run_seed, shaping_seed = drawn.generate_state(3).tolist()
+
+    def run_kind(count: int, seed: int) -> DeformationPaths:
+        met = []
+        for along_a_run in runs(count, seed):
+            met.append(along_a_run)
+            report(0.0, f"run {len(met)} of {count}")
+        return run_paths(met, -(-settings.length // 3))
+
+    shaping = [*(shaping or shaping_truths(samples, law, settings))]
+    shapes, tests = [], []
+    if settings.walks:
+        tests.append(random_walks(samples.range, settings.walks, settings.length, walk_seed))
+    if settings.runs:
+        shapes.append(run_kind(int(np.ceil(SHAPING_RUNS * settings.runs)), shaping_seed))
+        tests.append(run_kind(settings.runs, run_seed))
+    total = sum(len(paths.states[0]) for paths in (*shapes, *tests))
+    done = 0
+
+    def solved(paths: DeformationPaths) -> Truth:
+        nonlocal done
+        stress, status = true_stress(
+            paths, law, lambda k: report((done + k) / max(total, 1), "stresses of RVEs")
+        )
+        done += len(status)
+        return Truth(paths, stress, status)
+
+    shaping += [solved(paths) for paths in shapes]
+    testing = [solved(paths) for paths in tests]
+    bounded = calibrate_by(surrogate, samples, shaping, testing, settings.alpha, asdict(settings))
+    why = _unbounded(bounded)
     if why:
         log.warning("bound: none, because %s", why)
-    return surrogate
+    return bounded
 
 
 def calibrate_surrogate(
@@ -112,19 +148,10 @@ def calibrate_surrogate(
     report: Report,
     shaping: Sequence[Truth],
 ) -> SurrogateLaw:
-    """The surrogate with a calibrated bound, by RVEs along paths of the recipe.
-
-    Args:
-        samples: that it was trained on.
-        report: called with the fraction that is done, up to 1, and a remark.
-        shaping: see `shaping_truths`.
-    """
-
-    def runs(count: int, seed: int) -> Iterator[list[State]]:
-        return _runs(recipe, surrogate, count, seed)
-
-    law = laws.true_law(recipe)
-    return _calibrated(surrogate, samples, law, recipe.calibration, runs, report, shaping)
+    """The surrogate with a calibrated bound, by RVEs along paths of the recipe; see `calibrate`."""
+    law, runs = laws.true_law(recipe), partial(_runs, recipe, surrogate)
+    settings = recipe.calibration
+    return calibrate(surrogate, samples, law, settings, report=report, shaping=shaping, runs=runs)
 
 
 def shaping_truths(
@@ -146,49 +173,6 @@ def shaped_bound(
     alpha = 1.0 / (1.0 + min(truth.paths.count for truth in shaping))
     bounded = calibrate_by(surrogate, samples, shaping, shaping, alpha)
     return _edge(bounded, samples) / stress_spread(samples.valid.stress)
-
-
-def _calibrated(
-    surrogate: SurrogateLaw,
-    samples: StressSamples,
-    law: StressLaw,
-    settings: CalibrationSettings,
-    runs: Runs,
-    report: Report,
-    shaping: Sequence[Truth],
-) -> SurrogateLaw:
-    # Which samples there are may depend on what another surrogate did along paths of this seed
-    # (`refine`), so these samples choose the paths that calibrate.
-    drawn = np.random.SeedSequence([settings.seed, 0, int(samples.fingerprint, 16)])
-    walk_seed, run_seed, shaping_seed = drawn.generate_state(3).tolist()
-
-    def run_kind(count: int, seed: int) -> DeformationPaths:
-        met = []
-        for along_a_run in runs(count, seed):
-            met.append(along_a_run)
-            report(0.0, f"run {len(met)} of {count}")
-        return run_paths(met, -(-settings.length // 3))
-
-    shapes, tests = [], []
-    if settings.walks:
-        tests.append(random_walks(samples.range, settings.walks, settings.length, walk_seed))
-    if settings.runs:
-        shapes.append(run_kind(int(np.ceil(SHAPING_RUNS * settings.runs)), shaping_seed))
-        tests.append(run_kind(settings.runs, run_seed))
-    total = sum(len(paths.states[0]) for paths in (*shapes, *tests))
-    done = 0
-
-    def solved(paths: DeformationPaths) -> Truth:
-        nonlocal done
-        stress, status = true_stress(
-            paths, law, lambda k: report((done + k) / max(total, 1), "stresses of RVEs")
-        )
-        done += len(status)
-        return Truth(paths, stress, status)
-
-    shaping = [*shaping, *(solved(paths) for paths in shapes)]
-    testing = [solved(paths) for paths in tests]
-    return calibrate_by(surrogate, samples, shaping, testing, settings.alpha, asdict(settings))
 
 
 def _runs(recipe: Recipe, surrogate: SurrogateLaw, count: int, seed: int) -> Iterator[list[State]]:
@@ -288,7 +272,7 @@ def bound_summary(surrogate: SurrogateLaw, samples: StressSamples, tolerance: fl
     if why or calibration is None:
         return f"Error bound: none, because {why}"
     centre, edge = (
-        100.0 * bound / calibration.stress_spread
+        percent(2)(bound / calibration.stress_spread)
         for bound in (_at_rest(surrogate), _edge(surrogate, samples))
     )
     kept = f"{100.0 * (1.0 - calibration.alpha):g} %"
@@ -296,8 +280,8 @@ def bound_summary(surrogate: SurrogateLaw, samples: StressSamples, tolerance: fl
         f"{kind['paths']:,} {name}" for name, kind in calibration.kinds.items() if kind["paths"]
     )
     return (
-        f"Error bound: {centre:.2g} % of the stress spread at the centre of the range, "
-        f"{edge:.2g} % at its edge; tolerance {100.0 * tolerance:g} %\n"
+        f"Error bound: {centre} of the stress spread at the centre of the range, {edge} at its "
+        f"edge; tolerance {percent(3)(tolerance)}\n"
         f"The bound holds on {kept} of paths like the {paths} that calibrated it, with "
         f"{100.0 * calibration.confidence:.2g} % confidence, times a margin of {MARGIN:g}"
     )

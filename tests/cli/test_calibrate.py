@@ -12,7 +12,6 @@ from surrofe2.base.errors import SimulationError
 from surrofe2.problem.amplitude import Pulse, Ramp, Sine
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store.samples import read_data_set
-from surrofe2.store.store import plain
 from surrofe2.store.surrogates import read_surrogate
 from surrofe2.surrogate import training
 from surrofe2.surrogate.deformation_paths import random_walks
@@ -86,12 +85,6 @@ def test_a_bound_without_paths_that_shape_it_is_refused(invoke, recipe_path, cha
     assert refused.stderr.splitlines()[-1] == f"error: {message}"
 
 
-def test_removed_keys_say_what_to_do(invoke, changed_recipe):
-    refused = invoke("train", changed_recipe("walks = 9", "walks = 9\ncorners = 1"))
-    assert refused.exit_code == 1
-    assert "calibration.corners: removed; " in refused.stderr
-
-
 def test_paths_that_calibrate_are_drawn_by_the_samples(recipe, monkeypatch):
     """So a round of `refine` calibrates on none that chose its samples; those that shape stay."""
     drawn = []
@@ -110,19 +103,6 @@ def test_paths_that_calibrate_are_drawn_by_the_samples(recipe, monkeypatch):
     assert shapings == [shaping, shaping]
     assert others[0] == testing
     assert others[1] != testing
-
-
-def test_the_seed_decides(invoke, recipe_path, surrogate_path, changed_recipe):
-    bounds = []
-    for change in (
-        ("seed = 3", "seed = 3"),
-        ("seed = 3", "seed = 3"),
-        ("length = 6", "length = 7"),
-    ):
-        assert invoke("train", changed_recipe(*change), "--fresh").exit_code == 0
-        bounds.append(plain(read_surrogate(surrogate_path).calibration))
-    assert bounds[0] == bounds[1]
-    assert bounds[0] != bounds[2]
 
 
 def test_interrupted_while_calibrating(invoke, recipe_path, surrogate_path, monkeypatch):
@@ -341,12 +321,3 @@ def test_loads_push_everywhere_and_reverse():
     )
     assert (factors.min(axis=1) < 0.0).mean() > 0.8
     assert {one.duration for one in loads} == {25.0}
-
-
-def test_train_of_a_stated_problem_and_of_its_cells(stated, recipe_path, invoke):
-    stated()
-    assert invoke("generate", recipe_path, "--fresh").exit_code == 0
-    done = invoke("train", recipe_path)
-    assert done.exit_code == 0, done.output
-    kinds = read_surrogate(recipe_path.parent / "cells-surrogate.h5").calibration.kinds
-    assert kinds["runs"]["paths"] == 9

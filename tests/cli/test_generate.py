@@ -1,17 +1,14 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import h5py
 import numpy as np
 import pytest
 
 from surrofe2.base.errors import InputError
-from surrofe2.cli import console
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.store.samples import read_data_set
-from surrofe2.workflow.generate import Generated, data_summary, generate_data_set
+from surrofe2.workflow.generate import generate_data_set
 from tests.laws import SoftLaw, StoppingLaw
 
 
@@ -102,20 +99,6 @@ def test_error_is_one_line_and_traceback_on_request(invoke, changed_recipe):
         assert isinstance(wanted.exception, InputError)
 
 
-def test_progress_without_a_terminal_is_plain_lines(invoke, recipe_path, monkeypatch):
-    assert invoke("generate", recipe_path).stderr == ""  # so short work says nothing of it
-    monkeypatch.setattr(console, "SELDOM", 0.0)
-    done = invoke("generate", recipe_path, "--fresh", law=SoftLaw(fails_above=1.03))
-    assert "\x1b" not in done.output
-    assert done.stderr.splitlines()[-1].startswith("generate: 100 %")
-
-
-def test_too_many_threads(invoke, recipe_path):
-    refused = invoke("generate", recipe_path, "--threads", 4096)
-    assert refused.exit_code == 1
-    assert refused.stderr.startswith("error: --threads: 4096; this machine has ")
-
-
 def test_tangents_are_those_of_the_rve(changed_recipe):
     path = changed_recipe("count = 40", "count = 20\ntangents = true")
     study = load_recipe(path)
@@ -127,18 +110,3 @@ def test_tangents_are_those_of_the_rve(changed_recipe):
     np.testing.assert_allclose(samples.P_by_F, asked.P_by_F, rtol=0, atol=1e-9)
     np.testing.assert_allclose(samples.P_by_F_dot, asked.P_by_F_dot, rtol=0, atol=1e-7)
     assert np.abs(samples.P_by_F_dot).max() > 1.0
-
-
-def test_tangents_of_iterated_rves_are_refused(invoke, changed_recipe):
-    path = changed_recipe("count = 40", "tangents = true")
-    changed_recipe("[range]", '[rve]\nsolver = "iterated"\n\n[range]')
-    refused = invoke("generate", path)
-    assert refused.exit_code == 1
-    assert refused.stderr == ('error: samples.tangents: true; it needs rve.solver = "direct"\n')
-    assert not (path.parent / "cells.h5").exists()
-
-
-def test_each_sample_is_counted_once():
-    made = Generated(Path("cells.h5"), 512, 512, {"no equilibrium": 201}, left=116)
-    text = data_summary(made)
-    assert text.startswith("512 samples, 195 usable, 201 failed (201: no equilibrium), 116 left a ")

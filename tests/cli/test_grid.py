@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from surrofe2.law.stress_law import Status
 from surrofe2.store.run_folder import read_record, read_run
-from surrofe2.surrogate import SurrogateLaw
 from tests.laws import SoftLaw
 
 WALLS = "cell.wall_stiffness=3000,4000"
@@ -136,45 +133,3 @@ def test_what_is_no_grid_is_refused_before_anything_runs(grid, options, message)
     assert message in refused.stderr
     assert law.calls == 0
     assert not grid.out.exists()
-
-
-def test_a_tolerance_buys_hits_for_error(grid, invoke, recipe_path, monkeypatch):
-    """A trained surrogate, off by up to half of a bound that grows with the shear."""
-    assert invoke("generate", recipe_path).exit_code == 0
-    assert invoke("train", recipe_path).exit_code == 0
-    plain = SurrogateLaw.lookup
-
-    def lookup(self, F, F_dot, limit=np.inf):
-        stress, status, _ = plain(self, F, F_dot)
-        bound = 0.004 + 4.0 * abs(F[:, 1, 0])
-        stress += 0.5 * (bound - 0.004)[:, None, None] * np.array([[0.8, 0.0], [0.0, -0.6]])
-        risk = bound / self.tolerance[-1]
-        status[(status == 0) & ~(risk <= limit)] = Status.NOT_TRUSTED
-        stress[status != 0] = np.nan
-        return stress, status, risk
-
-    def held(law, tolerance, relative):
-        return replace(law, tolerance=np.array([*np.zeros(7), 1.0, 2.0 * tolerance]))
-
-    monkeypatch.setattr(SurrogateLaw, "lookup", lookup)
-    monkeypatch.setattr(SurrogateLaw, "with_tolerance", held)
-    monkeypatch.setattr(SurrogateLaw, "status_and_risk", lambda *asked: lookup(*asked)[1:])
-    monkeypatch.setattr(SurrogateLaw, "stress_spread", 2.0, raising=False)
-    options = ("--law", "rve,cached", "--set", "cache.audit=1.0")
-    done = grid("--set", "cache.tolerance=1e-1,1e-2,3e-3", *options)
-    assert done.exit_code == 0, done.output
-    true, *rows = read_rows(grid.out)
-    assert true["run"] == "rve"
-    assert true["tolerance"] is None
-    assert [row["tolerance"] for row in rows] == [1e-1, 1e-2, 3e-3]
-    hits = [row["hits"] for row in rows]
-    assert 1.0 >= hits[0] > hits[1] > hits[2]
-    for row in rows:
-        assert row["above"].startswith("0 of ")
-        assert row["stress_error"] <= row["largest_stress_error"] <= row["tolerance"]
-        assert row["right_hand_sides"] == pytest.approx(1.0, abs=0.2)  # a step of 6 is 0.16
-        assert row["displacement_error"] < 0.05
-        record = read_record(grid.out / row["run"])
-        assert record.recipe["cache"]["tolerance"] == row["tolerance"]
-        assert row["above"] == f"0 of {record.cache['audit']['audited']}"
-    assert rows[0]["displacement_error"] > rows[2]["displacement_error"]

@@ -7,7 +7,6 @@ import json
 import numpy as np
 import pytest
 
-from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store.run_folder import read_record
 from surrofe2.store.samples import read_harvest
 from surrofe2.store.surrogates import read_surrogate
@@ -53,19 +52,6 @@ def test_true_answers_of_a_run_are_harvested(invoke, first, recipe_path, tmp_pat
     assert not (tmp_path / "no" / "harvest.h5").exists()
 
 
-def test_a_run_takes_what_several_tables_know(invoke, first, recipe_path, changed_recipe, tmp_path):
-    changed_recipe("[0.0, -0.5]", "[0.4, 0.0]")
-    run(invoke, recipe_path, tmp_path / "second", "--law", "table")
-    files = [first / "table.h5", tmp_path / "second" / "table.h5"]
-    sizes = [len(read_table(path).records.centre) for path in files]
-    both = [part for path in files for part in ("--table", path)]
-    done = run(invoke, recipe_path, tmp_path / "third", "--law", "table", *both)
-    assert done.exit_code == 0, done.output
-    counts = read_record(tmp_path / "third").counts
-    begun = counts["table_records"] - counts["table_added"]
-    assert max(sizes) < begun <= sum(sizes)
-
-
 def test_a_table_of_other_parameters_or_for_true_runs_is_refused(
     invoke, first, recipe_path, changed_recipe, tmp_path
 ):
@@ -100,19 +86,6 @@ def test_a_harvest_is_added_to_the_training_data(invoke, first, recipe_path, cha
     changed_recipe('file = "cells.h5"', f'file = "cells.h5"\nadd = ["{harvest}"]')
     assert invoke("train", recipe_path, "--fresh").exit_code == 0
     assert read_surrogate(surrogate).data_fingerprint == after.data_fingerprint
-
-
-@pytest.mark.usefixtures("_trained")
-def test_a_harvest_of_another_initialisation_is_refused(invoke, recipe_path, tmp_path):
-    out = tmp_path / "elastic"
-    made = run(invoke, recipe_path, out, "--law", "table", "--initialisation", "elastic")
-    assert made.exit_code == 0, made.output
-    refused = invoke("train", recipe_path, "--fresh", "--add", out / "harvest.h5")
-    assert refused.exit_code == 1
-    assert refused.stderr == (
-        f"error: {out / 'harvest.h5'}: harvested for initialisation elastic, not "
-        "constrained-runs; leave it out\n"
-    )
 
 
 @pytest.fixture
@@ -164,14 +137,6 @@ def test_rounds_of_another_recipe_are_refused(invoke, leaving_recipe, changed_re
         "conditions.load.acceleration: this call has [0.0, -1.1], what is there [0.0, -1.0]"
         in refused.stderr
     )
-
-
-def test_a_table_begins_with_the_state_at_rest(recipe_path):
-    recipe = load_recipe(recipe_path)
-    table = make_table(recipe, SquareLaw().of(recipe.cell, recipe.rve))
-    assert not table.records.centre[0].any()
-    assert table.size == 1
-    assert table.seconds > 0.0
 
 
 def test_what_a_table_began_with_is_counted(invoke, recipe_path, tmp_path, monkeypatch):

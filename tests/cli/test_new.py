@@ -10,7 +10,6 @@ import pytest
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store.run_folder import read_record
 from surrofe2.workflow.new_recipe import KINDS, write_recipe
-from surrofe2.workflow.run import run_study
 from tests.laws import SquareLaw
 
 ROOT = Path(__file__).parents[2]
@@ -35,16 +34,6 @@ def test_each_kind_loads_and_runs_some_steps(invoke, tmp_path, kind):
     done = invoke("run", path, "--law", "rve", "--out", out, law=SquareLaw())
     assert done.exit_code == 0, done.output
     assert read_record(out).counts["steps"] > 2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_each_kind_runs_some_steps_by_its_plant_cells(tmp_path, kind):
-    path = tmp_path / "mine.toml"
-    write_recipe(path, kind)
-    of = "load" if kind == "bar" else "time"
-    recipe = load_recipe(path, {f"{of}.duration": 2.0})
-    assert run_study(recipe, "rve", tmp_path / "out").status == "finished"
 
 
 @pytest.mark.parametrize("kind", KINDS)

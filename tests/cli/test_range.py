@@ -63,16 +63,6 @@ def test_a_true_run_stays_within_the_range_proposed(bending_bar):
     assert range.rate < 2.0 * met.rate
 
 
-def test_the_margin_is_of_strain_and_rate(recipe_path):
-    none, _ = proposed_for(recipe_path, "--margin", 0)
-    double, _ = proposed_for(recipe_path, "--margin", 1)
-    np.testing.assert_allclose(
-        [1.0 - double.stretch[0], double.stretch[1] - 1.0, double.shear, double.rate],
-        2.0 * np.array([1.0 - none.stretch[0], none.stretch[1] - 1.0, none.shear, none.rate]),
-        rtol=0.1,
-    )
-
-
 def met(stretch, shear, rate):
     U = np.array([np.diag([stretch[0]] * 2), np.diag([stretch[1]] * 2)])
     U[0, 0, 1], U[1, 0, 1] = -shear, 0.5 * shear
@@ -98,13 +88,6 @@ def test_bounds_are_rounded_outward_to_two_digits_of_strain():
 def test_what_gives_no_range_says_why(given, margin, sentence):
     with pytest.raises(InputError, match=sentence):
         proposed_range(met(*given), margin)
-
-
-def test_a_recipe_with_the_iterated_solver_is_taken_too(recipe_path):
-    text = recipe_path.read_text(encoding="utf-8")
-    plain, _ = proposed_for(recipe_path)
-    recipe_path.write_text(text + '\n[rve]\nsolver = "iterated"\n', encoding="utf-8")
-    assert proposed_for(recipe_path)[0] == plain
 
 
 def test_each_cell_gets_the_range_that_its_own_points_meet(recipe_path):

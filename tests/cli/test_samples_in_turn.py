@@ -15,7 +15,7 @@ from surrofe2.store.hdf5 import read_seconds
 from surrofe2.store.samples import read_data_set, stored_count
 from surrofe2.store.surrogates import read_surrogate
 from surrofe2.surrogate import training
-from surrofe2.workflow.generate import generate_data_set, wanted_count
+from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.refine import refine_surrogate
 from surrofe2.workflow.train import train_surrogate
 
@@ -158,16 +158,6 @@ def test_interrupted_it_goes_on_to_the_bit(whole, where, at):
     assert same(path, train_surrogate(recipe).path)
 
 
-def test_both_commands_go_on_where_one_was_interrupted(whole, invoke):
-    recipe, path = whole
-    with pytest.raises(KeyboardInterrupt):
-        train_surrogate(recipe, stage=stopping("generate", 1))
-    assert stored_count(recipe.data_path()) == (56, False, True)
-    assert wanted_count(recipe) == 80
-    assert generate_data_set(recipe).added == 24
-    assert same(path, train_surrogate(recipe).path)
-
-
 @pytest.mark.parametrize(
     ("command", "stated_first"), [("train", True), ("generate", False), ("study", True)]
 )
@@ -185,15 +175,6 @@ def test_samples_of_a_stated_number_and_of_none_are_not_the_same(
     refused = invoke(command, recipe.path)
     assert refused.exit_code == 1
     assert "cells.h5: samples.count: " in refused.stderr
-
-
-def test_what_was_begun_with_a_bound_goes_on_without_one(wanting, changed_recipe):
-    generate_data_set(wanting(MET))
-    recipe = load_recipe(changed_recipe(f"bound = {MET}\n", ""))
-    assert (
-        train_surrogate(recipe).samples.fingerprint == read_data_set(recipe.data_path()).fingerprint
-    )
-    assert stored_count(recipe.data_path()) == (160, True, True)
 
 
 def test_refining_knows_what_its_surrogate_learnt_from(wanting, changed_recipe):
@@ -221,10 +202,3 @@ def test_a_bound_that_is_infinite_wants_no_more_samples(wanting, monkeypatch):
     generate_data_set(recipe)
     train_surrogate(recipe)
     assert stored_count(recipe.data_path()).rows == 40
-
-
-def test_without_a_bound_the_most_are_made(recipe, changed_recipe):
-    assert recipe.samples.counts(0.0) == recipe.samples.counts(1e-3) == (40,)
-    left_out = load_recipe(changed_recipe("count = 40\n", ""))
-    assert left_out.samples.counts(0.0) == (160,)
-    assert left_out.samples.counts(1e-3) == (40, 80, 160)
