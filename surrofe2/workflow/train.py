@@ -123,7 +123,8 @@ def train_surrogate(
                 remove(unfinished)
             while True:
                 with stage("train", recipe.training.iterations, "iterations") as report:
-                    shaping = shaping or _shaping(recipe, samples)
+                    if recipe.training.bound and not shaping:
+                        shaping = _shaping(recipe, samples)
                     surrogate, bound, seconds = _train(recipe, samples, shaping, begun, report)
                 number += 1
                 if (
@@ -142,7 +143,6 @@ def train_surrogate(
             remove(unfinished)
         meter = Meter()
         with stage("calibrate", 1.0, "of the paths") as report:
-            shaping = shaping or _shaping(recipe, samples)
             surrogate = calibrate_surrogate(recipe, surrogate, samples, report, shaping)
         surrogate = replace(surrogate, seconds={**surrogate.seconds, "calibration": meter.seconds})
         write_surrogate(surrogate, path)
@@ -227,7 +227,7 @@ def _train(
 
 
 def _shaping(recipe: Recipe, samples: StressSamples) -> list[Truth]:
-    if recipe.training.bound and not recipe.calibration.walks:
+    if not recipe.calibration.walks:
         raise InputError(
             f"training.bound: {recipe.training.bound:g}; it must be 0 where calibration.walks is"
         )
