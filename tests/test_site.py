@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 import surrofe2
-from tests.report.browser import PROGRAM, Browser
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -53,14 +52,6 @@ def test_it_builds_without_a_warning(tmp_path):
     for page in (tmp_path / "site/docs").rglob("*.html"):
         loaded = re.findall(r'(?:src|href)="(https?://[^"]+\.(?:js|css))"', page.read_text("utf-8"))
         assert not loaded, page  # it works offline
-    if PROGRAM:
-        with Browser(tmp_path / "profile") as browser:
-            browser.show(tmp_path / "site/docs/theory.html", 360)
-            count = "document.querySelectorAll('mjx-container').length"
-            drawn = browser.value(f"MathJax.startup.promise.then(() => {count})")
-            assert drawn >= text.count("```math")
-            assert browser.value("document.documentElement.scrollWidth") <= 360
-            assert not [each for each in browser.complaints if "theme" not in each]
 
 
 def test_every_public_name_is_on_one_page_of_the_reference():
