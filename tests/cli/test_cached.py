@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from surrofe2.law.stress_law import Status
-from surrofe2.store.run_folder import read_curve, read_record
+from surrofe2.store.run_folder import read_record
 from surrofe2.surrogate import SurrogateLaw
 
 
@@ -31,25 +31,6 @@ def test_run_through_the_surrogate(invoke, recipe_path, tmp_path, law):
         assert record.counts["hits"] > 0
         assert record.counts["fallbacks"] == 0
         assert record.counts["rve_solves"] == record.counts["audits"] > 0
-
-
-@pytest.mark.usefixtures("_trained")
-def test_implicit_run_through_the_surrogate(invoke, recipe_path, tmp_path):
-    """The surrogate has tangents; a cached law has them where its RVEs do, and these have none."""
-    curves = []
-    for integrator in ("explicit", "implicit"):
-        out = tmp_path / integrator
-        done = invoke(
-            "run", recipe_path, "--law", "surrogate", "--integrator", integrator, "--out", out
-        )
-        assert done.exit_code == 0, done.output
-        curves.append(read_curve(out).displacement)
-    assert abs(curves[1] - curves[0]).max() < 2e-3 * abs(curves[0]).max()
-    refused = invoke(
-        "run", recipe_path, "--law", "cached", "--integrator", "implicit", "--out", tmp_path / "no"
-    )
-    assert refused.exit_code == 1
-    assert "CachedLaw has no tangents" in refused.stderr
 
 
 @pytest.mark.usefixtures("_trained")

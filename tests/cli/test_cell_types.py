@@ -20,7 +20,6 @@ from surrofe2.store.samples import read_harvest
 from surrofe2.store.tables import read_table
 from surrofe2.workflow import laws
 from surrofe2.workflow.check import dry_run
-from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.rest import rest_study
 from surrofe2.workflow.run import run_study
 from tests.laws import SoftLaw, SquareLaw, StoppingLaw
@@ -147,13 +146,6 @@ def test_wrong_recipes_get_a_sentence(written, old, new, told):
     assert "\n" not in str(caught.value)
 
 
-def test_what_is_of_one_cell_refuses_several(invoke, written):
-    path = written()
-    with pytest.raises(InputError, match="this needs a recipe with one"):
-        generate_data_set(load_recipe(path))
-    assert "unknown cell; did you mean flesh?" in invoke("train", path, "--cell", "flsh").stderr
-
-
 def test_each_cell_has_its_table(invoke, written, tmp_path):
     path = written(BAR.replace("duration = 4.0", "duration = 12.0").replace("-0.1]", "-0.5]"))
     command = "run", path, "--law", "table", "--out"
@@ -189,23 +181,6 @@ def trained(invoke, written):
     for command in ("generate", "train"):
         assert invoke(command, path).exit_code == 0
     return path
-
-
-def test_a_grid_tells_the_worst_cell(invoke, trained, tmp_path):
-    out = tmp_path / "grid"
-    tolerances, audit = "cache.tolerance=1e-1,1e-3", "cache.audit=1.0"
-    done = invoke("grid", trained, "--out", out, "--law", "rve,cached", "--set", tolerances,
-                  "--set", audit)  # fmt: skip
-    assert done.exit_code == 0, done.output
-    rows = json.loads((out / "grid.json").read_text(encoding="utf-8"))["rows"][1:]
-    for row in rows:
-        cells = read_record(out / row["run"]).cache["cells"].values()
-        audits = [cell["audit"] for cell in cells]
-        assert row["above"] == f"0 of {sum(audit['audited'] for audit in audits)}"
-        largest = [cell["audit"]["largest"] / cell["tolerance"]["spread"] for cell in cells]
-        assert row["largest_stress_error"] == pytest.approx(max(largest))
-    assert rows[0]["hits"] > 0.9
-    assert rows[0]["displacement_error"] < 1e-3
 
 
 def test_a_grid_learns_the_cells_that_it_changes(invoke, trained, tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from io import BytesIO
 
@@ -100,24 +99,6 @@ def test_a_harvest_comes_back_each_state_once(tmp_path):
         np.testing.assert_array_equal(getattr(there, name), values)
     np.testing.assert_array_equal(there.why, why)
     assert (there.cell, there.initialisation) == (CELL, "constrained-runs")
-
-
-def test_a_harvest_is_written_anew(tmp_path):
-    path = tmp_path / "harvest.h5"
-    before = HarvestWriter(path, HEADER)
-    before(*answers(7, start=-7.0))
-    before.flush()
-    writer = HarvestWriter(path, HEADER)
-    for k in range(5):
-        writer(*answers(100, start=100.0 * k))
-    writer.flush()
-    there = read_harvest(path)
-    assert len(there.F) == 500
-    np.testing.assert_array_equal(there.stress, 3.0 * there.F)
-    with h5py.File(path) as file:
-        assert file["F"].attrs["unit"] == "1"
-        assert file["stress"].attrs["unit"] == "µN/µm"
-        assert "audit" in json.loads(file["why"].attrs["meaning"])["1"]
 
 
 def test_a_harvest_goes_on_from_what_it_held(tmp_path):
