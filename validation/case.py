@@ -27,7 +27,7 @@ from surrofe2.run.charts import Curve, Panel
 from surrofe2.rve import RveLaw
 from surrofe2.store.store import plain, read_json, write_json
 from surrofe2.surface.slab_law import SlabLaw, rows_across
-from surrofe2.surface.tabulated import CellSurface, table_within
+from surrofe2.surface.tabulated import TabulatedSurface, table_within
 from surrofe2.tissue import simulate_tissue
 from surrofe2.workflow.laws import law_by_region
 from surrofe2.workflow.tissue import tissue_of
@@ -303,10 +303,10 @@ def small_oscillations(rest: Rest, t: Array, body_force: tuple[float, float]) ->
 
 
 @lru_cache(maxsize=4)
-def surface_of(cell: CellParameters, rows: int) -> CellSurface:
+def surface_of(cell: CellParameters, rows: int) -> TabulatedSurface:
     """The surface law of a plant cell on the slow manifold by slabs of so many rows."""
     slab = SlabLaw(cell, initialisation=FE2, rows=rows)
-    return CellSurface(table_within(slab, STRETCH, RATE), rows, lambda: slab)
+    return replace(table_within(slab, STRETCH, RATE), rows=rows, beyond=lambda: slab)
 
 
 ROOT = Path(__file__).parents[1]

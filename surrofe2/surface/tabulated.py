@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from surrofe2.base.compilation import kernel
 from surrofe2.base.errors import InputError
-from surrofe2.law.surface_law import SurfaceResponse
+from surrofe2.law.surface_law import SurfaceLaw, SurfaceResponse
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.surface.slab_law import SlabLaw
 
@@ -50,6 +50,8 @@ class TabulatedSurface:
         mass, depth, width: ng/µm, µm and µm, see `SurfaceLaw`.
         cell, initialisation: of the slab.
         error, spread: largest error found, and range of the tension, µN.
+        rows: of the slab, where a run knows it; else 0.
+        beyond: gives the law beyond the range, such as the slab; None: there is no answer.
     """
 
     coefficients: Array
@@ -62,15 +64,23 @@ class TabulatedSurface:
     initialisation: str
     error: float
     spread: float
+    rows: int = 0
+    beyond: Callable[[], SurfaceLaw] | None = None
 
     def respond(
         self, stretch: Any, stretch_rate: Any, *, tangents: bool = False
     ) -> SurfaceResponse:
-        """Tension at n points; see `SurfaceLaw.respond`. Beyond the range there is none."""
+        """Tension at n points; see `SurfaceLaw.respond`."""
         along = np.ascontiguousarray(stretch, dtype=np.float64)
         rate = np.ascontiguousarray(stretch_rate, dtype=np.float64)
         values, valid = np.empty((3, len(along))), np.empty(len(along), dtype=np.bool_)
         evaluate(self.coefficients, (*self.stretch, self.rate), along, rate, values, valid)
+        outside = np.flatnonzero(~valid)
+        if outside.size and self.beyond is not None:
+            answer = self.beyond().respond(along[outside], rate[outside], tangents=tangents)
+            values[0, outside], valid[outside] = answer.tension, answer.valid
+            if tangents:
+                values[1, outside], values[2, outside] = answer.tangent, answer.rate_tangent
         if not tangents:
             return SurfaceResponse(values[0], valid)
         return SurfaceResponse(values[0], valid, values[1], values[2])
@@ -210,47 +220,6 @@ def _trimmed(
                 break
             table = shorter
     return table
-
-
-class CellSurface:
-    """A `SurfaceLaw` that asks its table, and the slab where that has no answer.
-
-    Attributes:
-        table: of the slab.
-        rows: of the slab.
-    """
-
-    def __init__(self, table: TabulatedSurface, rows: int, slab: Callable[[], SlabLaw]) -> None:
-        """Slab: gives it when it is first asked."""
-        self.table, self.rows, self._make = table, rows, slab
-        self._slab: SlabLaw | None = None
-
-    @property
-    def mass(self) -> float:
-        return self.table.mass
-
-    @property
-    def depth(self) -> float:
-        return self.table.depth
-
-    @property
-    def width(self) -> float:
-        return self.table.width
-
-    def respond(
-        self, stretch: Any, stretch_rate: Any, *, tangents: bool = False
-    ) -> SurfaceResponse:
-        answer = self.table.respond(stretch, stretch_rate, tangents=tangents)
-        if answer.valid.all():
-            return answer
-        if self._slab is None:
-            self._slab = self._make()
-        own = np.flatnonzero(~answer.valid)
-        true = self._slab.respond(stretch[own], stretch_rate[own], tangents=tangents)
-        answer.tension[own], answer.valid[own] = true.tension, true.valid
-        if answer.tangent is not None and answer.rate_tangent is not None:
-            answer.tangent[own], answer.rate_tangent[own] = true.tangent, true.rate_tangent
-        return answer
 
 
 def table_within(slab: SlabLaw, stretch: tuple[float, float], rate: float) -> TabulatedSurface:

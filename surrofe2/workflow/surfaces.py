@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from surrofe2.recipe.recipe import Recipe
 from surrofe2.store.run_folder import RunRecord
 from surrofe2.store.tables import check_surface, read_surface, write_surface
 from surrofe2.surface.slab_law import SlabLaw, rows_across
-from surrofe2.surface.tabulated import CellSurface, TabulatedSurface, table_within
+from surrofe2.surface.tabulated import TabulatedSurface, table_within
 from surrofe2.workflow.laws import kept_reference
 
 STRETCH, RATE = (0.94, 1.04), 0.01
@@ -50,7 +51,7 @@ def with_surface(recipe: Recipe, problem: Problem) -> Problem:
     return replace(problem, surface=Surface(law=laws, on=recipe.surface.on, regions=elements))
 
 
-def cell_surface(recipe: Recipe, across: float) -> CellSurface:
+def cell_surface(recipe: Recipe, across: float) -> TabulatedSurface:
     """The surface law of a recipe's only cell: its table from the cache folder, or made.
 
     Args:
@@ -74,7 +75,7 @@ def cell_surface(recipe: Recipe, across: float) -> CellSurface:
         table = table_within(slab(), stretch, rate)
         with suppress(FileError):  # a folder that cannot be written keeps nothing
             write_surface(path, table, recipe.to_dict())
-    return CellSurface(table, rows, slab)
+    return replace(table, rows=rows, beyond=cache(slab))
 
 
 def surface_record(problem: Problem) -> dict[str, Any]:
@@ -94,19 +95,18 @@ def surface_record(problem: Problem) -> dict[str, Any]:
 
 
 def _law_record(law: SurfaceLaw) -> dict[str, Any]:
-    if not isinstance(law, CellSurface | TabulatedSurface | SlabLaw):
+    if not isinstance(law, TabulatedSurface | SlabLaw):
         return {"kind": type(law).__name__}
-    of = law.table if isinstance(law, CellSurface) else law
     told: dict[str, Any] = {
-        "kind": "slab" if isinstance(of, SlabLaw) else "table",
-        "cell_fingerprint": of.cell.fingerprint,
-        "outer_wall": of.cell.outer_wall,
-        "initialisation": of.initialisation,
+        "kind": "slab" if isinstance(law, SlabLaw) else "table",
+        "cell_fingerprint": law.cell.fingerprint,
+        "outer_wall": law.cell.outer_wall,
+        "initialisation": law.initialisation,
     }
-    if isinstance(law, CellSurface):
+    if law.rows:
         told["rows"] = law.rows
-    if isinstance(of, TabulatedSurface):
-        told |= {"stretch": of.stretch, "rate": of.rate, "error": of.error, "spread": of.spread}
+    if isinstance(law, TabulatedSurface):
+        told |= {"stretch": law.stretch, "rate": law.rate, "error": law.error, "spread": law.spread}
     return told
 
 
