@@ -1,5 +1,6 @@
 """Tables of surface laws: as good as they say, their slopes exact, and kept in files."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -54,12 +55,17 @@ def test_values_are_sums_of_chebyshev_polynomials():
     np.testing.assert_allclose(table().respond(*at).tension, wanted, rtol=1e-13)
 
 
-def test_beyond_its_range_a_table_does_not_answer():
+def test_beyond_its_range_a_table_does_not_answer_or_the_slab_does():
     stretch, rate = np.array([0.96, 1.0, 1.0, 1.04]), np.array([0.0, 0.02, 0.0, 0.0])
     found = table().respond(stretch, rate, tangents=True)
     assert found.valid.tolist() == [False, False, True, False]
     for values in (found.tension, found.tangent, found.rate_tangent):
         assert np.isnan(values).tolist() == [True, True, False, True]
+    whole = replace(table(), beyond=law).respond(stretch, rate, tangents=True)
+    slab, out = law().respond(stretch, rate, tangents=True), ~found.valid
+    assert whole.valid.all()
+    for name in ("tension", "tangent", "rate_tangent"):
+        np.testing.assert_allclose(getattr(whole, name)[out], getattr(slab, name)[out], rtol=1e-9)
 
 
 def test_a_table_comes_back_from_its_file_and_belongs_to_its_plant_cell(tmp_path):
