@@ -203,7 +203,9 @@ def choose_branches(
         rising = (risk_ahead > STAY * limit) & (risk_ahead > state.risk)
         ahead = np.where((ahead == 0) & rising, NOT_TRUSTED, ahead)
     leaving = np.where(free, ahead, np.int8(0))
-    if limit < state.limit or reach is not state.reach:
+    both = reach is not None and state.reach is not None
+    same = np.array_equal(reach, state.reach) if both else reach is state.reach  # type: ignore[arg-type]
+    if limit < state.limit or not same:
         now = known.lookup(F, F_dot, limit)[1]
         leaving = np.where(free & (leaving == 0), now, leaving)
     if not len(points):

@@ -20,7 +20,7 @@ from surrofe2.base.compilation import Meter
 from surrofe2.base.errors import FileError, InputError, MismatchError
 from surrofe2.cache import CachedLaw, StressTable, sampled_spread
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer
-from surrofe2.cache.table.ellipsoids import merged
+from surrofe2.cache.table.records import merged
 from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.law.stress_law import StressLaw
 from surrofe2.plant_cell.parameters import CellParameters

@@ -18,7 +18,7 @@ PACKAGE = Path(surrofe2.__file__).parent
 # many entries of `extent`.
 INPUTS = """
 import numpy as np
-from surrofe2.cache.table.ellipsoids import set_bound
+from surrofe2.cache.table.records import set_bound
 extent = np.zeros(9)
 set_bound(np.ones(9), 20.0, np.eye(9), extent)
 print((extent != 0.0).sum(), set_bound.stats.cache_hits.total(),

@@ -34,9 +34,8 @@ def test_each_point_is_answered_by_the_part_that_can(cached, fallback):
 
 def test_what_left_the_range_is_counted_at_accepted_steps(fallback):
     """Three points leave by U₁₁, one by U₂₂; what another reason sent to the fallback is not."""
-    surrogate = Surrogate()
-    surrogate.range = SamplingRange(stretch=(0.9, 1.5), shear=0.1, rate=0.1)
-    cached = CachedLaw(surrogate, fallback)
+    cached = CachedLaw(Surrogate(), fallback)
+    cached.surrogate.range = SamplingRange(stretch=(0.9, 1.5), shear=0.1, rate=0.1)
     F, F_dot = stretched(1.0, 1.6, 1.1, 0.4, 1.7, 1.6)
     F[5, 1, 1] = 3.0
     for _ in range(2):

@@ -44,8 +44,3 @@ def test_frames_keep_the_largest_of_each_element():
     # Of the points of an element the middle one is among those whose largest risk is told.
     middle = strain(frames.F.reshape(-1, 2, 2)).reshape(hit.shape)
     assert (frames.risk[hit] >= middle[hit] / 0.01 * (1.0 - 1e-12)).all()
-
-
-def test_a_law_that_does_not_tell():
-    frames = simulate(LoadCase(duration=1.0, elements=(2, 1)), Truth(), MacroSettings()).frames
-    assert frames.source.shape == frames.risk.shape == (len(frames.t), 0)

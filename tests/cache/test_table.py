@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surrofe2.base.errors import InputError
-from surrofe2.base.sampling import SamplingRange, sample
+from surrofe2.base.sampling import sample
 from surrofe2.base.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
 from surrofe2.base.tensors import stress_error, to_components, to_inputs, transpose
 from surrofe2.cache import StressTable, sampled_spread
@@ -81,15 +81,6 @@ def test_the_answer_has_no_jumps_where_there_is_one():
     assert jump.max() < 2e-3 * table.tolerance
 
 
-def test_many_points_are_answered_as_few():
-    table = taught(*states(300))
-    F, F_dot = states(3000)
-    whole = table.lookup(F, F_dot)
-    parts = [table.lookup(F[k : k + 500], F_dot[k : k + 500]) for k in range(0, 3000, 500)]
-    for k in range(3):
-        np.testing.assert_array_equal(whole[k], np.concatenate([part[k] for part in parts]))
-
-
 def test_an_answer_does_not_depend_on_the_place_among_eight_points():
     table = taught(*states(300))
     F, F_dot = sample(RANGE, 1500, 78)
@@ -113,14 +104,6 @@ def test_lookup_is_pure_and_learning_leaves_older_records_alone():
     assert table.counts["grown"] > 0
     for a, b in zip(before, held, strict=True):
         np.testing.assert_array_equal(a, b)
-
-
-def test_a_second_lesson_adds_nothing():
-    F, F_dot = states(200)
-    table = taught(F, F_dot)
-    count, solves = table.size, table.law.solves
-    taught(F, F_dot, table)
-    assert (table.size, table.law.solves) == (count, solves)
 
 
 def test_rotation_and_group_are_for_nothing():
@@ -271,11 +254,3 @@ def test_spread_is_that_of_the_samples():
     stress = square_stress(*sample(RANGE, 512, 1))
     expected = np.sqrt(((stress - stress.mean(axis=0)) ** 2).sum(axis=(1, 2)).mean())
     assert sampled_spread(SquareLaw(), RANGE) == pytest.approx(expected, rel=5e-3)
-
-
-def test_the_range_of_a_table_may_be_a_point_in_some_inputs():
-    flat = SamplingRange(stretch=(0.95, 1.05), shear=0.0, rate=0.0)
-    table = StressTable(SquareLaw(), 0.03, flat, SPREAD)
-    F, F_dot = sample(flat, 50, 1)
-    taught(F, F_dot, table)
-    assert (table.lookup(F, F_dot)[1] == 0).all()

@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 
 from surrofe2.cache.branches import RETURN
-from surrofe2.cache.table.ellipsoids import Rule, set_bound, update_ellipsoids
 from surrofe2.cache.table.records import (
+    Rule,
     curvature_from_constant,
     curvature_from_slopes,
     limited,
     make_records,
+    set_bound,
+    update_ellipsoids,
 )
 
 
@@ -92,10 +94,6 @@ def test_a_violation_shrinks_so_that_the_point_is_out():
     assert not covered
     assert counts == {"grown": 0, "shrunk": 1}
     assert bound == pytest.approx(3.0)
-
-
-def test_an_error_within_the_bound_is_covered_as_it_is():
-    assert weighed(0.9, 0.5) == (True, {"grown": 0, "shrunk": 0}, pytest.approx(0.81))
 
 
 def test_first_size_is_exact_for_one_quadratic_component():

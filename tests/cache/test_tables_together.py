@@ -4,7 +4,7 @@ import numpy as np
 
 from surrofe2.base.sampling import sample
 from surrofe2.cache import CachedLaw
-from surrofe2.cache.table.ellipsoids import merged
+from surrofe2.cache.table.records import merged
 from tests.cache.tables import RANGE, make, states, taught
 from tests.laws import SquareLaw, square_stress
 

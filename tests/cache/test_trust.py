@@ -11,7 +11,7 @@ from surrofe2 import LoadCase
 from surrofe2.base.errors import MismatchError
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.cache import CachedLaw, CacheSettings, sampled_spread
-from surrofe2.cache.branches import CachedState, Narrowed
+from surrofe2.cache.branches import Narrowed
 from surrofe2.cache.trust import (
     AUDITS,
     CONFIDENCE,
@@ -272,13 +272,3 @@ def test_a_surrogate_of_nan_leaves_all_to_the_fallback():
     true = simulate(LOAD_CASE, Truth(), SETTINGS)
     np.testing.assert_allclose(done.curve.displacement, true.curve.displacement, rtol=1e-9)
     assert cached.counts["hits"] == 0
-
-
-def test_history_goes_on_where_it_was_left():
-    cached, report, _ = run(LIE, lambda F, F_dot: 5e-4 + 0.4 * abs(F[:, 1, 0]))
-    again = CachedLaw(Learnt(shear_error(0.0), sound_bound), Truth(), cached.settings)
-    again.state_from_arrays(cached.state_to_arrays(CachedState(1)))
-    assert again.history()["trust"]["off"]
-    assert again.counts == cached.counts
-    assert again.report()["audit"] == report["audit"]
-    assert again.report()["trust"] == report["trust"]

@@ -8,7 +8,6 @@ import pytest
 from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import SamplingRange, sample
 from surrofe2.base.tensors import stress_error, stress_spread, unrotated
-from surrofe2.law.stress_law import Status
 from surrofe2.store.store import plain
 from surrofe2.store.surrogates import read_surrogate, write_surrogate
 from surrofe2.surrogate import calibration
@@ -144,14 +143,6 @@ def test_through_its_file(calibrated, tmp_path):
     assert plain(loaded.calibration) == plain(calibrated.calibration)
 
 
-def test_a_file_without_domain_and_bound(calibrated, tmp_path):
-    write_surrogate(replace(calibrated, domain=None, calibration=None), tmp_path / "a-surrogate.h5")
-    loaded = read_surrogate(tmp_path / "a-surrogate.h5")
-    F, F_dot = sample(RANGE, 100, seed=3)
-    assert np.isinf(loaded.error_bound(F, F_dot)).all()
-    assert (loaded.lookup(F, F_dot, 1e6)[1] == Status.NOT_TRUSTED).all()
-
-
 def test_a_bound_of_infinity_through_its_file(calibrated, tmp_path):
     kinds = {"walks": {"paths": 9, "states": 90, "quantile": np.inf}}
     unknown = replace(calibrated.calibration, quantile=np.inf, kinds=kinds)
@@ -178,17 +169,6 @@ def test_a_weight_corrupted_after_calibration_takes_the_bound_away(calibrated):
         assert not fault.is_calibrated
         assert fault.lookup(F, F_dot, 1e6)[1].all()
         assert np.isinf(fault.error_bound(F, F_dot)).all()
-
-
-def test_a_weight_corrupted_before_calibration_shows_in_the_bound(law, calibrated, samples):
-    fault = calibrate(corrupted(law, 10.0), samples, true_paths(60, 10), true_paths(120, 20), ALPHA)
-    F, F_dot = sample(RANGE, 1000, seed=3)
-    for size in (0.1, 1.0):
-        states = np.eye(2) + size * (F - np.eye(2)), size * F_dot
-        usual, now = (np.median(one.error_bound(*states)) for one in (calibrated, fault))
-        assert now > 3.0 * usual
-    tolerance = 0.5 * now
-    assert (calibrated.lookup(F, F_dot, tolerance)[1] == 0).mean() > 0.9
 
 
 def test_a_biased_surrogate_is_not_trusted(law, samples):

@@ -20,7 +20,6 @@ from surrofe2.surrogate.lookup import (
     lookup,
 )
 from surrofe2.surrogate.network import StressNetwork
-from surrofe2.surrogate.piola import to_cauchy
 from surrofe2.surrogate.products import BLOCK
 from tests.laws import RANGE
 from tests.surrogate.torch_twin import differentiate, network_stress
@@ -94,16 +93,6 @@ def test_slopes_of_every_symmetry_agree_with_torch(symmetry, degree):
 
 def slopes_of(network, F, F_dot):
     return evaluate_slopes(F, F_dot, make_arrays(network))
-
-
-@every_symmetry
-def test_a_value_is_that_of_slopes_along_nothing(symmetry):
-    """The same instructions with and without slopes: components of P̂ that differ by rounding."""
-    network = make_network((7, 6), 3, symmetry)
-    F, F_dot = turned_points(BLOCK + 3)
-    expected = to_cauchy(F, slopes_of(network, F, F_dot)[0])
-    stress, _ = evaluate(F, F_dot, make_arrays(network))
-    np.testing.assert_allclose(stress, expected, atol=1e-13 * np.abs(expected).max())
 
 
 def test_no_points():

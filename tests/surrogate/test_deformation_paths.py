@@ -84,13 +84,6 @@ def test_walks_stay_in_the_range_and_fill_it(narrow):
     assert turned.max() > 0.3
 
 
-def test_the_seed_alone_decides():
-    first, second, other = (random_walks(RANGE, 5, 7, seed) for seed in (3, 3, 4))
-    assert np.array_equal(first.F, second.F)
-    assert np.array_equal(first.F_dot, second.F_dot)
-    assert not np.array_equal(first.F, other.F)
-
-
 def test_a_run_with_all_its_points_is_one_path():
     def states(points, steps):
         rng = np.random.default_rng(points)

@@ -7,11 +7,9 @@ import pytest
 
 from surrofe2.base.sampling import sample
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.store.surrogates import read_surrogate, write_surrogate
 from surrofe2.surrogate import TrainingSettings, train
 from tests.laws import (
     CELL,
-    RANGE,
     WELL_INSIDE,
     lattice_samples,
     lattice_stress,
@@ -57,12 +55,3 @@ def test_rests_without_stress_and_turns_with_the_frame(law):
     stress = law.respond(F, F_dot).stress
     turned = law.respond(Q @ F, Q @ F_dot).stress
     np.testing.assert_allclose(turned, Q @ stress @ Q.T, rtol=0, atol=1e-11)
-
-
-def test_a_file_gives_it_back(law, tmp_path):
-    write_surrogate(law, tmp_path / "law-surrogate.h5")
-    again = read_surrogate(tmp_path / "law-surrogate.h5")
-    assert again.network.symmetry == "none"
-    assert again.range == RANGE
-    F, F_dot = sample(WELL_INSIDE, 20, seed=2)
-    np.testing.assert_array_equal(again.respond(F, F_dot).stress, law.respond(F, F_dot).stress)

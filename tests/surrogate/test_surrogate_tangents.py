@@ -47,13 +47,3 @@ def test_no_tangents_where_there_is_no_stress():
         assert np.isfinite(tangent[0]).all()
         assert np.isnan(tangent[1]).all()
     assert make_law().respond(F, np.zeros((2, 2, 2))).tangents is None
-
-
-def test_without_symmetry_only_the_rotation_is_exact():
-    law = make_law("none")
-    F, F_dot = turned_points(20)
-    Q, turn = np.array([[0.8, 0.6], [-0.6, 0.8]]), np.array([[0.0, -1.0], [1.0, 0.0]])
-    stress = law.respond(F, F_dot).stress
-    scale = np.abs(stress).max()
-    assert np.abs(law.respond(Q @ F, Q @ F_dot).stress - Q @ stress @ Q.T).max() < 1e-12 * scale
-    assert np.abs(law.respond(F @ turn, F_dot @ turn).stress - stress).max() > 1e-2 * scale

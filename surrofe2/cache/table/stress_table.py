@@ -20,10 +20,13 @@ from surrofe2.base.sampling import SamplingRange, half_widths, sample
 from surrofe2.base.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonical_image
 from surrofe2.base.tensors import stress_spread, to_components, to_inputs, transpose
 from surrofe2.cache.protocols import Fallback
-from surrofe2.cache.table.ellipsoids import update_ellipsoids
-from surrofe2.cache.table.lookup import look_up
-from surrofe2.cache.table.records import Records, no_records, records_from_neighbours
-from surrofe2.cache.table.screen import make_screen
+from surrofe2.cache.table.lookup import look_up, make_screen
+from surrofe2.cache.table.records import (
+    Records,
+    no_records,
+    records_from_neighbours,
+    update_ellipsoids,
+)
 from surrofe2.law.stress_law import Tangents
 
 Array = NDArray[np.float64]
