@@ -49,7 +49,7 @@ def test_what_left_the_range_is_counted_at_accepted_steps(fallback):
         "U₂₂": {"points": 2, "farthest": pytest.approx(3.0), "bound": 1.5},
     }
     assert cached.history()["left_range"] == expected
-    again = CachedLaw(surrogate, fallback)
+    again = CachedLaw(Surrogate(), fallback)
     again.state_from_arrays(cached.state_to_arrays(state))
     assert again.history()["left_range"] == expected
 
