@@ -95,8 +95,8 @@ def _kind_of_elements(names: list[str], counts: list[int]) -> str:
     if not found:
         raise MeshError(f"no element; it must have elements of kind {', '.join(_SURFACES)}")
     if len(found) > 1:
-        told = " and ".join(f"{count} of kind {name}" for name, count in found.items())
-        raise MeshError(f"mixed elements, {told}; all must be of one kind")
+        mixed = " and ".join(f"{count} of kind {name}" for name, count in found.items())
+        raise MeshError(f"mixed elements, {mixed}; all must be of one kind")
     return next(iter(found))
 
 

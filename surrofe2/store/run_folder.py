@@ -82,7 +82,7 @@ class RunRecord:
 
     Attributes:
         status: "running", "finished", "interrupted" or "failed".
-        error: the sentence of a failed run, else None.
+        error: the error message of a failed run, else None.
         recipe: the whole recipe, defaults filled in.
         law: "rve", "surrogate", "cached", "table", or "tissue" for the full microscopic one; with
             `initialisation` and `solver`.
@@ -91,7 +91,7 @@ class RunRecord:
         counts: steps, stress calls and what the law's answers cost: RVE solves (of these the
             `audits` and those for a table, `table_rve_solves`), hits, fallbacks by reason, …
         cache: of a cached law, what `CachedLaw.report` says: tolerance, hits at accepted steps,
-            audit with the errors found, trust with what became of it, cost against true RVEs; of
+            audit with the errors found, trust with what became of it; of
             several cells, that of each by name under `cells`.
         met: extremes of F, Ḟ, U and RᵀḞ at all points; `stretch`, `shear`, `rate` as in a
             recipe's range that would hold the run. Of a rest, also where the `watched` point
@@ -525,7 +525,7 @@ def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:
     record = read_record(folder)
     is_there = not finished and (folder / "curve.csv").exists()
     if record.status != "finished" and not is_there:
-        raise InputError(f"{folder}: the run is {record.status}; its command goes on with it")
+        raise InputError(f"{folder}: the run is {record.status}; its command resumes it")
     for name, wanted in record.files.items():
         if name not in FILES:
             raise FileError(f"{folder / 'run.json'}: files: {quoted(name)} is no file of a run")

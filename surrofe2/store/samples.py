@@ -193,7 +193,7 @@ class DataSetWriter(SampleWriter):
         return {int(code): int(n) for code, n in zip(codes, counts, strict=True)}
 
     def store(self, status: str = "writing", arrays: Arrays | None = None, **more: Any) -> None:
-        """Write the rows that there are, to go on from."""
+        """Write the rows that there are, to resume from."""
         known = {"status": status, "completed": self.completed, "seconds": self.meter.seconds}
         reference = self.header.reference
         carried = {} if reference is None else _reference_arrays(reference)
@@ -232,7 +232,7 @@ class DataSetWriter(SampleWriter):
 def writing_data_set(
     path: Path, header: DataSetHeader, *, fresh: bool = False
 ) -> Iterator[DataSetWriter]:
-    """A data set to fill, or to go on with where it is there; the file has what the block took.
+    """A data set to fill, or to resume where it is there; the file has what the block took.
 
     Raises:
         FileError: the file is not a data set, or another process fills it.

@@ -57,7 +57,7 @@ START_OVER = "change it back, write elsewhere or start over with --fresh"
 
 @contextmanager
 def reported(path: Path, action: str) -> Iterator[None]:
-    """Turn an operating-system error on `path` into one sentence."""
+    """Turn an operating-system error on `path` into one error message."""
     try:
         yield
     except FileError:
@@ -274,7 +274,7 @@ def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def check_same(place: Path, here: Mapping[str, Any], there: Mapping[str, Any]) -> None:
-    """Refuse to keep or go on with what was made by other settings.
+    """Refuse to keep or resume what was made by other settings.
 
     Args:
         place: what was made.

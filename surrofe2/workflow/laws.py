@@ -111,7 +111,7 @@ def choose_law(
 
     Args:
         tables: files of tables that a run by a table starts from.
-        on_true_answer: is given true answers at accepted steps, see `CachedLaw`.
+        on_true_answer: takes RVE answers at accepted steps, see `CachedLaw`.
 
     Raises:
         FileError: the surrogate is not there or cannot be read.
@@ -193,7 +193,7 @@ def choose_laws(
     """The law called `kind` of each cell of a recipe, each at the points of its regions.
 
     Args:
-        surrogates: files by name of the cell, in the place of the recipe's; see `files_by_cell`.
+        surrogates: files by name of the cell, instead of the recipe's; see `files_by_cell`.
         tables: files to start from, each for the cells whose answers it has.
 
     Raises:

@@ -49,12 +49,12 @@ def rest_study(
 ) -> RunRecord:
     """Load the recipe's tissue in steps and write the run folder.
 
-    What was found before a failure or an interrupt is written, and the load goes on from there
-    when the call is repeated.
+    What was found before a failure or an interrupt is written, and the same call resumes from
+    there.
 
     Args:
         factor: of all loads and prescribed motions, at the end.
-        report: is told the part of the load that is on, 0 to 1.
+        report: called with the part of the load that is on, 0 to 1.
 
     Raises:
         SimulationError: a load step finds no equilibrium.

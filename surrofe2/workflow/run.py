@@ -447,7 +447,7 @@ def _stated_problem(problem: Problem) -> dict[str, Any]:
 
 
 def contact_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
-    """A sentence on each rigid body that was touched, with whether it is a warning.
+    """A note on each rigid body that was touched, with whether it is a warning.
 
     One is where the penetration exceeds a hundredth of an element's side.
     """
@@ -476,7 +476,7 @@ def step_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
 
 
 def rank_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
-    """What share of a run on several ranks rank 0 took for itself: it bounds what more can do."""
+    """What part of a run on several ranks rank 0 took for itself: it bounds what more can do."""
     if record.ranks is None:
         return
     wall, of = record.wall_time, record.ranks
@@ -529,7 +529,7 @@ def costs(counts: Mapping[str, int]) -> str:
 
 
 def cache_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
-    """Sentences on audits and trust of a run, each with whether it is a warning."""
+    """Notes on audits and trust of a run, each with whether it is a warning."""
     for name, cache in caches_of(record.cache).items():
         of = name and f"{name}: "
         yield f"{of}audit: {audit_sentence(cache)}", False

@@ -97,17 +97,22 @@ def surface_record(problem: Problem) -> dict[str, Any]:
 def _law_record(law: SurfaceLaw) -> dict[str, Any]:
     if not isinstance(law, TabulatedSurface | SlabLaw):
         return {"kind": type(law).__name__}
-    told: dict[str, Any] = {
+    record: dict[str, Any] = {
         "kind": "slab" if isinstance(law, SlabLaw) else "table",
         "cell_fingerprint": law.cell.fingerprint,
         "outer_wall": law.cell.outer_wall,
         "initialisation": law.initialisation,
     }
     if law.rows:
-        told["rows"] = law.rows
+        record["rows"] = law.rows
     if isinstance(law, TabulatedSurface):
-        told |= {"stretch": law.stretch, "rate": law.rate, "error": law.error, "spread": law.spread}
-    return told
+        record |= {
+            "stretch": law.stretch,
+            "rate": law.rate,
+            "error": law.error,
+            "spread": law.spread,
+        }
+    return record
 
 
 def surface_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:

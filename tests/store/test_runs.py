@@ -131,7 +131,7 @@ def test_unfinished_run_is_not_read(tmp_path, record, curve):
     write(tmp_path, curve)
     with pytest.raises(InputError) as caught:
         read_run(tmp_path)
-    assert str(caught.value) == f"{tmp_path}: the run is interrupted; its command goes on with it"
+    assert str(caught.value) == f"{tmp_path}: the run is interrupted; its command resumes it"
 
 
 def test_foreign_record(tmp_path):
