@@ -73,7 +73,7 @@ def main():
     axes.set_xlabel("shear (%)")
     axes.set_ylabel("shear stress (µN/µm)")
     axes.legend(title="frequency")
-    figure.savefig(Path(__file__).with_name("cyclic-shear.png"), dpi=100)
+    figure.savefig(Path(__file__).with_name("cyclic-shear.png"), dpi=300)
 
 
 if __name__ == "__main__":

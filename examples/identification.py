@@ -68,7 +68,7 @@ def main():
     axes.set_xlabel("time (µs)")
     axes.set_ylabel("nominal stress (µN/µm)")
     axes.legend()
-    figure.savefig(Path(__file__).with_name("identification.png"), dpi=100)
+    figure.savefig(Path(__file__).with_name("identification.png"), dpi=300)
 
 
 if __name__ == "__main__":

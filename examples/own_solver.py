@@ -60,4 +60,6 @@ if __name__ == "__main__":
     print("residuals:", *(f"{each:.1e}" for each in residuals))
     moved = skfem.MeshQuad1(basis.mesh.p + 50.0 * u[basis.nodal_dofs], basis.mesh.t)
     axes = basis.mesh.draw(linewidth=0.3)
-    moved.draw(ax=axes).figure.savefig(Path(__file__).with_name("own-solver.png"), dpi=120)
+    moved.draw(ax=axes).figure.savefig(
+        Path(__file__).with_name("own-solver.png"), dpi=300, bbox_inches="tight"
+    )
