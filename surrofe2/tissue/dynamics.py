@@ -94,11 +94,20 @@ class TissueDynamics:
         """(particles, 2) velocities, µm/µs."""
         return self.tissue.to_particles(self._particles.v[:-1, :, : self.tissue.own])
 
-    def take_load_work(self) -> Array:
-        """(loads,) work of dead loads since it was last taken, pJ."""
-        work: Array = self._body.work.sum(axis=(1, 2))
-        self._body.work[:] = 0.0
-        return work
+    def take_works(self) -> Array:
+        """(loads + 3,) pJ since they were last taken.
+
+        Of the loads, of `acceleration` on bodies, of what moves supports and bodies, and lost in
+        contact.
+        """
+        loads = self.outline.work
+        works = np.concatenate(
+            [self._body.work.sum(axis=(1, 2))[: len(loads)] + loads, self.bodies.work]
+        )
+        works[-2] += self.driven.work[0]
+        for each in (self._body, self.driven, self.bodies, self.outline):
+            each.work[:] = 0.0
+        return works
 
     @property
     def listed(self) -> Array:
@@ -108,7 +117,7 @@ class TissueDynamics:
     def place(self, x: Array, v: Array | None = None, listed: Array | None = None) -> None:
         """Put particles at x with velocities v (None: at rest), lists as made at `listed`.
 
-        With the `listed` of another run this one goes on as that one would, bit by bit.
+        With the `listed` of another run this one continues as that one would, bit by bit.
         """
         tissue = self.tissue
         own_x = tissue.to_tiles(x, tissue.start)

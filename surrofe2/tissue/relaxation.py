@@ -41,7 +41,7 @@ _FIRST_DRAG = 0.02
 """First drag, times √(k/m)."""
 
 LONGEST = 2e-3
-"""µs; accuracy asks for no less on the paper's cells."""
+"""µs; accuracy needs no less on the paper's cells."""
 _OF_LIMIT = 0.87
 """Of the limit at rest, as deformed cells are stiffer; `LONGEST` takes as much of `printed`'s."""
 _POWERS = 100

@@ -1,4 +1,4 @@
-"""What a run of the full tissue can be told besides its load case and its plant cell."""
+"""Settings of a run of the full tissue, besides its problem and its plant cell."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class TissueSettings:
     micro_step: float | None = setting(
         None,
         "longest leapfrog step; an output interval has a whole number of them; left out: 2e-3, or "
-        "less where the cell's largest frequency and damping ask for it",
+        "less where the cell's largest frequency and damping need it",
         TIME,
         above=0,
     )

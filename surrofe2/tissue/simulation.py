@@ -98,7 +98,8 @@ def simulate_tissue(
         relax(dynamics, settings.residual)
     elif not np.array_equal(resume.identity, numbers):
         raise MismatchError(
-            "resume: cells, load, step or output times are not those of the checkpoint; run anew"
+            "resume: cells, load, step or output times are not those of the checkpoint; start a "
+            "new run"
         )
     meet_bodies(dynamics, conditions, dynamics.x if resume is None else resume.relaxed)
     if resume is None:
@@ -256,12 +257,8 @@ def advance(
     kicks[[0, -1]] *= 0.5
     drifts[-1] = 0.0
     loads, motions = conditions.load_amplitudes, conditions.motions
-    driven, bodies, outline = dynamics.driven, dynamics.bodies, dynamics.outline
-    works = np.zeros(len(loads) + 4)
-    for each in (driven, bodies, outline):
-        each.work[:] = 0.0
-    dynamics.take_load_work()
-    rate = dynamics.dissipation_rate()
+    dynamics.take_works()
+    dissipated, rate = 0.0, dynamics.dissipation_rate()
     for k in range(samples):
         t = start + k * length + step * np.arange(count + 1)
         amplitudes = np.array([[each.at(at, at)[0] for each in loads] for at in t])
@@ -273,17 +270,15 @@ def advance(
             amplitudes = np.zeros((len(t), 1))
         dynamics.leap(kicks, drifts, amplitudes, speeds)
         rate_before, rate = rate, dynamics.dissipation_rate()
-        works[-1] += 0.5 * length * (rate_before + rate)
-    works[: len(loads)] = dynamics.take_load_work()[: len(loads)] + outline.work
-    works[-4:-1] = bodies.work
-    works[-3] += driven.work[0]
+        dissipated += 0.5 * length * (rate_before + rate)
+    works = np.append(dynamics.take_works(), dissipated)
     if not np.isfinite(works).all():
         raise SimulationError("tissue: the motion is not finite")
     return samples * count, works
 
 
 def identity(conditions: Conditions, settings: TissueSettings) -> Array:
-    """Numbers that two runs share if one may go on where the other stopped."""
+    """Numbers that two runs share if one may continue where the other stopped."""
     problem, tissue = conditions.problem, conditions.tissue
     stated = problem.conditions, problem.bodies, problem.duration, problem.output_interval
     digest = hashlib.sha256(repr((_STATE, stated, tissue.types, settings)).encode())
