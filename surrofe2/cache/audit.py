@@ -82,9 +82,12 @@ class ErrorRecord:
 
     @property
     def says_little(self) -> bool:
-        """Whether errors as large as the stresses themselves would have been let pass."""
-        solved = self.audited - self.unsolved
-        return np.isfinite(self.tolerance) and self.stress_squares < solved * self.tolerance**2
+        """Whether errors as large as the stresses themselves would have been let pass, by as many
+        audits as a window has: fewer may all have been near rest."""
+        solved, is_known = self.audited - self.unsolved, np.isfinite(self.tolerance)
+        return bool(
+            is_known and solved >= AUDITS and self.stress_squares < solved * self.tolerance**2
+        )
 
     def quantile(self, share: float) -> float:
         """The error that a share of the solved audits does not exceed, µN/µm; NaN without any."""

@@ -106,7 +106,7 @@ def test_the_record_tells_how_wrong_the_cache_was(invoke, recipe_path, tmp_path)
     assert cache["audit"]["audited"] == cache["accepted"]["hits"] > 100
     assert cache["audit"]["largest"] <= 0.02
     assert cache["audit"]["worst"]["error"] == cache["audit"]["largest"]
-    assert cache["trust"] == {"factor": 1.0, "off": False, "events": []}
+    assert cache["trust"] == {"factor": 1.0, "reach": [], "off": False, "events": []}
     assert f"audit: {cache['audit']['audited']} of {cache['audit']['audited']}" in done.stdout
     assert "0 above the tolerance of 0.02 µN/µm" in done.stdout
     share = cache["audit"]["wrong_at_most"]
