@@ -12,5 +12,5 @@ In reading order:
     simd             eight lanes of numbers in kernels
     tensors          polar inputs of (F, Ḟ), measure of errors
     square_symmetry  the eight symmetries of a square sample
-    sampling         which (F, Ḟ) to ask
+    sampling         which (F, Ḟ) are sampled
 """

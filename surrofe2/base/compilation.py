@@ -1,6 +1,6 @@
 """How every kernel is compiled: one place for numba's flags and for its cache.
 
-numba's own cache looks at the file of the outermost function alone and would go on using machine
+numba's own cache looks at the file of the outermost function alone and would keep using machine
 code whose inner functions, or constants from other files, have changed. Here the cache folder
 carries a digest of every source file of the package, so that machine code always belongs to the
 sources it is run with. Each file in it ends in its SHA-256, and a damaged one is compiled again
@@ -81,8 +81,8 @@ def _imported(source: Path) -> frozenset[Path]:
         place = PACKAGE.joinpath(*name.split(".")) if name else PACKAGE
         if place.is_dir():
             modules = {place / f"{word}.py" for word in re.findall(r"\w+", imported)}
-            found = {module for module in modules if module.is_file()}
-            files |= found or {*place.rglob("*.py")}
+            known = {module for module in modules if module.is_file()}
+            files |= known or {*place.rglob("*.py")}
         else:
             files.add(place.with_suffix(".py"))
     return frozenset(files)
@@ -187,7 +187,10 @@ class CheckedFiles(IndexDataCacheFile):
         content = self._content(self._index_path)
         if content is None:
             return {}
-        version, stamp, overloads = pickle.loads(content)
+        try:
+            version, stamp, overloads = pickle.loads(content)
+        except (AttributeError, ImportError):  # of arguments whose class has moved
+            return {}
         return overloads if (version, stamp) == (self._version, self._source_stamp) else {}
 
     def _save_index(self, overloads: dict[Any, str]) -> None:
@@ -276,15 +279,15 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         before = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = str(folder)
         try:
-            made = numba.njit(**options)(function)
+            dispatcher = numba.njit(**options)(function)
         finally:
             numba.config.CACHE_DIR = before
         # numba has no place to choose its files; without path and time of the source in them,
         # a package at another place uses the same kernels
-        name = made._cache._impl.filename_base
-        made._cache._cache_file = CheckedFiles(str(folder), name, folder.name)
-        made._cache.save_overload = _saving(made._cache.save_overload, folder)
-        return _own(made)
+        kept = dispatcher._cache
+        kept._cache_file = CheckedFiles(str(folder), kept._impl.filename_base, folder.name)
+        kept.save_overload = _saving(kept.save_overload, folder)
+        return _own(dispatcher)
 
     return decorate
 

@@ -2,9 +2,11 @@
 
 While a command starts, there is nothing to keep, and it ends at once. Later a signal becomes a
 KeyboardInterrupt, so that work stores what it has. Where a library swallows that, it is raised
-anew, unless it is being dealt with. It is put off where machine code has called Python for a class
-that it needs, and would take it for an error of its own; where the compiler asks for the kept
-machine code of a kernel, which else would be at address 0; and while ranks exchange messages.
+again, unless it is being handled. It is put off
+
+- where machine code has called Python for a class that it needs, and would take it for an error;
+- where the compiler fetches the kept machine code of a kernel, which else would be at address 0;
+- while ranks exchange messages.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _AGAIN = 0.25
-"""s until an interruption that was swallowed or put off is raised anew."""
+"""s until an interruption that was swallowed or put off is raised again."""
 NOT_CUT = ("_numba_unpickle", "_raw_object_cache_getbuffer", "_raw_object_cache_notify")
 """Functions in Python that numba's machine code and llvmlite's compiler call."""
 
@@ -76,13 +78,13 @@ def _take(number: int, frame: FrameType | None) -> None:
         os._exit(128 + number)
     if not _state.number:
         _state.number = number
-        sys.unraisablehook = _untold
-        signal.signal(signal.SIGALRM, _raise_anew)
+        sys.unraisablehook = _report_others
+        signal.signal(signal.SIGALRM, _raise_again)
         signal.setitimer(signal.ITIMER_REAL, _AGAIN, _AGAIN)
-        _raise_anew(number, frame)
+        _raise_again(number, frame)
 
 
-def _raise_anew(number: int, frame: FrameType | None) -> None:
+def _raise_again(number: int, frame: FrameType | None) -> None:
     if _state.held:
         return
     while frame is not None:
@@ -97,7 +99,7 @@ def _raise_anew(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _untold(unraisable: Any) -> None:
-    """Say nothing of an interruption that a library could not pass on."""
+def _report_others(unraisable: Any) -> None:
+    """Report what a library could not pass on, but for the interruption."""
     if not isinstance(unraisable.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(unraisable)

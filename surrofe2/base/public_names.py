@@ -1,7 +1,7 @@
 """Public names of a package, each imported from its module when it is first asked for.
 
 A package lists its names once, as imports under TYPE_CHECKING: type checkers follow them, Python
-skips them, and `public_names` reads them. So what asks for one name loads one module.
+skips them, and `public_names` reads them. So a use of one name loads one module.
 """
 
 from __future__ import annotations

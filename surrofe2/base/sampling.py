@@ -24,7 +24,7 @@ NEAREST = 0.03
 """Of the size of a sample: how near to rest it is drawn, at most."""
 SLACK = 1e-12  # rounding of the polar decomposition at the edge of the range
 SEQUENCE = "Sobol, every third drawn to rest"
-"""What `training_points` gives, by which a data set of other points is told."""
+"""Name of what `training_points` gives, stored in data sets so that others are recognised."""
 _DRAWN = 3  # every so many samples of a data set, one
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # multiples of it, without their integers, are even in [0, 1)
 _MOST_SAMPLES = 2**30  # points of the scrambled Sobol sequence

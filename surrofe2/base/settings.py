@@ -30,8 +30,8 @@ _LONGEST_LIST = 150
 REMOVED: dict[str, str] = {
     "training.form": "leave it out; the network always gives the whole stress",
     "training.energy_hidden": "leave it out; the network always gives the whole stress",
-    "table.enabled": "leave it out; --law cached asks RVEs where the surrogate may not answer, and "
-    "--law table learns from them",
+    "table.enabled": "leave it out; --law cached solves RVEs where the surrogate is not certain, "
+    "and --law table learns from them",
     "calibration.states": "leave it out; random states, corners and small states are parts of the "
     "walks now",
     "calibration.corners": "leave it out; a quarter of the walks end in corners",
@@ -64,8 +64,8 @@ def check_settings(settings: Any, section: str) -> None:
     hints = hints_of(settings.__class__)
     for item in fields(settings):
         if item.metadata:
-            given = attrgetter(item.name)(settings)
-            value = check_value(f"{section}.{item.name}", given, hints[item.name], item.metadata)
+            value = attrgetter(item.name)(settings)
+            value = check_value(f"{section}.{item.name}", value, hints[item.name], item.metadata)
             object.__setattr__(settings, item.name, value)
 
 
@@ -77,7 +77,7 @@ class Faults:
 
     @contextmanager
     def noted(self) -> Iterator[None]:
-        """Errors of the block are noted, and the work goes on behind it."""
+        """Errors of the block are noted, and the work continues behind it."""
         try:
             yield
         except (FileError, InputError) as error:
@@ -173,8 +173,8 @@ def build_only(kinds: Mapping[str, Any], table: Any, where: str) -> Any:
         if key not in kinds:
             raise unknown(f"{where}.{key}", key, "key", kinds)
     if len(table) != 1:
-        found = " and ".join(table) if table else "none of them"
-        raise InputError(where, f"{found}; it must have exactly one of {', '.join(kinds)}")
+        keys = " and ".join(table) if table else "none of them"
+        raise InputError(where, f"{keys}; it must have exactly one of {', '.join(kinds)}")
     key = next(iter(table))
     kind, where, entry = kinds[key], f"{where}.{key}", table[key]
     # what a class inherits reads its whole family

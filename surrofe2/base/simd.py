@@ -8,7 +8,8 @@ of the machine. Arrays with the lanes last are read and written whole::
 
 ``+ - * /`` and unary minus work between lanes, and between lanes and a float. Plain loops over
 lanes leave the compiler to prove that arrays do not overlap; here a whole vector is read before
-another is written. At the end, tanh of plain arrays that the compiler can do so by itself.
+another is written. At the end: a tanh without branches for plain arrays, which the compiler
+vectorises by itself.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ function of
 
 where sum is T₁₁ + T₂₂, difference T₁₁ − T₂₂, shear T₁₂ + T₂₁ and spin T₂₁ − T₁₂.
 
-The error of a Cauchy stress is the Frobenius norm of its difference from the true one, µN/µm. It
+The error of a Cauchy stress is the Frobenius norm of its difference from the exact one, µN/µm. It
 does not change when both are rotated. Tolerances are shares of the spread of the stress.
 """
 
@@ -111,8 +111,8 @@ def check_arrays(
     """
     for name in {*arrays, *shapes}:
         if name not in arrays or name not in shapes:
-            told = "unknown" if name in arrays else "missing"
-            raise InputError(f"{what}.{shortened(name, 60)}: {told}")
+            problem = "unknown" if name in arrays else "missing"
+            raise InputError(f"{what}.{shortened(name, 60)}: {problem}")
         values = arrays[name]
         if values.shape != shapes[name] or values.dtype != np.float64:
             raise InputError(

@@ -29,6 +29,10 @@ def outer(a):
     return inner(a[:5]) * inner(a[5:]) + inner(a)
 
 @kernel
+def total(pair):
+    return pair.x + pair.y
+
+@kernel
 def some_arrays(n):
     return [np.empty((k, 3)) for k in range(1, n)]
 
@@ -77,3 +81,12 @@ def test_a_kernel_has_the_same_bits_whichever_was_compiled_or_read_before(module
 def test_arrays_of_kernels_begin_at_a_line_of_the_cache(module):
     places = said(module, "print(*[a.ctypes.data % 64 for a in some_arrays(40)])")
     assert set(places) == {"0"}
+
+
+def test_a_class_of_an_argument_may_move(module):
+    """Files of the kernel name its old module, which is no source that the kernel depends on."""
+    text = "from typing import NamedTuple\nclass Pair(NamedTuple):\n    x: float\n    y: float\n"
+    for name in ("pairs", "couples"):
+        (module / f"{name}.py").write_text(text, encoding="utf-8")
+        assert said(module, f"from {name} import Pair", "print(total(Pair(1.0, 2.0)))") == ["3.0"]
+        (module / f"{name}.py").unlink()
