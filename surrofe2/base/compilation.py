@@ -200,7 +200,10 @@ class CheckedFiles(IndexDataCacheFile):
         content = self._content(self._data_path(name))
         if content is None:
             raise FileNotFoundError(name)  # numba then compiles the kernel and saves it again
-        return pickle.loads(content)
+        try:
+            return pickle.loads(content)
+        except (AttributeError, ImportError) as error:  # as above
+            raise FileNotFoundError(name) from error
 
     def _save_data(self, name: str, data: Any) -> None:
         self._store(self._data_path(name), data)
@@ -287,6 +290,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         kept = dispatcher._cache
         kept._cache_file = CheckedFiles(str(folder), kept._impl.filename_base, folder.name)
         kept.save_overload = _saving(kept.save_overload, folder)
+        kept._index_key = _with_sources_of_types(kept._index_key)
         return _own(dispatcher)
 
     return decorate
@@ -304,6 +308,30 @@ def _own(dispatcher: Any) -> Any:
 
     dispatcher.compile = own
     return dispatcher
+
+
+def _with_sources_of_types(index_key: Callable[..., tuple[Any, ...]]) -> Callable[..., Any]:
+    """The key of a kernel's code with the sources of the named tuples that it takes as arguments.
+
+    Callers choose these types: the kernel's own file need not import what defines them, and a
+    tuple whose fields have changed places has the same signature.
+    """
+
+    def key(signature: Any, codegen: Any) -> tuple[Any, ...]:
+        modules = {sys.modules[each] for each in _modules_of_types(signature)}
+        sources = sorted(Path(str(module.__file__)) for module in modules)
+        return (*index_key(signature, codegen), *map(_digest_of_kernels, sources))
+
+    return key
+
+
+def _modules_of_types(types: Iterable[Any]) -> Iterator[str]:
+    """Where the package defines the classes of named tuples, nested ones too."""
+    for each in types:
+        if isinstance(each, numba.types.BaseNamedTuple):
+            yield each.instance_class.__module__
+        if isinstance(each, numba.types.BaseTuple):
+            yield from _modules_of_types(each)
 
 
 def _saving(save: Callable[..., None], folder: Path) -> Callable[..., None]:

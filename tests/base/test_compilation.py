@@ -122,3 +122,47 @@ def test_a_damaged_kernel_is_compiled_again_with_one_note(copy, damage):
     (line,) = said.splitlines()
     assert "damaged files of compiled kernels; they are compiled again" in line
     assert inputs_of_a_law(start(copy)) == (7, 1, 0)
+
+
+TUPLE = """
+from typing import NamedTuple
+import numpy as np
+class Pair(NamedTuple):
+    {first}: float
+    {second}: float
+"""
+CALL = """
+from surrofe2.base.compilation import kernel
+@kernel
+def first(pair):
+    return pair.first
+"""
+SHOWN = """
+from tuples import Pair
+from taking import first
+print(int(first(Pair(first=3.0, second=5.0))), first.stats.cache_hits.total())
+"""
+
+
+def test_a_named_tuple_whose_fields_have_changed_places(tmp_path):
+    """Neither the kernel's file nor the signature has changed."""
+    (tmp_path / "taking.py").write_text(CALL, encoding="utf-8")
+    shown = []
+    for first, second in (("first", "second"), ("first", "second"), ("second", "first")):
+        text = TUPLE.format(first=first, second=second)
+        (tmp_path / "tuples.py").write_text(text, encoding="utf-8")
+        run = subprocess.run(
+            [sys.executable, "-B", "-c", SHOWN],
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")},
+            cwd=tmp_path, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        shown.append(run.stdout.split())
+    assert shown == [["3", "0"], ["3", "1"], ["3", "0"]]
+    (tmp_path / "tuples.py").rename(tmp_path / "renamed.py")
+    other = SHOWN.replace("tuples", "renamed")
+    run = subprocess.run(
+        [sys.executable, "-B", "-c", other],
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")},
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (run.returncode, run.stdout.split()[:1]) == (0, ["3"]), run.stderr
