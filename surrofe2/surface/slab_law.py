@@ -284,21 +284,6 @@ class SlabLaw:
         valid = bulk.valid & (unpack(solution.status, len(F)) == Status.OK)
         return SlabPoint(resultant, bulk, solution, valid)
 
-    def missing_cells(self, across: int) -> float:
-        """By how many plant cells a long strip of `across` ones is softer than as much bulk.
-
-        The strip is at rest under its surface's tension; bulk is so at λ = 1.
-
-        Raises:
-            InputError: the strip has no state of rest.
-        """
-        side = self.cell.cell_side
-        stiff = side_free(self.law, np.ones(1), np.zeros(1)).by_stretch
-        _, surface, bulk = self.rest(across)
-        assert surface.tangent is not None
-        slope = across * side * bulk.by_stretch + 2.0 * surface.tangent
-        return float(across - slope[0] / (side * stiff[0]))
-
     def rest(self, across: int) -> tuple[Array, SurfaceResponse, SideFree]:
         """Stretch (1,) of a strip of `across` plant cells without load, its surface and bulk.
 

@@ -61,6 +61,7 @@ class TissueDynamics:
         self.tissue = tissue
         self.counts: Counter[str] = Counter()
         self._lister = PairLister(tissue, skin)
+        self._listed: Array | None = None
         self.driven = driven
         self.bodies: BodyContacts = NO_BODIES
         self.outline: OutlineForces = NO_OUTLINE
@@ -112,7 +113,7 @@ class TissueDynamics:
     @property
     def listed(self) -> Array:
         """(particles, 2) positions at which the lists in use were made, µm."""
-        return self.tissue.to_particles(self._listed)
+        return self.tissue.to_particles(self._watch.listed)
 
     def place(self, x: Array, v: Array | None = None, listed: Array | None = None) -> None:
         """Put particles at x with velocities v (None: at rest), lists as made at `listed`.
@@ -254,10 +255,11 @@ class TissueDynamics:
 
     def _put(self, x: Array, v: Array, listed: Array) -> None:
         """Own particles (tiles, 2, own, TILE) at x with v, lists made at `listed`."""
-        self._lists, constants = self._lister.make(listed)
-        self._scaled = {WHOLE: constants}
-        self._listed = listed
-        self.counts["list_builds"] += 1
+        if self._listed is None or not np.array_equal(listed, self._listed):
+            self._lists, constants = self._lister.make(listed)
+            self._scaled = {WHOLE: constants}
+            self._listed = listed
+            self.counts["list_builds"] += 1
         tiles, own = self.tissue.tiles, self.tissue.own
         shape = (tiles + 1, 2, self._lists.local, TILE)
         particles = Particles(np.full(shape, NOWHERE), np.zeros(shape), np.zeros(shape))

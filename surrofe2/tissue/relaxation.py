@@ -126,15 +126,15 @@ def stable_step(
     at_rest = dynamics.x
 
     def stiffness(u: Array) -> Array:
-        dynamics.place(at_rest + _SHIFT * u)
+        dynamics.place(at_rest + _SHIFT * u, listed=at_rest)
         ahead = dynamics.forces()
-        dynamics.place(at_rest - _SHIFT * u)
+        dynamics.place(at_rest - _SHIFT * u, listed=at_rest)
         return (dynamics.forces() - ahead) / (2.0 * _SHIFT)
 
     def damping(v: Array) -> Array:
-        dynamics.place(at_rest, v)
+        dynamics.place(at_rest, v, listed=at_rest)
         moving = dynamics.forces()
-        dynamics.place(at_rest)
+        dynamics.place(at_rest, listed=at_rest)
         return dynamics.forces() - moving
 
     mass = dynamics.free_mass[:, None]
