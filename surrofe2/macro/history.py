@@ -293,11 +293,12 @@ class Recorder:
             extremes=NO_EXTREMES,
             identity=system.identity(),
             rest=np.empty((0, 2)) if system.rest is None else system.rest,
+            wall_time=self._seconds(),
             **self._end_of_step(stepper, work),
         )
-        samples = np.empty((0, 1 + len(system.dissipating)))
-        state = replace(state, journal=state.journal.written({"samples": samples}))
-        self._state = self._with_fields(state, now, is_sample=True, is_frame=True)
+        journal = state.journal.written({"samples": np.empty((0, 1 + len(system.dissipating)))})
+        found = self._fields(state, journal, now, is_sample=True, is_frame=True)
+        self._state = replace(state, **found, **self._spent())
         self._record_dissipation &= len(self._state.journal["samples"]) > 0
 
     def record(self, step: StepResult, stepper: Stepper) -> None:
@@ -318,11 +319,11 @@ class Recorder:
         # Dissipation about every other output time, at the last, and wherever there is a frame.
         is_sample = due // 2 > passed // 2 or passed < due == self._t.size or is_frame
         work = before.work + step.work(end.t)
-        state = replace(before, journal=journal, **self._end_of_step(stepper, work))
-        self._state = self._with_fields(state, end, is_sample=is_sample, is_frame=is_frame)
+        found = self._fields(before, journal, end, is_sample=is_sample, is_frame=is_frame)
+        self._state = replace(before, **found, **self._end_of_step(stepper, work))
 
     def _end_of_step(self, stepper: Stepper, work: Array) -> dict[str, Any]:
-        """Where the run stands; its costs so far."""
+        """Where the run stands; what it has spent so far, but for the seconds."""
         return {
             "t": stepper.now.t,
             "y": stepper.now.y,
@@ -331,14 +332,20 @@ class Recorder:
             "work": work,
             "stress": stepper.now.response.stress,
             "law_state": self._equations.law_state,
-            **self._cost(),
+            **self._spent(),
         }
 
-    def _with_fields(
-        self, state: MacroState, now: Evaluation, *, is_sample: bool, is_frame: bool
-    ) -> MacroState:
-        """With extremes and, where they are due, a sample of dissipation and a frame at `now`."""
-        journal, (energy, before) = state.journal, state.dissipated
+    def _fields(
+        self,
+        state: MacroState,
+        journal: Journal,
+        now: Evaluation,
+        *,
+        is_sample: bool,
+        is_frame: bool,
+    ) -> dict[str, Any]:
+        """The journal, dissipation and extremes of a state, with those at `now` where due."""
+        energy, before = state.dissipated
         if is_sample and self._record_dissipation:
             # At rest nothing dissipates.
             rates = self._equations.dissipation_rates(now) if now.v.any() else 0.0 * before
@@ -352,9 +359,7 @@ class Recorder:
         extremes = state.extremes.copy()
         widen_extremes(extremes, now.F, now.F_dot)
         dissipated = np.stack([energy, before])
-        return replace(
-            state, journal=journal, dissipated=dissipated, extremes=extremes, **self._cost()
-        )
+        return {"journal": journal, "dissipated": dissipated, "extremes": extremes}
 
     @property
     def t(self) -> float:
@@ -403,7 +408,7 @@ class Recorder:
         counts["rolled_back_steps"] += counts["steps"] - mark.counts["steps"]
         counts["steps"] = mark.counts["steps"]
         law_state = self._equations.law_state
-        self._state = replace(mark, law_state=law_state, mark=mark, **self._cost())
+        self._state = replace(mark, law_state=law_state, mark=mark, **self._spent())
         return self._state
 
     @property
@@ -413,25 +418,21 @@ class Recorder:
 
     def checkpoint(self) -> MacroState:
         """The state after the last step recorded, without what the next one has cost so far."""
-        return replace(self._state, wall_time=self._cost()["wall_time"]).copy()
+        return replace(self._state, wall_time=self._seconds()).copy()
 
     def state(self) -> MacroState:
         """Everything up to the last step recorded, with all that was spent."""
-        return replace(self._state, **self._cost())
+        return replace(self._state, wall_time=self._seconds(), **self._spent())
 
-    def _cost(self) -> dict[str, Any]:
-        tally, total = self._equations.tally, clock() - self._started
-        law = tally.law_seconds
-        return {
-            "counts": {name: tally.counts[name] for name in COUNTS},
-            "effort": dict(tally.effort),
-            "wall_time": {
-                "total": total,
-                "law": law,
-                "macro": total - law,
-                "cpu": cpu_clock() - self._cpu_started,
-            },
-        }
+    def _spent(self) -> dict[str, Any]:
+        tally = self._equations.tally
+        counts = {name: tally.counts[name] for name in COUNTS}
+        return {"counts": counts, "effort": dict(tally.effort)}
+
+    def _seconds(self) -> dict[str, float]:
+        total, law = clock() - self._started, self._equations.tally.law_seconds
+        cpu = cpu_clock() - self._cpu_started
+        return {"total": total, "law": law, "macro": total - law, "cpu": cpu}
 
     def _rows_due(self, t: float) -> int:
         """Output times up to t; rounding may put the last one beyond the duration."""

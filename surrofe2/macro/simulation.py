@@ -144,6 +144,7 @@ def simulate(
     law: StressLaw,
     settings: MacroSettings = SECTION_6_2,
     *,
+    system: System | None = None,
     progress: Callable[[float, float], None] | None = None,
     checkpoint: Callable[[MacroState], None] | None = None,
     checkpoint_interval: float = 30.0,
@@ -160,6 +161,7 @@ def simulate(
         problem: the tissue and what acts on it.
         law: any stress law; its density times the area is the mass.
         settings: tolerances, what is kept.
+        system: of this problem and law, where runs share one (`System.under`); None: it is made.
         progress: called with (t, duration) in µs after every step.
         checkpoint: called with the state of the run when `checkpoint_interval` seconds have
             passed since it last was, or more where that took long, and upon an interrupt, which
@@ -179,7 +181,7 @@ def simulate(
         MismatchError: `resume` is of another run.
     """
     given = problem, law, settings
-    system = system_of(problem, law)
+    system = system or system_of(problem, law)
     for contact in system.contacts:
         contact.check_start()
     if resume is not None:

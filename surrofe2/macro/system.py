@@ -90,6 +90,7 @@ class System:
     Attributes:
         problem: of which it is made.
         discretisation: its finite elements.
+        mass_of: (2 n_nodes, 2 n_nodes) mass of a share (n_el,) of each element and its sides, ng.
         mass: (2 n, 2 n) ng, of n nodes and bodies; free_mass: (m, m) between the free unknowns.
         free: (m,) unknowns that move freely, increasing.
         supports: of the others.
@@ -100,11 +101,12 @@ class System:
         boundary_weights: (n_nodes,) weights of the mean over each boundary that is acted on.
         rest: (n, 2) displacement of the mesh at rest under surface tension alone, from which all
             others count, µm; None: none.
-        moving: supports that move.
+        moving: supports that move. n_rows: nodes and rigid bodies.
     """
 
     problem: Problem
     discretisation: Discretisation
+    mass_of: Callable[[Array], Matrix]
     mass: Matrix
     free_mass: Matrix
     free: Index
@@ -116,15 +118,12 @@ class System:
     boundary_weights: Mapping[str, Array]
     rest: Array | None = None
     moving: tuple[Support, ...] = field(init=False)
+    n_rows: int = field(init=False)
 
     def __post_init__(self) -> None:
         moving = tuple(support for support in self.supports if support.largest.any())
         object.__setattr__(self, "moving", moving)
-
-    @property
-    def n_rows(self) -> int:
-        """Nodes and rigid bodies."""
-        return int(self.mass.shape[0]) // 2
+        object.__setattr__(self, "n_rows", int(self.mass.shape[0]) // 2)
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
@@ -136,6 +135,20 @@ class System:
         """That of the free sides; None where they have no law."""
         last = self.forces[-1] if self.forces else None
         return last if isinstance(last, SurfaceForce) else None
+
+    def under(self, problem: Problem) -> System:
+        """The system of a problem that differs in sizes and courses of loads, motions and initial
+        velocities alone, and in its times."""
+        supports, n = _supports(problem, False), self.n_rows
+        loads = make_loads(problem, self.mass_of, n, False)
+        others = (each for each in self.forces if isinstance(each, Contact | SurfaceForce))
+        return replace(
+            self,
+            problem=problem,
+            supports=supports,
+            forces=(*loads, *others),
+            initial_velocity=_initial_velocity(problem, supports, n),
+        )
 
     def from_rest(self, rest: Array) -> System:
         """The same with displacements that count from `rest` (n, 2)."""
@@ -178,6 +191,8 @@ class System:
 
     def prescribed_acceleration(self, t: float, within: float) -> Array | None:
         """(n, 2) of supports that move, zero elsewhere; None if none accelerates."""
+        if not self.moving:
+            return None
         a, accelerates = np.zeros(2 * self.n_rows), False
         for support in self.moving:
             second = support.amplitude.at(t, within)[2]
@@ -339,14 +354,17 @@ def make_system(
     n_nodes, n = len(space.nodes), len(space.nodes) + len(problem.bodies)
     surface = [] if problem.surface is None else [make_surface(problem, space)]
 
-    def mass_of(share: Array) -> Matrix:
-        """Mass of a share of each element, its sides included."""
+    def assembled_mass(share: Array) -> Matrix:
         tissue = tissue_mass(mesh, share * per_element)
         return sum((each.mass(share, 2 * n_nodes) for each in surface), tissue)
 
+    whole = assembled_mass(np.ones(mesh.nelements))
+
+    def mass_of(share: Array) -> Matrix:
+        return whole if (share == 1.0).all() else assembled_mass(share)
+
     bodies = np.repeat([1.0 if body.mass is None else body.mass for body in problem.bodies], 2)
-    mass = scipy.sparse.block_diag([mass_of(np.ones(mesh.nelements)), scipy.sparse.diags(bodies)])
-    mass = scipy.sparse.csc_matrix(mass)
+    mass = scipy.sparse.csc_matrix(scipy.sparse.block_diag([whole, scipy.sparse.diags(bodies)]))
     supports = _supports(problem, proportional)
     held = [support.unknowns for support in supports]
     free = np.setdiff1d(np.arange(2 * n), np.concatenate(held) if held else [])
@@ -368,6 +386,7 @@ def make_system(
     return System(
         problem=problem,
         discretisation=space,
+        mass_of=mass_of,
         mass=mass,
         free_mass=free_mass,
         free=free,

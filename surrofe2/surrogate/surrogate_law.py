@@ -149,7 +149,7 @@ class SurrogateLaw(Viewed):
             slopes = self.tangents(F, F_dot)
             for values in (slopes.P_by_F, slopes.P_by_F_dot):
                 values[status != Status.OK] = np.nan
-        lost = np.flatnonzero(status == Status.OUT_OF_RANGE)[:1]
+        lost = np.flatnonzero(status == Status.OUT_OF_RANGE)[:1] if status.any() else ()
         reasons = {int(k): self._why_out(F[[k]], F_dot[[k]]) for k in lost}
         return StressResponse(
             stress, status, state, {"surrogate_points": len(F)}, slopes, reasons=reasons

@@ -18,6 +18,7 @@ from surrofe2.law.samples import StressSamples
 from surrofe2.law.stress_law import StressLaw
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.settings import SECTION_6_2
+from surrofe2.macro.system import System, system_of
 from surrofe2.problem import Problem
 from surrofe2.problem.amplitude import Amplitude, Table, Value
 from surrofe2.problem.bar import LoadCase
@@ -220,19 +221,27 @@ def _met_in_runs(
     range.
 
     Args:
+        cases: that differ in loads, motions and initial velocities alone.
         seed: chooses the points, `RUN_POINTS` of them where there are more.
         tissue: the law of all points, by that of the surrogate's.
     """
     macro = replace(macro, frames=2, record_dissipation=False)
-    for each in cases:
-        met: list[State] = []
+    met: list[State] = []
+    points: NDArray[np.int64] | None = None
+    system: System | None = None
 
-        def note(F: Array, F_dot: Array, met: list[State] = met) -> None:
+    def note(F: Array, F_dot: Array) -> None:
+        nonlocal points
+        if points is None:
             points = np.random.default_rng(seed).permutation(len(F))[:RUN_POINTS]
-            met.append((F[points], F_dot[points]))
+        met.append((F[points], F_dot[points]))
 
+    law = tissue(WatchedLaw(surrogate, note))
+    for each in cases:
+        met = []
+        system = system_of(each, law) if system is None else system.under(each)
         with suppress(SimulationError):  # a load beyond the surrogate's range ends the path
-            simulate(each, tissue(WatchedLaw(surrogate, note)), macro)
+            simulate(each, law, macro, system=system)
         yield met
 
 

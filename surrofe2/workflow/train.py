@@ -207,8 +207,13 @@ def _train(
         arrays = {**state.arrays, _BEFORE: np.array(begun.before)}
         write_training(path, state.identity, state.iterations, arrays, meter.seconds)
 
+    bounds: dict[str, float] = {}  # by the surrogate's weights
+
     def bound_of(surrogate: SurrogateLaw) -> float:
-        return shaped_bound(surrogate, samples, shaping) if wanted else 0.0
+        weights = surrogate.network.fingerprint(surrogate.range)
+        if wanted and weights not in bounds:
+            bounds[weights] = shaped_bound(surrogate, samples, shaping)
+        return bounds.get(weights, 0.0)
 
     try:
         surrogate = train(

@@ -234,9 +234,9 @@ class Recording:
     def __init__(self):
         self.problems = []
 
-    def __call__(self, problem, law, settings):
+    def __call__(self, problem, *others, **keywords):
         self.problems.append(problem)
-        return simulate(problem, law, settings)
+        return simulate(problem, *others, **keywords)
 
 
 @pytest.mark.parametrize(
