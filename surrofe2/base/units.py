@@ -54,6 +54,11 @@ def rough_time(seconds: float) -> str:
     return f"{float(f'{seconds / size:.1g}'):g} {unit}"
 
 
+def rough_number(value: float, digits: int = 1) -> str:
+    """An order of magnitude: so many digits, then zeros."""
+    return f"{float(f'{value:.{digits}g}'):,.0f}"
+
+
 def number(value: float, digits: int = 3) -> str:
     """A number of so many significant digits, without an exponent."""
     if value == 0.0 or not math.isfinite(value):

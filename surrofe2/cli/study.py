@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from surrofe2.base.errors import InputError, SimulationError, quoted
-from surrofe2.base.units import rough_time
+from surrofe2.base.units import rough_number, rough_time
 from surrofe2.cli import console
 from surrofe2.cli.compare import show_comparison
 from surrofe2.recipe.entries import listed_values
@@ -122,12 +122,12 @@ def check(
         by_rves = checking.seconds_by_rves(study, run)
     _show_ranges(run, margin)
     console.print_line(
-        f"{run.points:,} points, some {run.calls:.2g} calls: {run.solves:.1g} RVEs to solve. "
-        f"The run would take about {rough_time(by_rves / 2.0)} to {rough_time(2.0 * by_rves)} by "
-        "--law rve"
+        f"{run.points:,} points, about {rough_number(run.calls, 2)} evaluations of the stress: "
+        f"{rough_number(run.solves)} RVE solves. The run would take "
+        f"about {rough_time(by_rves / 2.0)} to {rough_time(2.0 * by_rves)} by --law rve"
     )
     # without the seconds of the check, which would read as those of the law
-    console.done(recipe, f"take --law {checking.advised_law(study, by_rves)}", timed=False)
+    console.done(recipe, f"use --law {checking.advised_law(study, by_rves)}", timed=False)
 
 
 def _show_ranges(run: checking.DryRun, margin: float) -> None:
