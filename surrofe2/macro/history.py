@@ -111,7 +111,7 @@ class Frames:
         source, risk: (k, n_el) of `Sources`, the largest of the element's points; (k, 0) of a law
             that does not tell.
         dissipated: (k, n_el) energy by reference area since t = 0, pJ/µm²; (k, 0) if not recorded.
-            Over all elements this is the energy `dissipated` of the run at that time.
+            Between the samples of `MacroState` the rate counts as the one of the last.
         point_t: (p,) µs, those of t at which the law's points are kept too: a tenth of them.
         point_stress: (p, n_points, 2, 2) Cauchy stress as the law answered, µN/µm.
         point_source, point_risk: (p, n_points) of `Sources`; (p, 0) of a law that does not tell.
@@ -316,8 +316,8 @@ class Recorder:
                 row = self._row(t, step.interpolate(within), work, forces)
                 journal = journal.written({"rows": row[None]})
         is_frame = self._frames_due(end.t) > self._frames_due(begin)
-        # Dissipation about every other output time, at the last, and wherever there is a frame.
-        is_sample = due // 2 > passed // 2 or passed < due == self._t.size or is_frame
+        # Dissipation, which costs another call of the law, about every other output time.
+        is_sample = due // 2 > passed // 2 or passed < due == self._t.size
         work = before.work + step.work(end.t)
         found = self._fields(before, journal, end, is_sample=is_sample, is_frame=is_frame)
         self._state = replace(before, **found, **self._end_of_step(stepper, work))
@@ -355,7 +355,11 @@ class Recorder:
                 energy, before = energy + 0.5 * since * (before + rates), rates
                 journal = journal.written({"samples": self._sample(now, rates)[None]})
         if is_frame:
-            journal = journal.written(self._frame(now, energy))
+            density, samples = NOTHING, journal["samples"]
+            if len(samples):
+                energy_now = energy + (now.t - samples[-1, 0]) * before
+                density = energy_now / self._system.discretisation.areas
+            journal = journal.written(self._frame(now, density))
         extremes = state.extremes.copy()
         widen_extremes(extremes, now.F, now.F_dot)
         dissipated = np.stack([energy, before])
@@ -464,10 +468,9 @@ class Recorder:
         flat = [part.ravel() for part in vectors]
         return np.concatenate([[t], *flat, depths, [stored, kinetic], work])
 
-    def _frame(self, now: Evaluation, dissipated: Array) -> dict[str, Array]:
+    def _frame(self, now: Evaluation, density: Array) -> dict[str, Array]:
         answer, space = now.response, self._system.discretisation
         sources = None if answer.sources is None else answer.sources()
-        density = dissipated / space.areas if self._record_dissipation else NOTHING
         kept = (self._frames_due(now.t) - 1) % POINTS_EVERY == 0 or now.t >= self.end
         motion, gradients = (now.u, now.v), (now.F, now.F_dot)
         frame = Frames.of(

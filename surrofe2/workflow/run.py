@@ -79,6 +79,8 @@ from surrofe2.workflow.laws import (
 from surrofe2.workflow.surfaces import surface_record, with_surface
 
 HARVEST = "harvest.h5"
+MANY_UNTRUSTED = 0.1
+"""Points that are not trusted, for each hit, from which on a run says what to change."""
 MOST_IMPLICIT_STEPS = 3000
 """Of a tissue that rings; after as many the phase was three tolerances off (docs/theory.md)."""
 
@@ -544,3 +546,12 @@ def cache_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
             )
         for event in cache["trust"]["events"]:
             yield f"{of}cache, step {event['step']}: {event['finding']}", True
+    counts = record.counts
+    untrusted = counts.get("fallbacks_not_trusted", 0)
+    if record.law == "cached" and untrusted > MANY_UNTRUSTED * counts.get("hits", 0):
+        yield (
+            f"not trusted: at {untrusted} points the surrogate's error bound is above the "
+            "tolerance; state more samples ([samples] count) and train again, let `surrofe2 "
+            "refine` sample what the run meets, or allow a larger [cache] tolerance",
+            True,
+        )

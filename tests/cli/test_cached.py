@@ -127,3 +127,4 @@ def test_a_corrupted_surrogate_loses_trust_loudly(invoke, recipe_path, tmp_path,
     assert record.cache["accepted"]["hits"] <= 20  # at the very start, which cannot go back
     assert "audited answers are off by more than the tolerance" in done.stderr
     assert "the risks count 2.75 times from here on" in done.stderr
+    assert "state more samples ([samples] count) and train again" in done.stderr

@@ -186,8 +186,9 @@ def test_last_output_time_survives_rounding():
 
 
 def test_dissipation_of_elements_is_that_of_the_tissue():
-    """Energy by area, at the frames: never falling, together that of the tissue, at the end to
-    rounding; none of a run that does not record it."""
+    """Energy by area, at the frames: never falling, together that of the tissue up to the last
+    sample and by the rate there since, at the end to rounding; none of a run that does not record
+    it."""
     often = replace(LOAD_CASE, output_interval=0.02)
     settings, states = replace(SETTINGS, largest_step=0.02), []
     run = simulate(
@@ -201,11 +202,13 @@ def test_dissipation_of_elements_is_that_of_the_tissue():
     whole = run.energies["dissipated"]
     assert area * found[-1].sum() == pytest.approx(whole[-1], rel=1e-12)
     sampled, rate = states[-1].journal["samples"].T
-    assert np.isin(run.frames.t, sampled).all()
+    assert sampled.size <= run.curve.t.size // 2 + 2
     energy = np.append(0.0, np.cumsum(0.5 * np.diff(sampled) * (rate[1:] + rate[:-1])))
-    of_frames = energy[np.isin(sampled, run.frames.t)]
+    last = np.searchsorted(sampled, run.frames.t, side="right") - 1
+    of_frames = energy[last] + rate[last] * (run.frames.t - sampled[last])
     np.testing.assert_allclose(area * found.sum(axis=1), of_frames, rtol=1e-12)
-    np.testing.assert_allclose(np.interp(run.frames.t, run.curve.t, whole), of_frames, rtol=2e-3)
+    whole_then = np.interp(run.frames.t, run.curve.t, whole)
+    np.testing.assert_allclose(whole_then, of_frames, atol=2e-3 * whole[-1])
     assert found[-1].max() > 2.0 * found[-1].min()
     off = simulate(LOAD_CASE, KelvinVoigt(), replace(SETTINGS, record_dissipation=False))
     assert off.frames.dissipated.size == 0
