@@ -134,7 +134,7 @@ def test_a_table_has_no_implicit_runs(invoke, recipe_path, folder):
 
 def test_names_that_are_no_utf8_are_no_obstacle(recipe_path, tmp_path, monkeypatch, caplog):
     """In the lock, in run.json, in pictures and on the page they stand with escapes."""
-    caplog.set_level(logging.ERROR, "surrofe2")  # workers cannot send such names to pytest
+    caplog.set_level(logging.ERROR, "surrofe2.store")  # workers cannot send such names to pytest
     path = recipe_path.rename(tmp_path / os.fsdecode(b"r\xff.toml"))
     folders = [tmp_path / os.fsdecode(name) for name in (b"o\xff", b"p\xff")]
     monkeypatch.setattr(sys, "argv", ["surrofe2", "run", str(path)])
