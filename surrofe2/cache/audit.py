@@ -42,7 +42,7 @@ class ErrorRecord:
 
     Attributes:
         tolerance: allowed error, µN/µm; inf: none is.
-        audited: answers that were audited.
+        audited: answers that were audited; rolled_back: more, at steps that do not stand.
         unsolved: of these, those for which the true law has no stress.
         violations: errors above the tolerance, and the unsolved.
         bins: (b,) errors by size, in logarithmic bins; a list is taken too.
@@ -52,6 +52,7 @@ class ErrorRecord:
 
     tolerance: float
     audited: int = 0
+    rolled_back: int = 0
     unsolved: int = 0
     violations: int = 0
     largest: float = 0.0
@@ -108,6 +109,7 @@ class ErrorRecord:
         filled = self.bins.nonzero()[0]
         return {
             "audited": self.audited,
+            "rolled_back": self.rolled_back,
             "unsolved": self.unsolved,
             "violations": self.violations,
             "wrong_at_most": wrong_at_most(self.violations, self.audited) if self.audited else None,
@@ -268,7 +270,8 @@ class Audit:
     def go_back(self, step: int, record: Mapping[str, Any]) -> None:
         """Have this record, and forget all that was chosen after so many steps."""
         self.begin()
-        self.record = ErrorRecord(**record)
+        rolled_back = self.record.rolled_back + self.record.audited - record["audited"]
+        self.record = ErrorRecord(**{**record, "rolled_back": rolled_back})
         kept = [each.only(each.step <= step) for each in self._waiting]
         self._waiting = [each for each in kept if len(each.step)]
 

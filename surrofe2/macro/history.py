@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, ClassVar
 
@@ -175,7 +176,6 @@ COUNTS = (
     "rejected_steps",
     "failed_trials",
     "repeated_steps",
-    "rolled_back_steps",
     "right_hand_sides",
     "factorisations",
     "stress_calls",
@@ -200,7 +200,7 @@ class MacroState(RunState):
         dissipated: (2, n_el) energy up to the last sample, pJ, and the rate there.
         extremes: (2, 4, 2, 2) lowest and highest entries of F, Ḟ, U and RᵀḞ.
         identity: by name, digests of the problem's parts; a resumed run must have the same.
-        counts, effort, wall_time: as in `MacroRun`.
+        counts, effort, rolled_back, wall_time: as in `MacroRun`.
         stress: (n_points, 2, 2) by which the next step begins, µN/µm.
         law_state: what the law has committed; None: it starts cold.
         rest: as `System.rest`; (0, 2) of None.
@@ -223,6 +223,7 @@ class MacroState(RunState):
     identity: dict[str, Array]
     counts: dict[str, int]
     effort: dict[str, int]
+    rolled_back: dict[str, int]
     wall_time: dict[str, float]
     stress: Array
     law_state: Any = None
@@ -293,6 +294,7 @@ class Recorder:
             extremes=NO_EXTREMES,
             identity=system.identity(),
             rest=np.empty((0, 2)) if system.rest is None else system.rest,
+            rolled_back={},
             wall_time=self._seconds(),
             **self._end_of_step(stepper, work),
         )
@@ -406,13 +408,21 @@ class Recorder:
             self._state = replace(self._state, mark=marked)
 
     def _go_back(self) -> MacroState:
-        """The state at the mark, by the law's state as it is now; what was spent stays spent."""
-        mark, counts = self._state.mark, self._equations.tally.counts
+        """The state at the mark, by the law's state as it is now, with its counts; what has been
+        counted since is rolled back."""
+        mark, spent = self._state.mark, self._spent()
         assert mark is not None
-        counts["rolled_back_steps"] += counts["steps"] - mark.counts["steps"]
-        counts["steps"] = mark.counts["steps"]
-        law_state = self._equations.law_state
-        self._state = replace(mark, law_state=law_state, mark=mark, **self._spent())
+        rolled_back = Counter(self._state.rolled_back)
+        for now, then in ((spent["counts"], mark.counts), (spent["effort"], mark.effort)):
+            rolled_back.update(now)
+            rolled_back.subtract(then)
+        self._state = replace(
+            mark,
+            law_state=self._equations.law_state,
+            mark=mark,
+            rolled_back=dict(+rolled_back),
+            wall_time=self._seconds(),
+        )
         return self._state
 
     @property

@@ -63,12 +63,12 @@ class MacroRun(ViewedRun):
         met: extremes of deformation and rate.
         wall_time: seconds, `total`, `law` (inside the stress law) and `macro` (the rest); and
             `cpu`, of all threads of this process.
-        counts: `steps` accepted that stand, `rolled_back_steps` that an audited law took back,
-            `rejected_steps` as too inaccurate, `failed_trials` without stress
-            or turned back by the law, `right_hand_sides`, `stress_calls` and `stress_points` of
-            those, `dissipation_points` and `dissipation_failures` of the questions for σ(F, 0),
-            which come on top.
+        counts: `steps` accepted that stand, on the way to them `rejected_steps` as too inaccurate,
+            `failed_trials` without stress or turned back by the law, `right_hand_sides`,
+            `stress_calls` and `stress_points` of those, `dissipation_points` and
+            `dissipation_failures` of the questions for σ(F, 0), which come on top.
         effort: sums of what the law's answers say they cost, those for dissipation included.
+        rolled_back: the same counts and sums, over what an audited law took back.
         threads: that numba could use.
         finished: whether the end of the problem was reached.
         problem, law, settings: as `simulate` was given them.
@@ -86,6 +86,7 @@ class MacroRun(ViewedRun):
     wall_time: dict[str, float]
     counts: dict[str, int]
     effort: dict[str, int]
+    rolled_back: dict[str, int]
     threads: int
     finished: bool
     problem: Problem
@@ -312,6 +313,7 @@ def _make_run(
         wall_time=state.wall_time,
         counts=state.counts,
         effort=state.effort,
+        rolled_back=state.rolled_back,
         threads=numba.get_num_threads(),
         finished=finished,
         problem=problem,

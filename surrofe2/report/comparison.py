@@ -168,7 +168,7 @@ def compared_run(run: StoredRun, reference: StoredRun) -> ComparedRun:
         preset=presets_of(run.record.recipe),
         difference=apart,
         wall_time=run.record.wall_time["total"],
-        counts=run.record.counts,
+        counts=run.record.spent,
         speed_up={
             name: _ratio(cost(reference.record), cost(run.record)) for name, cost in _COSTS.items()
         },
@@ -187,15 +187,15 @@ def _ratio(reference: float, run: float) -> float | None:
 
 
 def _law_time(record: RunRecord) -> float:
-    asked = record.counts.get("stress_points", 0) + record.counts.get("dissipation_points", 0)
+    asked = record.spent.get("stress_points", 0) + record.spent.get("dissipation_points", 0)
     return record.wall_time.get("law", 0.0) / max(asked, 1)
 
 
 _COSTS: Mapping[str, Callable[[RunRecord], float]] = {
     "wall_time": lambda record: record.wall_time["total"],
     "law_time_per_stress": _law_time,
-    "rve_solves": lambda record: record.counts.get("rve_solves", 0),
-    "right_hand_sides": lambda record: record.counts.get("right_hand_sides", 0),
+    "rve_solves": lambda record: record.spent.get("rve_solves", 0),
+    "right_hand_sides": lambda record: record.spent.get("right_hand_sides", 0),
 }
 
 

@@ -371,6 +371,7 @@ def _provenance(run: RunData) -> dict[str, Any]:
         "seconds of all threads": record.wall_time.get("cpu", "–"),
         "threads": record.threads,
         **{name.replace("_", " "): n for name, n in record.counts.items()},
+        **{f"rolled back {name.replace('_', ' ')}": n for name, n in record.rolled_back.items()},
         "surrofe2": record.package_version,
         "made": record.created,
         **record.platform,

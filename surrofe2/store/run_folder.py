@@ -9,6 +9,7 @@ import json
 import logging
 import os
 import platform
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -90,6 +91,7 @@ class RunRecord:
         wall_time: seconds: total = law + macro, cpu of all threads; compilation came before.
         counts: steps, stress calls and what the law's answers cost: RVE solves (of these the
             `audits` and those for a table, `table_rve_solves`), hits, fallbacks by reason, …
+        rolled_back: the same of steps that audits took back, which do not count among `counts`.
         cache: of a cached law, what `CachedLaw.report` says: tolerance, hits at accepted steps,
             audit with the errors found, trust with what became of it; of
             several cells, that of each by name under `cells`.
@@ -117,6 +119,7 @@ class RunRecord:
     surrogate: Mapping[str, Any] | None = None
     wall_time: Mapping[str, float] = field(default_factory=dict)
     counts: Mapping[str, int] = field(default_factory=dict)
+    rolled_back: Mapping[str, int] = field(default_factory=dict)
     cache: Mapping[str, Any] | None = None
     met: Mapping[str, Any] = field(default_factory=dict)
     problem: Mapping[str, Any] = field(default_factory=dict)
@@ -129,6 +132,11 @@ class RunRecord:
     def duration(self) -> float:
         """Length of the run, µs."""
         return float(self.recipe["time"]["duration"])
+
+    @property
+    def spent(self) -> Mapping[str, int]:
+        """Counts of what stands and of what was rolled back together; those above 0."""
+        return Counter(self.counts) + Counter(self.rolled_back)
 
     def compared(self) -> dict[str, Any]:
         """Everything the numbers depend on, by the names a recipe uses."""

@@ -319,6 +319,7 @@ def with_results(
         ranks=None if driver is None else driver.report(),
         wall_time=wall,
         counts=_counts(run, cache, tables),
+        rolled_back=_rolled_back(run, cache),
         cache=cache,
         met=run.met.to_dict(),
         threads=run.threads,
@@ -337,6 +338,15 @@ def _counts(
         changed = {f"table_{name.removeprefix('table_')}": n for name, n in table.counts.items()}
         counts.update(table_records=table.size, rve_solves=changed.get("table_rve_solves", 0))
         counts.update(changed)
+    return dict(counts)
+
+
+def _rolled_back(run: MacroRun, cache: Mapping[str, Any] | None) -> dict[str, int]:
+    """What a run counted before audits took it back, these audits included."""
+    counts = Counter(run.rolled_back)
+    audits = sum(each["audit"]["rolled_back"] for each in caches_of(cache).values())
+    if audits:
+        counts.update(rve_solves=audits, audits=audits)
     return dict(counts)
 
 
@@ -499,12 +509,13 @@ def rank_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
 
 def run_summary(record: RunRecord) -> str:
     """What a finished run did and what it cost."""
-    wall, counts = record.wall_time, record.counts
+    wall, counts, back = record.wall_time, record.counts, Counter(record.rolled_back)
     return (
         f"{record.duration:g} µs by {record.law} in "
         f"{time_text(wall['total'])} (law {time_text(wall['law'])}, "
         f"macro {time_text(wall['macro'])}; "
         f"compilation {time_text(wall.get('compilation', 0.0))} besides), {costs(counts)}"
+        + (f"; rolled back: {back['steps']} steps, {costs(back)}" if back else "")
     )
 
 

@@ -1,5 +1,6 @@
 """Steps that audits find wrong are made again; steps that are right keep every bit."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -7,9 +8,11 @@ import pytest
 
 from surrofe2 import LoadCase
 from surrofe2.cache import CachedLaw, CacheSettings
+from surrofe2.cache.cached_law import AUDIT
 from surrofe2.cache.trust import AUDITS, VIOLATIONS
 from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.macro import MacroSettings, simulate
+from surrofe2.macro.history import MacroState
 from surrofe2.run.displacement_curve import difference
 from tests.cache.standing import Kept
 from tests.laws import Learnt, Truth, shear_error
@@ -49,12 +52,62 @@ def test_no_window_that_stands_has_a_wrong_share(shear, integrator):
     law = Kept(Learnt(bad_beyond(shear), bound), Truth(), CacheSettings(tolerance=0.01, audit=0.3))
     run = simulate(LOAD_CASE, law, settings)
     true = simulate(LOAD_CASE, Truth(), settings)
-    assert run.counts["rolled_back_steps"] > 0
+    assert run.rolled_back["steps"] > 0
     assert max(law.wrong_shares(Truth(), ALLOWED), default=0.0) <= 0.02
     assert difference(run.curve, true.curve).largest < 2e-3
     assert law.counts["steps"] == run.counts["steps"] + 1
     record = law.report()["audit"]
     assert record["violations"] <= 0.01 * record["audited"]
+
+
+class Counted(CachedLaw):
+    """Counts the points it is asked about, and RVE stresses of audits."""
+
+    def __init__(self):
+        super().__init__(
+            Learnt(bad_beyond(0.02), bound),
+            Truth(),
+            CacheSettings(tolerance=0.01, audit=0.3),
+            lambda *answer: self.audits.extend(answer[-1] == AUDIT),
+        )
+        self.points, self.audits = 0, []
+
+    def respond(self, F, F_dot, state=None, *, tangents=False):
+        self.points += len(F)
+        return super().respond(F, F_dot, state, tangents=tangents)
+
+
+def test_counts_are_of_what_stands_and_what_was_rolled_back_is_apart():
+    """Of a run that was resumed after a roll-back too."""
+    law, states = Counted(), []
+    run = simulate(
+        LOAD_CASE,
+        law,
+        SETTINGS,
+        checkpoint=lambda state: states.append((state, law.state_to_arrays(state.law_state))),
+        checkpoint_interval=0.0,
+    )
+    for counts in (Counter({**run.counts, **run.effort}), Counter(run.rolled_back)):
+        asked = counts["stress_points"] + counts["dissipation_points"]
+        assert 0 < asked == counts["hits"] + counts["fallbacks"]
+        law.points -= asked
+    assert law.points == 0
+    assert law.counts["steps"] == run.counts["steps"] + 1
+    samples = states[-1][0].journal["samples"]
+    assert run.counts["dissipation_points"] == 60 * (len(samples) - 1)  # none at rest
+    audit = law.report()["audit"]
+    assert 0 < audit["audited"] == sum(law.audits) - audit["rolled_back"] < sum(law.audits)
+    back = next(k for k, (state, _) in enumerate(states) if state.rolled_back)
+    state, arrays = states[back]
+    again = Counted()
+    state = replace(
+        MacroState.from_arrays(state.to_arrays()), law_state=again.state_from_arrays(arrays)
+    )
+    resumed = simulate(LOAD_CASE, again, SETTINGS, resume=state)
+    assert resumed.counts == run.counts
+    assert resumed.effort == run.effort
+    assert resumed.rolled_back == run.rolled_back
+    assert again.report()["audit"]["rolled_back"] == audit["rolled_back"]
 
 
 def test_a_fault_that_is_entered_late_leaves_the_steps_before_alone():
@@ -64,7 +117,7 @@ def test_a_fault_that_is_entered_late_leaves_the_steps_before_alone():
     assert told[0] == "stands"
     assert "rolled back" in told
     assert told[-1] == "stands"
-    assert run.counts["rolled_back_steps"] < run.counts["steps"]
+    assert run.rolled_back["steps"] < run.counts["steps"]
     back = law.decisions[told.index("rolled back")]
     assert back["violations"] > 0
     assert back["points"]
@@ -109,7 +162,7 @@ def test_answers_that_lead_a_run_astray_are_taken_back():
     )
     run = simulate(LOAD_CASE, law, SETTINGS)
     true = simulate(LOAD_CASE, Truth(), SETTINGS)
-    assert run.counts["rolled_back_steps"] > 0
+    assert run.rolled_back["steps"] > 0
     assert difference(run.curve, true.curve).largest < 2e-3
 
 
@@ -117,7 +170,7 @@ def test_all_regions_go_back_together():
     points = {"sound": np.arange(0, 30), "wrong": np.arange(30, 60)}
     laws = {"sound": cached(shear_error(0.01)), "wrong": cached(bad_beyond(0.02))}
     run = simulate(LOAD_CASE, RegionalLaw(laws, points), SETTINGS)
-    assert run.counts["rolled_back_steps"] > 0
+    assert run.rolled_back["steps"] > 0
     assert laws["sound"].counts["steps"] == laws["wrong"].counts["steps"] == run.counts["steps"] + 1
     assert laws["sound"].history()["trust"]["factor"] == 1.0
     assert laws["wrong"].history()["trust"]["factor"] > 1.0
@@ -135,7 +188,7 @@ def test_a_fault_of_one_region_does_not_cost_the_other_audits():
         counted = laws["sound"].history()
         assert counted["accepted"]["hits"] == 30 * (run.counts["steps"] + 1)
         audited.append(counted["audit"]["audited"] / counted["accepted"]["hits"])
-    assert run.counts["rolled_back_steps"] > 0
+    assert run.rolled_back["steps"] > 0
     assert audited[0] == pytest.approx(0.3, rel=0.1)
     assert audited[1] == pytest.approx(0.3, rel=0.1)
 

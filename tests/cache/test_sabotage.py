@@ -40,7 +40,7 @@ def check(surrogate, law, duration, audit):
     assert max(cached.wrong_shares(law, 1e-3 * surrogate.stress_spread), default=0.0) <= WRONG
     audited = cached.report()["audit"]
     assert audited["violations"] <= 0.5 * WRONG * audited["audited"]
-    return run.counts["rolled_back_steps"]
+    return run.rolled_back.get("steps", 0)
 
 
 class Exact(Learnt):

@@ -95,7 +95,7 @@ def test_a_surrogate_that_lies_grossly_is_switched_off_and_the_run_is_the_true_o
     cached.respond(np.eye(2)[None], np.zeros((1, 2, 2)))
     assert cached.surrogate.looked_up == looked_up
     # The steps were made again; only at rest, before the first, was it asked.
-    assert done.counts["rolled_back_steps"] == last - 1
+    assert done.rolled_back["steps"] == last - 1
     assert cached.counts["hits"] == 60
     assert cached.counts["fallbacks"] == 60 * done.counts["steps"]
 
