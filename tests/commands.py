@@ -7,7 +7,6 @@ code when it has ended. As in `checkpointed`, a checkpoint follows every step.
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import time
@@ -23,7 +22,6 @@ from surrofe2.base.interruption import begin_work, exit_code, watch
 from surrofe2.recipe import cell_types
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store import samples
-from surrofe2.store.store import SEAL
 from surrofe2.workflow import laws, rest, run, tissue
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.run import run_study
@@ -40,10 +38,6 @@ LEAVING = RECIPE.replace("-0.1]", "-8.0]").replace("duration = 4.0", "duration =
 LEAVING = LEAVING.replace("runs = 9", "runs = 0")
 GROWING = SHORT.replace("count = 40\n", "").replace("= 40\n", "= 40\nbound = 1e-12\n")
 BRIEF = CACHED.replace("duration = 2.0", "duration = 0.3").replace("runs = 9", "runs = 0")
-OF_TIME = {
-    "created", "wall_time", "true_wall_time", "speed_up", "seconds", "cost", "all_counted",
-    "sha256", "of", SEAL,
-}  # fmt: skip
 
 
 def by(law, **changes):
@@ -126,45 +120,6 @@ def execute(name, folder):
     numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
     with checkpointed(name):
         COMMANDS[name][1](load_recipe(folder / "recipe.toml"), folder)
-
-
-def left_in(folder):
-    """All numbers in a folder by file, but when they were made and how long that took."""
-    return {
-        path.relative_to(folder).as_posix(): _numbers(path)
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
-
-
-def _numbers(path):
-    if path.suffix == ".h5":
-        from tests.test_going_on import stored
-
-        found = {k: v if k == "attributes" else v.tobytes() for k, v in stored(path).items()}
-        found["attributes"] = {k: v for k, v in found["attributes"].items() if "json" not in k}
-        return found
-    if path.suffix == ".json":
-        entries = json.loads(path.read_text(encoding="utf-8"))
-        return _lasting(entries)
-    return None if path.suffix == ".png" or path.name == "grid.csv" else path.read_bytes()
-
-
-def _lasting(value):
-    if isinstance(value, dict):
-        return {key: _lasting(entry) for key, entry in value.items() if key not in OF_TIME}
-    return [_lasting(entry) for entry in value] if isinstance(value, list) else value
-
-
-def assert_same(folder, wanted):
-    """All numbers in a folder are those `wanted`, which `left_in` gave."""
-    found = left_in(folder)
-    assert list(found) == list(wanted)
-    for file, values in wanted.items():
-        if isinstance(values, dict):
-            for name, value in values.items():
-                assert found[file].get(name) == value, (file, name)
-        assert found[file] == values, file
 
 
 def _has_ended(process):

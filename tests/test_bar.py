@@ -22,7 +22,13 @@ def minima(curve):
     return curve.t[inner], u[inner]
 
 
-@pytest.mark.parametrize(("preset", "initialisation"), REPORTED)
+QUICK = (("printed", "cauchy-born"), ("printed", "constrained-runs"), ("water", "elastic"))
+
+
+@pytest.mark.parametrize(
+    ("preset", "initialisation"),
+    [pytest.param(*each, marks=[pytest.mark.slow] * (each not in QUICK)) for each in REPORTED],
+)
 def test_bar_moves_as_the_model_reports(preset, initialisation):
     law = RveLaw(CellParameters.preset(preset), initialisation=initialisation)
     run = simulate(LoadCase(), law, MacroSettings())

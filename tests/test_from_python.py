@@ -115,9 +115,9 @@ def test_samples_are_those_of_the_command(recipe):
     assert found.fingerprint == read_data_set(recipe.data_path()).fingerprint
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_a_law_of_one_s_own_runs_every_example(path, tmp_path):
-    recipe = load_recipe(path)
+@pytest.mark.parametrize("name", ["block-between-plates", "notched-leaf"])
+def test_a_law_of_one_s_own_runs_an_example(name, tmp_path):
+    recipe = load_recipe(ROOT / "examples" / f"{name}.toml")
     problem = recipe.problem()
     if recipe.stated.mesh.file is None:
         mesh = recipe.stated.mesh

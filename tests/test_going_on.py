@@ -1,22 +1,18 @@
 """A run that was interrupted or killed and resumes is the uninterrupted one.
 
-Curves and histories to 1e-9 of their amplitude, each frame of fields to 1e-7: a resumed run makes
-the factors of its RVEs again. To the bit where there are no RVEs.
+To the bit where there are no RVEs, else as in `tests.folders`.
 """
 
 from __future__ import annotations
 
-import json
 from shutil import copytree
 
-import h5py
 import numba
 import numpy as np
 import pytest
 
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store.run_folder import caches_of, read_record
-from surrofe2.store.store import SEAL
 from surrofe2.workflow import rest, run, tissue
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.rest import rest_study
@@ -25,6 +21,7 @@ from surrofe2.workflow.tissue import run_tissue
 from surrofe2.workflow.train import train_surrogate
 from tests.cli.test_cell_types import BAR
 from tests.conftest import RECIPE
+from tests.folders import assert_same
 
 STRONG = RECIPE.replace("-0.1]", "-0.9]").replace(
     "stretch = [0.95, 1.05]", "stretch = [0.98, 1.02]"
@@ -32,9 +29,6 @@ STRONG = RECIPE.replace("-0.1]", "-0.9]").replace(
 CACHED = STRONG + "[cache]\ntolerance = 0.2\naudit = 0.1\n"
 TABLE = CACHED + "[table]\ntolerance = 1e-3\n"
 CELLS = BAR.replace("-0.1]", "-0.9]") + "[table]\ntolerance = 1e-2\n[cache]\naudit = 0.3\n"
-OF_TIME = ("created", "wall_time", "seconds", "sha256", SEAL)
-OF_SOLVES = ("force_evaluations", "newton_solves", "files")
-"""What depends on the factors that a solve starts with, and digests of what differs by rounding."""
 IMPLICIT = 'integrator = "implicit"\n'
 
 
@@ -106,71 +100,6 @@ def interrupted(recipe, law, out, steps):
     with pytest.raises(Stop):
         run_study(recipe, law, out, report=after(steps, stop))
     assert read_record(out).status == "interrupted"
-
-
-def numbers(folder):
-    """All that the files of a run say, but when it was and how long it took."""
-    found = {}
-    for path in sorted(folder.iterdir()):
-        if path.suffix == ".h5":
-            found[path.name] = stored(path)
-        elif path.name == "run.json":
-            record = json.loads(path.read_text(encoding="utf-8"))
-            record = {k: value for k, value in record.items() if k not in OF_TIME}
-            found[path.name] = record
-        elif path.suffix == ".csv":
-            head, *rows = path.read_text(encoding="utf-8").splitlines()
-            found[path.name] = {head: np.array([row.split(",") for row in rows], dtype=float)}
-        elif path.suffix == ".jsonl":
-            lines = path.read_text(encoding="utf-8").splitlines()
-            found[path.name] = [json.loads(line) for line in lines]
-        else:
-            found[path.name] = path.read_bytes()
-    return found
-
-
-def stored(path):
-    found = {}
-    with h5py.File(path) as file:
-        found["attributes"] = {k: str(v) for k, v in file.attrs.items() if k not in OF_TIME}
-        count = int(file["completed"][()]) if "completed" in file else None
-
-        def collect(name, item):
-            if isinstance(item, h5py.Dataset):
-                found[name] = item[()] if item.ndim == 0 else item[:count]
-
-        file.visititems(collect)
-    return found
-
-
-def assert_same(folder, whole, exact=False):
-    assert_equal(numbers(folder), numbers(whole), exact)
-
-
-def is_tensor(values):
-    """Whether nested lists are floats throughout, which have one amplitude."""
-    if isinstance(values, list):
-        return bool(values) and all(map(is_tensor, values))
-    return isinstance(values, float)
-
-
-def assert_equal(mine, theirs, exact=False, name=""):
-    if isinstance(theirs, dict):
-        assert list(mine) == list(theirs) if exact else set(mine) == set(theirs), name
-        for key, value in theirs.items():
-            # of points.xdmf only the values that it quotes differ, of which points.h5 has all
-            if exact or not (key in OF_SOLVES or key.endswith(".xdmf")):
-                assert_equal(mine[key], value, exact, f"{name}/{key}")
-    elif isinstance(theirs, list) and not is_tensor(theirs):
-        assert len(mine) == len(theirs), name
-        for k, value in enumerate(theirs):
-            assert_equal(mine[k], value, exact, f"{name}/{k}")
-    elif exact or np.asarray(theirs).dtype.kind != "f":
-        np.testing.assert_array_equal(mine, theirs, err_msg=name)
-    else:
-        share = 1e-9 if ".csv" in name else 1e-7  # of each frame, where stresses nearly cancel
-        amplitude = np.nanmax(np.abs(theirs), initial=0.0)
-        np.testing.assert_allclose(mine, theirs, rtol=0.0, atol=share * amplitude, err_msg=name)
 
 
 def test_a_resumed_run_is_the_uninterrupted_one(case, tmp_path, monkeypatch):

@@ -14,12 +14,14 @@ import pytest
 from surrofe2.store.run_folder import read_record
 from surrofe2.workflow.run import run_study
 from tests.conftest import RECIPE
+from tests.folders import assert_equal, numbers
 from tests.on_ranks import recipe_of
-from tests.test_going_on import assert_equal, home, interrupted, numbers  # noqa: F401 - a fixture
+from tests.test_going_on import home, interrupted  # noqa: F401 - a fixture
 
 MPIEXEC = Path(sys.executable).with_name("mpiexec")
-FAST = ("rve", "rve implicit", "cached on many")
+FAST = ("rve", "cached on many")
 LONG = (
+    "rve implicit",
     "cached",
     "surrogate",
     "slow-manifold",
@@ -102,6 +104,7 @@ def test_all_kinds_of_runs_are_the_same_by_several_ranks(name, ranks, by_one, ho
     assert_same(tmp_path / name, by_one(name))
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_with_another_number_of_ranks(by_one, home, tmp_path):  # noqa: F811
     done(on_ranks(2, home, tmp_path, "stop:cached"))
     assert read_record(tmp_path / "cached").status == "interrupted"
@@ -188,7 +191,7 @@ def test_only_rank_0_speaks(tmp_path):
     ]
 
 
-@pytest.mark.parametrize("ranks", [2, 3])
+@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_points_may_be_taken_and_put_and_an_error_names_its_rank(ranks):
     said = done(on_ranks(ranks, module="tests.law_on_ranks"))
     assert said.strip() == f"rank 1 of {ranks} gave up: MemoryError: no room"

@@ -1,10 +1,11 @@
-"""The README's example prints what the README says; links in the documentation lead somewhere."""
+"""The README prints what it says; links lead somewhere; scripts for SLURM are whole."""
 
 from __future__ import annotations
 
 import contextlib
 import io
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -48,3 +49,12 @@ def test_links_lead_somewhere(page):
         if place:
             headings = re.findall(r"^#+ (.*)$", there.read_text(encoding="utf-8"), re.MULTILINE)
             assert place in [anchor(heading) for heading in headings], f"{page.name}: {target}"
+
+
+@pytest.mark.parametrize(
+    "script", sorted(ROOT.glob("examples/slurm/*.sh")), ids=lambda path: path.stem
+)
+def test_a_script_for_slurm_is_whole_and_on_the_page(script):
+    subprocess.run(["bash", "-n", script], check=True)
+    page = (ROOT / "docs" / "scaling.md").read_text(encoding="utf-8")
+    assert f"{{literalinclude}} ../examples/slurm/{script.name}\n" in page

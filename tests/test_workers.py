@@ -133,6 +133,7 @@ def test_wrong_executors(arguments, sentence):
         pass
 
 
+@pytest.mark.slow
 def test_a_cluster_of_dask_that_loses_a_worker(tmp_path):
     distributed = pytest.importorskip("distributed")
     with (

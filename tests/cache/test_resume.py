@@ -8,8 +8,8 @@ from surrofe2 import LoadCase
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.cache import CachedLaw, CacheSettings, StressTable
 from surrofe2.macro import MacroSettings, MacroState, simulate
+from tests.folders import assert_equal
 from tests.laws import Learnt, Truth, shear_error
-from tests.test_going_on import assert_equal
 
 LOAD_CASE = LoadCase(
     width=100.0, height=100.0, body_force=(0.0, -0.1), watched=(100.0, 50.0), elements=(2, 2),
