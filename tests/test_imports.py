@@ -26,9 +26,10 @@ READING = ("surrofe2.cli.run", "surrofe2.cli.compare",
         (HELP, "torch numba skfem numpy scipy h5py matplotlib pydantic"),
         ("import surrofe2", "torch sklearn skfem scipy.sparse meshio"),
         (f"import {', '.join(READING)}", "torch sklearn scipy.stats"),
+        ("import surrofe2.cli.compare", "torch numba skfem"),
         ("import surrofe2.problem.mesh", "meshio"),
     ],
-    ids=["help", "the package", "runs, tables and comparisons", "meshes"],
+    ids=["help", "the package", "runs, tables and comparisons", "comparisons", "meshes"],
 )
 def test_a_fresh_process_imports_nothing_heavy(code, heavy):
     code += (

@@ -13,7 +13,6 @@ import pytest
 
 from surrofe2.base import compilation
 from surrofe2.recipe.recipe import load_recipe
-from surrofe2.store import run_folder
 from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
 from surrofe2.store.run_folder import read_curve, read_record
 from surrofe2.workflow import laws
@@ -139,7 +138,6 @@ def test_names_that_are_no_utf8_are_no_obstacle(recipe_path, tmp_path, monkeypat
     path = recipe_path.rename(tmp_path / os.fsdecode(b"r\xff.toml"))
     folders = [tmp_path / os.fsdecode(name) for name in (b"o\xff", b"p\xff")]
     monkeypatch.setattr(sys, "argv", ["surrofe2", "run", str(path)])
-    monkeypatch.setattr(run_folder.log, "disabled", True)  # workers of pytest report in UTF-8
     monkeypatch.setattr(laws, "true_law", lambda part, *_: SoftLaw().of(part.cell, part.rve))
     for folder in folders:
         run_study(load_recipe(path), "rve", folder)

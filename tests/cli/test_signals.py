@@ -96,7 +96,7 @@ def first_arguments(command, recipe, folder):
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc")
-@pytest.mark.parametrize("command", ["generate", "run"])
+@pytest.mark.parametrize("command", ["run", pytest.param("generate", marks=pytest.mark.slow)])
 def test_a_signal_ends_a_command(long_recipe, tmp_path, command):
     first, second = (signal.SIGINT, signal.SIGHUP) if command == "run" else [signal.SIGTERM] * 2
     arguments = first_arguments(command, long_recipe, tmp_path)

@@ -214,10 +214,11 @@ def test_two_surrogates_in_one_program(tmp_path):
     for name, each in (("first", law), ("second", other)):
         (tmp_path / f"{name}.c").write_text(c_source(each, name), encoding="utf-8")
         (tmp_path / f"{name}.h").write_text(c_header(each, name), encoding="utf-8")
-    main = '#include "first.h"\n#include "second.h"\nextern "C" void ask(const double *F, '
+    main = '#include <math.h>\n#include "first.h"\n#include "second.h"\n'
+    main += 'extern "C" void ask(const double *F, '
     main += "const double *A, double *out, double *bound, int *status) {\n"
-    main += "  first_stress_of(3, F, A, 1e300, out, bound, 0, 0, status);\n"
-    main += "  second_stress_of(3, F, A, 1e300, out + 12, bound, 0, 0, status);\n}\n"
+    main += "  first_stress_of(3, F, A, HUGE_VAL, out, bound, 0, 0, status);\n"
+    main += "  second_stress_of(3, F, A, HUGE_VAL, out + 12, bound, 0, 0, status);\n}\n"
     (tmp_path / "main.cpp").write_text(main, encoding="utf-8")
     objects = ["first.o", "second.o"]
     for name in ("first", "second"):

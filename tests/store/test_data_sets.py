@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from importlib.metadata import version
 
 import h5py
 import numpy as np
@@ -59,7 +60,7 @@ def test_schema(tmp_path):
         attributes = dict(file.attrs)
     assert (attributes["schema"], attributes["schema_version"]) == ("surrofe2-data-set", 2)
     assert attributes["status"] == "finished"
-    assert attributes["package_version"] == "0.1.0"
+    assert attributes["package_version"] == version("surrofe2")
     assert attributes["cell_fingerprint"] == HEADER.cell.fingerprint
     assert json.loads(attributes["recipe"]) == HEADER.recipe
     assert json.loads(attributes["rve"])["tolerance"] == 1e-8
