@@ -67,6 +67,18 @@ def held() -> Iterator[None]:
         _state.held -= 1
 
 
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """An error that ends the block after a signal counts as the interruption, for machine code
+    that has called Python, numpy's too, may turn that into a TypeError or a SystemError."""
+    try:
+        yield
+    except Exception as error:
+        if not _state.number:
+            raise
+        raise KeyboardInterrupt from error
+
+
 def exit_code() -> int:
     """128 and the number of the signal, as shells have it."""
     return 128 + (_state.number or signal.SIGINT)

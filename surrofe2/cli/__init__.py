@@ -28,7 +28,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from surrofe2.base.errors import Surrofe2Error, shortened
-from surrofe2.base.interruption import begin_work, end_work, exit_code
+from surrofe2.base.interruption import begin_work, end_work, exit_code, interruptible
 from surrofe2.cli import console
 
 COMMANDS = {
@@ -123,7 +123,8 @@ class Commands(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         """Run the chosen command and turn known failures into an exit code."""
         try:
-            return super().invoke(ctx)
+            with interruptible():
+                return super().invoke(ctx)
         except Surrofe2Error as error:
             if ctx.params.get("traceback"):
                 raise

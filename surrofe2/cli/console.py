@@ -22,6 +22,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table as ShownTable
 from rich.text import Text
 
+from surrofe2.base.interruption import interruptible
 from surrofe2.base.units import time_text
 
 if TYPE_CHECKING:
@@ -330,7 +331,7 @@ def _short(number: float) -> str:
 # Interruption
 
 
-class InterruptedWork(Exception):  # noqa: N818 - Ctrl-C is no error
+class InterruptedWork(KeyboardInterrupt):
     """Ctrl-C; the message says what was kept.
 
     Attributes:
@@ -354,7 +355,8 @@ def on_interrupt(what: str, begun: Sequence[Path] = ()) -> Iterator[None]:
     """
     before = [_stamp(path) for path in begun]
     try:
-        yield
+        with interruptible():
+            yield
     except KeyboardInterrupt:
         after = [_stamp(path) for path in begun]
         changed = any(a is not None and a != b for a, b in zip(after, before, strict=True))

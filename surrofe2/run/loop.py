@@ -9,6 +9,7 @@ from time import monotonic
 from typing import Any, Protocol, TypeVar
 
 from surrofe2.base.errors import InputError, SimulationError
+from surrofe2.base.interruption import interruptible
 
 Run = TypeVar("Run")
 Report = Callable[[float, str], None]
@@ -84,11 +85,12 @@ def carry_out(
     """
     due = CheckpointClock(interval)
     try:
-        for t in steps:
-            if progress is not None:
-                progress(t, duration)
-            if checkpoint is not None and due.is_due():
-                due.write(partial(checkpoint, recorder.checkpoint()))
+        with interruptible():
+            for t in steps:
+                if progress is not None:
+                    progress(t, duration)
+                if checkpoint is not None and due.is_due():
+                    due.write(partial(checkpoint, recorder.checkpoint()))
     except SimulationError as error:
         raise SimulationError(str(error), partial=results(False)) from error
     except KeyboardInterrupt:

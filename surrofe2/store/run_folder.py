@@ -30,6 +30,7 @@ from surrofe2.base.errors import (
     quoted,
     shortened,
 )
+from surrofe2.base.interruption import interruptible
 from surrofe2.base.settings import check_value, hints_of
 from surrofe2.base.units import ENERGY, FORCE, LENGTH, STRESS, TIME
 from surrofe2.run.displacement_curve import DisplacementCurve
@@ -300,7 +301,8 @@ class RunFolder:
     def _recorded(self) -> Iterator[None]:
         """Record how the block ends."""
         try:
-            yield
+            with interruptible():
+                yield
         except SimulationError as error:
             partial = self.partial if error.partial is None else error.partial
             self._end("failed", partial, str(error))

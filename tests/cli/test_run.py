@@ -4,6 +4,7 @@ import json
 import logging
 import os
 import platform
+import signal
 import sys
 import time
 from dataclasses import replace
@@ -11,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2.base import compilation
+from surrofe2.base import compilation, interruption
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
 from surrofe2.store.run_folder import read_curve, read_record
@@ -53,6 +54,45 @@ def test_run_folder(invoke, recipe_path, folder, recipe):
     np.testing.assert_array_equal(curve.t, recipe.problem().output_times())
     assert curve.displacement[-1, 1] < 0.0
     assert done.stdout.startswith(f"{folder}: 4 µs by rve in ")
+
+
+@pytest.mark.parametrize("call", [1, 60])
+def test_an_error_after_a_signal_is_the_interruption(
+    invoke, recipe_path, folder, monkeypatch, call
+):
+    """Numpy may turn what a signal raises within its machine code into another error."""
+    respond, calls = SoftLaw.respond, []
+
+    def cut(self, *arguments, **keywords):
+        calls.append(1)
+        if len(calls) == call:
+            monkeypatch.setattr(interruption._state, "number", signal.SIGTERM)
+            raise SystemError("a function returned a result with an exception set")
+        return respond(self, *arguments, **keywords)
+
+    arguments = "run", recipe_path, "--law", "rve", "--out", folder
+    with monkeypatch.context() as patched:
+        patched.setattr(SoftLaw, "respond", cut)
+        cut_short = invoke(*arguments)
+    assert cut_short.exit_code == 128 + signal.SIGTERM
+    assert "SystemError" not in cut_short.output
+    assert cut_short.stderr.splitlines()[-1].startswith(f"interrupted: {folder} keeps the run")
+    assert read_record(folder).status == "interrupted"
+    assert (folder / "checkpoint.h5").exists() == (call > 1)
+    monkeypatch.setattr(interruption._state, "number", 0)
+    assert invoke(*arguments).exit_code == 0
+    assert read_record(folder).status == "finished"
+    assert len(calls) == call  # no more by the law that was cut short
+
+
+def test_an_error_without_a_signal_stays_one(invoke, recipe_path, folder, monkeypatch):
+    def failing(self, *arguments, **keywords):
+        raise SystemError("a defect")
+
+    monkeypatch.setattr(SoftLaw, "respond", failing)
+    failed = invoke("run", recipe_path, "--law", "rve", "--out", folder)
+    assert failed.exit_code == 1
+    assert isinstance(failed.exception, SystemError)
 
 
 def test_existing_folder(invoke, recipe_path, folder):
