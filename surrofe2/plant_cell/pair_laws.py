@@ -26,15 +26,16 @@ from __future__ import annotations
 import numpy as np
 
 from surrofe2.base.compilation import pair_law
-from surrofe2.base.simd import inverse_root, where_less
+from surrofe2.base.simd import inverse_root, spread, where_less
 
 SIGMA = 10.0 / (7.0 * np.pi)
 
 
 @pair_law
-def wall_force(length, rate, c):
-    """Tension [µN] of a bond of length |r| (µm) that stretches at n·w = `rate` (µm/µs)."""
-    return c.wall_stiffness * (length - c.rest_length) + c.wall_damping * rate
+def wall(length, c):
+    """(t, ∂t/∂|r|, γ, ∂γ/∂|r|) of a bond, whose tension is t + γ n·w, µN; µm, µm/µs."""
+    tension = c.wall_stiffness * (length - c.rest_length)
+    return tension, spread(c.wall_stiffness), spread(c.wall_damping), spread(0.0)
 
 
 @pair_law
@@ -45,44 +46,31 @@ def wall_energy(length, c):
 
 
 @pair_law
-def contact_force(length, inverse, rate, c):
-    """Tension [µN] at |r| = `length`, its reciprocal `inverse`, n·w = `rate`; µm, µm/µs."""
-    inverse_3 = inverse * inverse * inverse
-    inverse_6 = inverse_3 * inverse_3
-    beyond = 1.0 / c.cutoff**6
-    cube = length * length * length
-    damping = c.contact_damping * inverse_3 * inverse_root(length) * (1.0 - cube * cube * beyond)
-    tension = damping * rate - c.repulsion * (inverse_6 - beyond)
-    return where_less(length, c.cutoff, tension, 0.0)
+def contact(length, inverse, c):
+    """As `wall` for a contact at |r| = `length`, its reciprocal `inverse`.
 
-
-@pair_law
-def contact_slopes(length, inverse, rate, c):
-    """(∂t/∂|r|, ∂t/∂(n·w)) of the tension."""
+    What a kernel does not use of the four costs nothing.
+    """
     inverse_3 = inverse * inverse * inverse
+    inverse_6, beyond = inverse_3 * inverse_3, 1.0 / c.cutoff**6
     cube = length * length * length
-    fade = cube * cube * (1.0 / c.cutoff**6)
+    fade = cube * cube * beyond
     critical = c.contact_damping * inverse_3 * inverse_root(length)
+    tension = c.repulsion * (beyond - inverse_6)
+    stiffness = 6.0 * c.repulsion * inverse_6 * inverse
     damping = critical * (1.0 - fade)
     damping_slope = critical * inverse * (-3.5 * (1.0 - fade) - 6.0 * fade)
-    slope = damping_slope * rate + 6.0 * c.repulsion * inverse_3 * inverse_3 * inverse
-    inside_slope = where_less(length, c.cutoff, slope, 0.0)
-    return inside_slope, where_less(length, c.cutoff, damping, 0.0)
-
-
-@pair_law
-def contact_elastic(length, inverse, c):
-    """Tension without the dashpot, and its slope ∂t/∂|r|."""
-    inverse_3 = inverse * inverse * inverse
-    inverse_6 = inverse_3 * inverse_3
-    tension = c.repulsion * (1.0 / c.cutoff**6 - inverse_6)
-    slope = 6.0 * c.repulsion * inverse_6 * inverse
-    return where_less(length, c.cutoff, tension, 0.0), where_less(length, c.cutoff, slope, 0.0)
+    return (
+        where_less(length, c.cutoff, tension, 0.0),
+        where_less(length, c.cutoff, stiffness, 0.0),
+        where_less(length, c.cutoff, damping, 0.0),
+        where_less(length, c.cutoff, damping_slope, 0.0),
+    )
 
 
 @pair_law
 def contact_bend(length, inverse, c):
-    """∂²t/∂|r|² without the dashpot."""
+    """∂²t/∂|r|² of a contact without its dashpot."""
     inverse_4 = inverse * inverse * inverse * inverse
     bend = -42.0 * c.repulsion * inverse_4 * inverse_4
     return where_less(length, c.cutoff, bend, 0.0)

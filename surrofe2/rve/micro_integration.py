@@ -17,10 +17,9 @@ from surrofe2.base.compilation import kernel
 from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.forces import fold_images, local_forces
-from surrofe2.plant_cell.tiles import make_workspace, pack
+from surrofe2.plant_cell.tiles import make_workspace
 from surrofe2.rve.particle_state import Drive, cauchy_stress, drive_of, map_affine, place
 from surrofe2.rve.rve_law import RveLaw
-from surrofe2.rve.solve import covered_by
 
 Array = NDArray[np.float64]
 Path = Callable[[float], tuple[Array, Array]]
@@ -48,7 +47,7 @@ def integrate_rve(law: RveLaw, path: Path, times: Array, micro_step: float = 1e-
     if times.ndim != 1 or (np.diff(times) <= 0.0).any() or not micro_step > 0.0:
         raise InputError("micro-integration: times must increase and micro_step be positive")
     unit = law.unit_cell
-    X, mass, pairs = law.rest_state(1).z[0], unit.patches[0].mass, unit.topologies[-1]
+    X, mass, topology = law.rest_state(1).z[0], unit.neighbours.mass, unit.topology
     F, F_dot = path(times[0])
     elastic = RveLaw(law.cell, initialisation="elastic", reference=law.reference)
     z = elastic.respond(F[None], np.zeros((1, 2, 2))).state.z[0]
@@ -63,7 +62,7 @@ def integrate_rve(law: RveLaw, path: Path, times: Array, micro_step: float = 1e-
             halves = begin + dt * (first + 0.5 * np.arange(2 * count + 1))
             frames = [path(float(t)) for t in halves]
             drive = Drive(_lanes([f[0] for f in frames]), _lanes([f[1] for f in frames]))
-            _integrate(u, w, drive, dt, X, mass, pairs, unit.constants)
+            _integrate(u, w, drive, dt, X, mass, topology, unit.constants)
         if not np.isfinite(u).all():
             raise SimulationError(
                 f"micro-integration: particles flew apart before t = {end} µs; take a shorter "
@@ -81,10 +80,7 @@ def _lanes(tensors: list[Array]) -> Array:
 def _stress(law: RveLaw, u: Array, w: Array, F: Array, F_dot: Array) -> Array:
     unit, X, drive = law.unit_cell, law.rest_state(1).z[0], Drive(*_lanes([F, F_dot]))
     stress = np.empty((2, 2, TILE))
-    _stress_of(u, w, drive, X, unit.topologies[-1], unit.constants, stress)
-    z = X + np.einsum("ab,bpl->apl", np.linalg.inv(F), u)
-    if not covered_by(unit, -1, pack(F[None]), z[None]).all():
-        raise SimulationError("micro-integration: particles moved beyond the pair lists")
+    _stress_of(u, w, drive, X, unit.topology, unit.constants, stress)
     return stress[..., 0].copy()
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, load, store
-from surrofe2.plant_cell.jacobian import force_jacobian
+from surrofe2.plant_cell.derivatives import force_jacobian
 from surrofe2.plant_cell.tiles import Constants, Topology, make_workspace
 from surrofe2.rve.block_lu import (
     COLUMNS,

@@ -1,4 +1,4 @@
-"""Particles of RVEs that follow (F, Ḟ): positions, forces, residual, stress, reach of pair lists.
+"""Particles of RVEs that follow (F, Ḟ): positions, forces, residual, stress.
 
 Unknowns are material positions z, so that x = F z moves along with F, and velocities v = Ḟ z are
 affine: v = L x. z of particle 0, a wall corner, stays at the origin.
@@ -236,39 +236,3 @@ def _energy_tile(F, z, topology, c, energy):
     work = make_workspace(topology)
     place(work, z, F, topology)
     elastic_energy(work.x, topology, c, energy)
-
-
-@kernel
-def list_covers(F, z, reference, reach, cutoff, covered):
-    """covered (tiles, TILE): whether no pair farther than `reach` can be within the cut-off.
-
-    Unlisted pairs have |Z| > reach in the reference (n, 2). With particles at most d from there
-    in material coordinates, |r| ≥ s_min(F) (reach − 2 d).
-    """
-    for t in range(z.shape[0]):
-        for lane in range(z.shape[3]):
-            farthest = 0.0
-            for i in range(reference.shape[0]):
-                dx = z[t, 0, i, lane] - reference[i, 0]
-                dy = z[t, 1, i, lane] - reference[i, 1]
-                farthest = max(farthest, dx * dx + dy * dy)
-            a, b = F[t, 0, 0, lane], F[t, 0, 1, lane]
-            d, e = F[t, 1, 0, lane], F[t, 1, 1, lane]
-            smallest = 0.5 * (np.hypot(a + e, b - d) - np.hypot(a - e, b + d))
-            covered[t, lane] = smallest * (reach - 2.0 * np.sqrt(farthest)) >= cutoff
-
-
-@kernel
-def pairs_apart(F, z, pairs, offset, cutoff, apart):
-    """apart (tiles, TILE): whether all pairs i, j (k, 2) are; j is `offset` (k, 2) off."""
-    apart[:] = True
-    for t in range(z.shape[0]):
-        for k in range(pairs.shape[0]):
-            i, j = pairs[k, 0], pairs[k, 1]
-            for lane in range(TILE):
-                rx = z[t, 0, j, lane] + offset[k, 0] - z[t, 0, i, lane]
-                ry = z[t, 1, j, lane] + offset[k, 1] - z[t, 1, i, lane]
-                px = F[t, 0, 0, lane] * rx + F[t, 0, 1, lane] * ry
-                py = F[t, 1, 0, lane] * rx + F[t, 1, 1, lane] * ry
-                if px * px + py * py < cutoff * cutoff:
-                    apart[t, lane] = False
