@@ -48,6 +48,7 @@ from surrofe2.plant_cell.pair_laws import (
     fluid_coefficients,
     fluid_volume_slopes,
     spline_bend,
+    tension,
 )
 
 FIELDS = 4
@@ -59,10 +60,11 @@ curvature, and to 1e-9 by rounding; of a longer step, more pairs pass a knot of 
 @pair_law
 def central_slopes(pair, is_bond, weight, c):
     """(∂f/∂r, ∂f/∂w) of a bond or contact with force t n; the second is γ n ⊗ n."""
-    elastic, stiffness, damping, damping_slope = central_law(pair, is_bond, c)
-    nx, ny, by_rate = pair.nx, pair.ny, weight * damping
-    over = weight * (elastic + damping * pair.rate) * pair.inverse
-    along = weight * (stiffness + damping_slope * pair.rate) - over
+    acting, law = central_law(pair, is_bond, weight, c)
+    _, stiffness, damping, damping_slope = law
+    nx, ny, by_rate = pair.nx, pair.ny, acting * damping
+    over = acting * tension(law, pair.rate) * pair.inverse
+    along = acting * (stiffness + damping_slope * pair.rate) - over
     ux = along * nx + by_rate * (pair.wx - pair.rate * nx) * pair.inverse
     uy = along * ny + by_rate * (pair.wy - pair.rate * ny) * pair.inverse
     cross = by_rate * nx * ny
@@ -359,9 +361,9 @@ def _add_central_rates(work, f_rate, pairs, weight, is_bond, c):
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
         pair = pair_at(work.x, work.v, i, j)
-        tension, stiffness, _, _ = central_law(pair, is_bond, c)
-        over = weight[k] * tension * pair.inverse
-        along = (weight[k] * stiffness - over) * pair.rate * pair.inverse
+        acting, (elastic, stiffness, _, _) = central_law(pair, is_bond, weight[k], c)
+        over = acting * elastic * pair.inverse
+        along = (acting * stiffness - over) * pair.rate * pair.inverse
         add_pair(work.f, i, j, over * pair.rx, over * pair.ry)
         gx, gy = along * pair.rx + over * pair.wx, along * pair.ry + over * pair.wy
         add_pair(f_rate, i, j, gx, gy)
@@ -428,12 +430,12 @@ def _add_central_stiffness_rates(work, u, f, pairs, weight, is_bond, c):
         i, j = pairs[k, 0], pairs[k, 1]
         pair = pair_at(work.x, work.v, i, j)
         nx, ny, inverse, rate = pair.nx, pair.ny, pair.inverse, pair.rate
-        tension, stiffness, _, _ = central_law(pair, is_bond, c)
-        b = weight[k] * (stiffness - tension * inverse)
+        acting, (elastic, stiffness, _, _) = central_law(pair, is_bond, weight[k], c)
+        b = acting * (stiffness - elastic * inverse)
         across = b * rate * inverse
         along = -across
         if not is_bond:
-            along += weight[k] * contact_bend(pair.length, inverse, c) * rate
+            along += acting * contact_bend(inverse, c) * rate
         turn_x, turn_y = b * (pair.wx - rate * nx) * inverse, b * (pair.wy - rate * ny) * inverse
         for m in range(FIELDS):
             px, py = field_difference(u, m, i, j)

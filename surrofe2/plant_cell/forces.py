@@ -20,8 +20,10 @@ from surrofe2.plant_cell.pair_laws import (
     fluid_coefficients,
     spline,
     spline_slope,
+    tension,
     wall,
     wall_energy,
+    within,
 )
 
 
@@ -76,20 +78,19 @@ def add_pair(f, i, j, fx, fy):
 
 
 @pair_law
-def central_law(pair, is_bond, c):
-    """(t, ∂t/∂|r|, γ, ∂γ/∂|r|): the pair's tension is t + γ n·w, and t alone is elastic."""
+def central_law(pair, is_bond, weight, c):
+    """Weight that acts, and (t, ∂t/∂|r|, γ, ∂γ/∂|r|): the tension is that times t + γ n·w.
+
+    t alone is elastic. One weight for all of them is 0 beyond the cut-off: one selection of lanes.
+    """
     if is_bond:
-        law = wall(pair.length, c)
+        elastic, stiffness, damping, _ = wall(pair.length, c)
+        law = elastic, spread(stiffness), spread(damping), spread(0.0)
+        acting = spread(weight)
     else:
         law = contact(pair.length, pair.inverse, c)
-    return law
-
-
-@pair_law
-def central_tension(pair, is_bond, c):
-    """Tension of a bond or contact, µN."""
-    elastic, _, damping, _ = central_law(pair, is_bond, c)
-    return elastic + damping * pair.rate
+        acting = within(pair.length, weight, c)
+    return acting, law
 
 
 @pair_law
@@ -106,19 +107,14 @@ def central_energy(length, inverse, is_bond, c):
 def add_central_forces(x, v, f, pairs, weight, is_bond, c):
     """Add wall tensions (eq. 1) or contact repulsion (eq. 2) to f.
 
-    weight (pairs,) or, lane by lane, (pairs, TILE) scales the whole force of a pair: ½ where one of
-    the two walls is missing, on the boundary of a tissue (docs/theory.md, walls at a free
-    boundary), 0 in lanes without that pair; c(r) keeps the parameter m_wall. None: 1 everywhere.
+    weight (pairs,) scales the whole force of a pair: ½ where one of the two walls is missing
+    (docs/theory.md, walls at a free boundary); c(r) keeps the parameter m_wall.
     """
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
         pair = pair_at(x, v, i, j)
-        a = central_tension(pair, is_bond, c) * pair.inverse
-        if weight is not None:
-            if weight.ndim == 1:
-                a = weight[k] * a
-            else:
-                a = load(weight, k) * a
+        acting, law = central_law(pair, is_bond, weight[k], c)
+        a = acting * pair.inverse * tension(law, pair.rate)
         add_pair(f, i, j, a * pair.rx, a * pair.ry)
 
 
@@ -187,28 +183,19 @@ def add_central_energy(x, pairs, weight, is_bond, c, energy):
     for k in range(pairs.shape[0]):
         rx, ry = difference(x, pairs[k, 0], pairs[k, 1])
         length, inverse = norm(rx, ry)
-        part = central_energy(length, inverse, is_bond, c)
-        if weight is not None:
-            if weight.ndim == 1:
-                part = weight[k] * part
-            else:
-                part = load(weight, k) * part
-        total += part
+        total += weight[k] * central_energy(length, inverse, is_bond, c)
     store(load(energy, 0) + total, energy, 0)
 
 
 @kernel
-def add_fluid_energy(x, topology, exists, c, energy):
-    """Add Σ m c_s² ln ρ, pJ; exists (own, TILE): 0 where there is no particle. None: all are."""
+def add_fluid_energy(x, topology, c, energy):
+    """Add Σ m c_s² ln ρ, pJ."""
     slope = np.empty((topology.fluid_pairs.shape[0], TILE))
     volume = np.empty((topology.particles - topology.walls, TILE))
     fluid_specific_volume(x, topology, c, slope, volume)
     for p in range(volume.shape[0]):
         for lane in range(TILE):
-            part = c.fluid_mass * c.sound_speed_squared * np.log(volume[p, lane])
-            if exists is not None:
-                part = exists[topology.walls + p, lane] * part
-            energy[0, lane] -= part
+            energy[0, lane] -= c.fluid_mass * c.sound_speed_squared * np.log(volume[p, lane])
 
 
 @kernel
@@ -217,4 +204,4 @@ def elastic_energy(x, topology, c, energy):
     store(0.0, energy, 0)
     add_central_energy(x, topology.bonds, topology.bond_weight, True, c, energy)
     add_central_energy(x, topology.contacts, topology.contact_weight, False, c, energy)
-    add_fluid_energy(x, topology, None, c, energy)
+    add_fluid_energy(x, topology, c, energy)

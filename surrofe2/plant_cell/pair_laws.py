@@ -26,7 +26,7 @@ from __future__ import annotations
 import numpy as np
 
 from surrofe2.base.compilation import pair_law
-from surrofe2.base.simd import inverse_root, spread, where_less
+from surrofe2.base.simd import inverse_root, where_less
 
 SIGMA = 10.0 / (7.0 * np.pi)
 
@@ -35,7 +35,7 @@ SIGMA = 10.0 / (7.0 * np.pi)
 def wall(length, c):
     """(t, ∂t/∂|r|, γ, ∂γ/∂|r|) of a bond, whose tension is t + γ n·w, µN; µm, µm/µs."""
     tension = c.wall_stiffness * (length - c.rest_length)
-    return tension, spread(c.wall_stiffness), spread(c.wall_damping), spread(0.0)
+    return tension, c.wall_stiffness, c.wall_damping, 0.0
 
 
 @pair_law
@@ -47,7 +47,7 @@ def wall_energy(length, c):
 
 @pair_law
 def contact(length, inverse, c):
-    """As `wall` for a contact at |r| = `length`, its reciprocal `inverse`.
+    """As `wall` for a contact at |r| = `length`, its reciprocal `inverse`, within the cut-off.
 
     What a kernel does not use of the four costs nothing.
     """
@@ -60,20 +60,26 @@ def contact(length, inverse, c):
     stiffness = 6.0 * c.repulsion * inverse_6 * inverse
     damping = critical * (1.0 - fade)
     damping_slope = critical * inverse * (-3.5 * (1.0 - fade) - 6.0 * fade)
-    return (
-        where_less(length, c.cutoff, tension, 0.0),
-        where_less(length, c.cutoff, stiffness, 0.0),
-        where_less(length, c.cutoff, damping, 0.0),
-        where_less(length, c.cutoff, damping_slope, 0.0),
-    )
+    return tension, stiffness, damping, damping_slope
 
 
 @pair_law
-def contact_bend(length, inverse, c):
-    """∂²t/∂|r|² of a contact without its dashpot."""
+def tension(law, rate):
+    """Of a bond or contact whose `law` is as of `wall`, µN, at n·w = rate."""
+    return law[0] + law[2] * rate
+
+
+@pair_law
+def within(length, value, c):
+    """The value where a contact acts, 0 beyond the cut-off."""
+    return where_less(length, c.cutoff, value, 0.0)
+
+
+@pair_law
+def contact_bend(inverse, c):
+    """∂²t/∂|r|² of a contact without its dashpot, within the cut-off."""
     inverse_4 = inverse * inverse * inverse * inverse
-    bend = -42.0 * c.repulsion * inverse_4 * inverse_4
-    return where_less(length, c.cutoff, bend, 0.0)
+    return -42.0 * c.repulsion * inverse_4 * inverse_4
 
 
 @pair_law
@@ -81,7 +87,7 @@ def contact_energy(length, inverse, c):
     """Stored energy of a contact, pJ: λ [r⁻⁵/5 + r x₀⁻⁶ − 6/5 x₀⁻⁵]."""
     inverse_5 = inverse * inverse * inverse * inverse * inverse
     energy = c.repulsion * (0.2 * inverse_5 + length * (1.0 / c.cutoff**6) - 1.2 / c.cutoff**5)
-    return where_less(length, c.cutoff, energy, 0.0)
+    return within(length, energy, c)
 
 
 @pair_law

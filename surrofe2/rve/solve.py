@@ -229,7 +229,7 @@ def _solve_open(solved: Solved, z: Array, z_start: Array) -> None:
 def _newton(solved: Solved, z: Array, renewed: bool = False) -> None:
     """Solve lanes that are open; check stability there, or everywhere with new factors."""
     failed = solved.answer.iterations < 0
-    solved.newton_solves += int(failed.sum())
+    solved.newton_solves += int(unpack(failed, solved.start.points).sum())
     tiles = np.asarray(failed.any(axis=1)) | renewed
     factors = solved.state.factors.renewed(tiles)
     task = np.where(tiles, SOLVE, SKIP).astype(np.int8)
