@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -34,13 +34,12 @@ from numpy.typing import NDArray
 from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, load, spread, store, where_less
 from surrofe2.base.tensors import rotation, transpose
-from surrofe2.plant_cell.block_pattern import Pattern, make_pattern
+from surrofe2.plant_cell.block_pattern import make_pattern
 from surrofe2.plant_cell.forces import difference, elastic_energy, fold_images, local_forces
-from surrofe2.plant_cell.neighbours import Neighbours
-from surrofe2.plant_cell.tiles import Constants, make_workspace, pack, tiles_for, unpack
-from surrofe2.rve.newton import SEEK, SEEK_LIMIT, move, newton, set_elastic_jacobian
-from surrofe2.rve.particle_state import ASTRAY, Drive, empty_answer, place, place_images
-from surrofe2.rve.unit_cell import UnitCell
+from surrofe2.plant_cell.tiles import Topology, make_workspace, pack, tiles_for, unpack
+from surrofe2.rve.newton import SEEK, SEEK_LIMIT, move, set_elastic_jacobian
+from surrofe2.rve.particle_state import ASTRAY, place, place_images
+from surrofe2.rve.unit_cell import UnitCell, relax
 
 Reals = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -79,13 +78,18 @@ def is_far(F: Reals) -> Flags:
     return pack(np.abs(U - np.eye(2)).max(axis=(1, 2)) > FAR)
 
 
-class Path(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Path:
     """How far m points have come from F = `start` to F = `end`, (m, 2, 2) each.
 
-    z: (m, 2, n) their equilibria there.
-    done: (m,) the part of the path. step: the next step, as such a part.
-    effort: (m,) what it took, in Newton iterations.
-    left: (m,) whether a branch was left.
+    `follow` writes into the arrays as points go on.
+
+    Attributes:
+        z: (m, 2, n) their equilibria there.
+        done: (m,) the part of the path. step: the next step, as such a part.
+        effort: (m,) what it took, in Newton iterations. solves: (m,) of Newton's method.
+        left: (m,) whether a branch was left.
+        unstable: (m,) whether the last equilibrium met was unstable.
     """
 
     start: Reals
@@ -93,16 +97,27 @@ class Path(NamedTuple):
     z: Reals
     done: Reals
     step: Reals
-    effort: NDArray[np.int_]
+    effort: Counts
+    solves: Counts
     left: Flags
+    unstable: Flags
 
     @classmethod
     def between(cls, start: Reals, end: Reals, z: Reals) -> Path:
         """From z (m, 2, n) at F = `start`; a rotation between the two F is made at once."""
         start, count = rotation(end) @ transpose(rotation(start)) @ start, len(z)
-        effort, left = np.zeros(count, dtype=np.int_), np.zeros(count, dtype=np.bool_)
-        path = cls(start, end.copy(), z.copy(), np.zeros(count), np.full(count, 0.5), effort, left)
-        return path._replace(step=np.minimum(path.step, path.part_of(LONGEST)))
+        effort, solves = np.zeros((2, count), dtype=np.int_)
+        left, unstable = np.zeros((2, count), dtype=np.bool_)
+        z, done, step = z.copy(), np.zeros(count), np.full(count, 0.5)
+        path = cls(start, end, z, done, step, effort, solves, left, unstable)
+        np.minimum(step, path.part_of(LONGEST), out=step)
+        return path
+
+    @property
+    def arrived(self) -> Flags:
+        """(m,) whether a stable equilibrium was found at the end."""
+        arrived: Flags = self.done >= 1.0
+        return arrived
 
     def part_of(self, change: float) -> Reals:
         """(m,) the part of the path on which F changes by so much, at most 1."""
@@ -111,14 +126,11 @@ class Path(NamedTuple):
         return part
 
 
-@dataclass(frozen=True, slots=True)
-class Equilibria:
-    """Elastic equilibria of k points near where they were sought.
+class Trial(NamedTuple):
+    """What there is near where k elastic equilibria were sought.
 
-    Attributes:
-        z: (k, 2, particles) material positions, µm.
-        iterations: (k,) force evaluations.
-        found, stable: (k,).
+    z: (k, 2, particles) material positions, µm. iterations: (k,) force evaluations that it took.
+    found, stable: (k,).
     """
 
     z: Reals
@@ -126,82 +138,57 @@ class Equilibria:
     found: Flags
     stable: Flags
 
-    def take(self, index: Index) -> Equilibria:
+    def take(self, index: Index) -> Trial:
         """Those of the points `index`."""
-        return Equilibria(
-            self.z[index], self.iterations[index], self.found[index], self.stable[index]
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class Followed:
-    """The end of the path of m points.
-
-    Attributes:
-        arrived: (m,) whether a stable equilibrium was found at the end.
-        unstable: (m,) whether the path ended at an equilibrium with no stable one below it.
-        newton_solves: how many it took.
-    """
-
-    arrived: Flags
-    unstable: Flags
-    newton_solves: int
+        z, iterations, found, stable = self
+        return Trial(z[index], iterations[index], found[index], stable[index])
 
 
 class Continuation:
     """Follows equilibria of one unit cell."""
 
     def __init__(self, unit: UnitCell, tolerance: float) -> None:
-        self.neighbours, self.constants, self.tolerance = unit.neighbours, unit.constants, tolerance
+        self.unit, self.tolerance = unit, tolerance
 
-    def follow(self, path: Path) -> Followed:
-        """Lead all points to the end of the path, whose arrays say at each time how far they are.
+    def follow(self, path: Path) -> None:
+        """Lead all points towards the end of the path, as far as `EFFORT` goes.
 
         `active` numbers points of the path. What one step finds is numbered as `active` is: F, z,
         trial, good (a step on the same branch) and `stuck`, those whose branch has ended.
         """
         longest, shortest = path.part_of(LONGEST), path.part_of(SHORTEST)
-        arrived, unstable = path.done >= 1.0, np.zeros(len(path.z), dtype=np.bool_)
-        active, solves = np.flatnonzero(~arrived & (path.effort < EFFORT)), 0
+        active = np.arange(len(path.z))
         while len(active):
             z = path.z[active]
             F, trial, good = self._next(path, active, shortest[active])
             part, there = np.minimum(path.done[active] + path.step[active], 1.0), trial.z
-            solves += len(active)
-            at_shortest = path.step[active] <= shortest[active]
-            stuck = np.flatnonzero(~good & at_shortest)
+            path.solves[active] += 1
+            stuck = np.flatnonzero(~good & (path.step[active] <= shortest[active]))
             if len(stuck):
-                unstable[active[stuck]] = trial.found[stuck]
-                begin, spare = trial.take(stuck), EFFORT - path.effort[active[stuck]]
+                ended = active[stuck]
+                path.unstable[ended] = trial.found[stuck]
+                begin, spare = trial.take(stuck), EFFORT - path.effort[ended]
                 there[stuck], good[stuck], tried = self._leave(F[stuck], z[stuck], begin, spare)
-                path.effort[active[stuck]] += OF_STEP_DOWN * tried
-                solves += len(stuck)
-            lost = np.isin(np.arange(len(active)), stuck) & ~good
+                path.effort[ended] += OF_STEP_DOWN * tried
+                path.solves[ended] += 1
+                path.left[ended] |= good[stuck]
             ahead = active[good]
-            path.left[ahead] |= np.isin(np.flatnonzero(good), stuck)
             path.z[ahead], path.done[ahead] = there[good], part[good]
-            arrived[ahead] = part[good] >= 1.0
             step = path.step[active] * np.where(good, 2.0, 0.5)
             path.step[active] = np.clip(step, shortest[active], longest[active])
-            active = active[~arrived[active] & ~lost & (path.effort[active] < EFFORT)]
-        return Followed(arrived, unstable & ~arrived, solves)
+            keeps_on = ~path.arrived[active] & (path.effort[active] < EFFORT)
+            keeps_on[stuck] &= good[stuck]
+            active = active[keeps_on]
 
-    def newton(self, F: Reals, z: Reals) -> Equilibria:
+    def newton(self, F: Reals, z: Reals) -> Trial:
         """The elastic equilibrium near z (m, 2, n) by Newton's method."""
-        points, skin = len(z), 2.0 * ASTRAY * np.linalg.norm(F, axis=(1, 2)).max()
-        tensors, z = pack(F), pack(z)
-        topology = self.neighbours.near(tensors, z, skin).topology
-        answer, tiles = empty_answer(len(z)), len(z)
-        drive, task = Drive(tensors, np.zeros_like(tensors)), np.full(tiles, SEEK, dtype=np.int8)
-        unused = np.zeros(tiles, dtype=np.intp)
-        newton(drive, z, unused, task, topology, self.constants, self.tolerance, answer)
-        iterations = unpack(answer.iterations, points)
-        found = iterations > 0
-        stable = found & unpack(answer.stable, points)
-        count = np.where(iterations == -1, SEEK_LIMIT, np.abs(iterations))
-        return Equilibria(unpack(z, points), count, found, stable)
+        skin = 2.0 * ASTRAY * np.linalg.norm(F, axis=(1, 2)).max()
+        topology = self.unit.neighbours.near(pack(F), pack(z), skin).topology
+        found = relax(topology, self.unit.constants, z, F, self.tolerance, task=SEEK)
+        count = np.where(found.iterations == -1, SEEK_LIMIT, np.abs(found.iterations))
+        return Trial(found.z, count, found.found, found.stable)
 
-    def _next(self, path: Path, active: Index, shortest: Reals) -> tuple[Reals, Equilibria, Flags]:
+    def _next(self, path: Path, active: Index, shortest: Reals) -> tuple[Reals, Trial, Flags]:
         """The next step of the `active` points, halved as often as a tile has room to try at once.
 
         Returns:
@@ -224,7 +211,7 @@ class Continuation:
         return F[every, taken], trial.take(tries * every + taken), good[every, taken]
 
     def _leave(
-        self, F: Reals, z: Reals, trial: Equilibria, spare: Counts
+        self, F: Reals, z: Reals, trial: Trial, spare: Counts
     ) -> tuple[Reals, Flags, Counts]:
         """z of points in a stable state, whether there is one, and how many steps down it took.
 
@@ -236,10 +223,10 @@ class Continuation:
             np.where(saddle[:, None, None], trial.z, z),
             np.maximum(spare // OF_STEP_DOWN, 1),
         )
-        below, found, tried = descend(self.neighbours, self.constants, F, begin, most)
+        below, found, tried = descend(self.unit, F, begin, most)
         solved = self.newton(F, below)
         there = np.where(solved.found[:, None, None], solved.z, below)
-        found &= solved.stable & ~paired(self.neighbours, F, there)
+        found &= solved.stable & ~_paired(self.unit.topology, F, there)
         return there, found, tried
 
 
@@ -248,16 +235,14 @@ def _jumped(z: Reals, before: Reals) -> Flags:
     return jumped
 
 
-def paired(neighbours: Neighbours, F: Reals, z: Reals) -> Flags:
+def _paired(topology: Topology, F: Reals, z: Reals) -> Flags:
     """(m,) whether two fluid particles of an RVE at F (m, 2, 2) and z (m, 2, n) have met.
 
     That is SPH's pairing instability. The model's forces between fluid particles vanish with their
     distance, so such a pair is an equilibrium of the numbers and none of the tissue.
     """
-    walls = neighbours.topology.walls
-    i, j = (neighbours.topology.fluid_pairs - walls).T
-    x = F @ z[:, :, walls:]
-    apart = x[:, :, i] - x[:, :, j]
+    i, j = topology.fluid_pairs.T
+    apart = F @ (z[:, :, i] - z[:, :, j])
     nearest: Reals = (apart * apart).sum(axis=1).min(axis=1, initial=np.inf)
     return nearest < PAIRED**2
 
@@ -332,69 +317,13 @@ def _go_down_tile(F, z, step, topology, c, found):
 
 
 @cache
-def dense_pattern(particles: int) -> Pattern:
+def _dense_pattern(particles: int) -> dict[str, Any]:
     """Of full matrices, whatever those of a topology are: all eigenvalues are wanted."""
-    return make_pattern(np.zeros(particles, dtype=np.int32), [])
-
-
-class Descent:
-    """k RVEs on their way down.
-
-    Args:
-        F: (k, 2, 2). z: (k, 2, n) where they begin. energy: (k,) what is to be fallen below.
-
-    Attributes:
-        found: what there is where they are.
-    """
-
-    def __init__(
-        self, neighbours: Neighbours, constants: Constants, F: Reals, z: Reals, energy: Reals
-    ) -> None:
-        self.neighbours, self.constants, self.F = neighbours, constants, F
-        self._F, self._z = pack(F), pack(z)
-        tiles, free = tiles_for(len(z)), 2 * z.shape[2] - 2
-        self.found = Found(
-            energy=pack(energy[:, None]),
-            falls=np.empty((tiles, TILE), dtype=np.bool_),
-            forces=np.empty((tiles, free, TILE)),
-            slope=np.empty((tiles, free * free, TILE)),
-            nearest=np.empty((tiles, 1, TILE)),
-        )
-        self._topology, self._room = neighbours.topology, 0.0
-
-    @property
-    def z(self) -> Reals:
-        """(k, 2, n) where they are."""
-        return unpack(self._z, len(self.F))
-
-    @property
-    def energy(self) -> Reals:
-        """(k,) pJ."""
-        return unpack(self.found.energy, len(self.F))[:, 0]
-
-    @property
-    def continues(self) -> Flags:
-        """(k,) whether the last step has led down and no two fluid particles have met."""
-        continues: Flags = self.found.falls & (self.found.nearest[:, 0] >= PAIRED**2)
-        return unpack(continues, len(self.F))
-
-    def go(self, step: Reals) -> None:
-        """Take the step (k, 2n − 2), µm, which moves particles by no more than `DOWN`."""
-        if self._room < DOWN:
-            topology, self._room = self.neighbours.near(self._F, self._z, 2.0 * ROAM).topology, ROAM
-            self._topology = topology._replace(**dense_pattern(topology.particles)._asdict())
-        self._room -= float(_lengths(step).max())
-        go_down(self._F, self._z, pack(step), self._topology, self.constants, self.found)
-
-    def next_step(self, k: int) -> tuple[Reals, bool]:
-        """That of RVE k, see `_step`."""
-        tile, lane = divmod(k, TILE)
-        slope = self.found.slope[tile, :, lane]
-        return _step(self.F[k], self.found.forces[tile, :, lane], -slope)
+    return make_pattern(np.zeros(particles, dtype=np.int32), [])._asdict()
 
 
 def descend(
-    neighbours: Neighbours, constants: Constants, F: Reals, z: Reals, most: Counts | int = STEPS
+    unit: UnitCell, F: Reals, z: Reals, most: Counts | int = STEPS
 ) -> tuple[Reals, Flags, Counts]:
     """From z (m, 2, n) at F (m, 2, 2) down to a minimum of E, in at most so many steps.
 
@@ -409,18 +338,38 @@ def descend(
     active, step = np.arange(len(z)), np.zeros((len(z), 2 * z.shape[2] - 2))
     while len(active):
         # Whenever an RVE stops, the others are packed into tiles again, so that no lane is idle.
-        down = Descent(neighbours, constants, F[active], z[active], energy[active])
-        continues = np.ones(len(active), dtype=np.bool_)
+        count, tensors, moving = len(active), pack(F[active]), pack(z[active])
+        here, room = _not_found(energy[active], step.shape[1]), 0.0
+        continues = np.ones(count, dtype=np.bool_)
         while continues.all():
-            down.go(step)
-            continues = down.continues & (tried[active] < limit[active])
+            if room < DOWN:
+                topology, room = unit.neighbours.near(tensors, moving, 2.0 * ROAM).topology, ROAM
+                topology = topology._replace(**_dense_pattern(topology.particles))
+            room -= float(_lengths(step).max())
+            go_down(tensors, moving, pack(step), topology, unit.constants, here)
+            apart = here.nearest[:, 0] >= PAIRED**2
+            continues = unpack(here.falls & apart, count) & (tried[active] < limit[active])
             for k in np.flatnonzero(continues).tolist():
-                step[k], found[active[k]] = down.next_step(k)
+                tile, lane = divmod(k, TILE)
+                forces, hessian = here.forces[tile, :, lane], -here.slope[tile, :, lane]
+                step[k], found[active[k]] = _step(F[active[k]], forces, hessian)
                 tried[active[k]] += 1
                 continues[k] = not found[active[k]]
-        z[active], energy[active] = down.z, down.energy
+        z[active], energy[active] = unpack(moving, count), unpack(here.energy, count)[:, 0]
         active, step = active[continues], step[continues]
     return z, found, tried
+
+
+def _not_found(energy: Reals, free: int) -> Found:
+    """Nothing found yet by RVEs that are to fall below the energies (k,)."""
+    tiles = tiles_for(len(energy))
+    return Found(
+        energy=pack(energy[:, None]),
+        falls=np.empty((tiles, TILE), dtype=np.bool_),
+        forces=np.empty((tiles, free, TILE)),
+        slope=np.empty((tiles, free * free, TILE)),
+        nearest=np.empty((tiles, 1, TILE)),
+    )
 
 
 def _step(F: Reals, forces: Reals, values: Reals) -> tuple[Reals, bool]:

@@ -18,7 +18,8 @@ from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.forces import fold_images, local_forces
 from surrofe2.plant_cell.tiles import make_workspace
-from surrofe2.rve.particle_state import Drive, cauchy_stress, drive_of, map_affine, place
+from surrofe2.rve.constrained_runs import set_moving_images
+from surrofe2.rve.particle_state import Drive, cauchy_stress, drive_of, map_affine
 from surrofe2.rve.rve_law import RveLaw
 
 Array = NDArray[np.float64]
@@ -85,30 +86,28 @@ def _stress(law: RveLaw, u: Array, w: Array, F: Array, F_dot: Array) -> Array:
 
 
 @kernel
-def _place(u, w, drive, X, topology, work):
-    """Local x = F X + u and v = Ḟ X + w; images move as their owners do."""
-    own = topology.particles
-    place(work, X, drive.F, topology)
-    map_affine(drive.rate, work.z, work.v)
-    for i in range(work.z.shape[1]):
-        k = i if i < own else topology.owner[i - own]
-        for axis in range(2):
-            store(load(work.x, axis, i) + load(u, axis, k), work.x, axis, i)
-            store(load(work.v, axis, i) + load(w, axis, k), work.v, axis, i)
+def _set_forces(u, w, drive, X, topology, c, work):
+    """Local forces at x = F X + u and v = Ḟ X + w; images move as their owners do."""
+    map_affine(drive.F, X, work.x)
+    map_affine(drive.rate, X, work.v)
+    for axis in range(2):
+        for i in range(topology.particles):
+            store(load(work.x, axis, i) + load(u, axis, i), work.x, axis, i)
+            store(load(work.v, axis, i) + load(w, axis, i), work.v, axis, i)
+    set_moving_images(drive.F, drive.rate, work.x, work.v, topology)
+    local_forces(work, topology, c)
 
 
 @kernel
 def _stress_of(u, w, drive, X, topology, c, stress):
     work = make_workspace(topology)
-    _place(u, w, drive, X, topology, work)
-    local_forces(work, topology, c)
+    _set_forces(u, w, drive, X, topology, c, work)
     cauchy_stress(work.x, work.f, drive.F, topology.area, stress)
 
 
 @kernel
 def _accelerations(u, w, drive, X, mass, topology, c, work, a):
-    _place(u, w, drive, X, topology, work)
-    local_forces(work, topology, c)
+    _set_forces(u, w, drive, X, topology, c, work)
     fold_images(work.f, topology)
     for i in range(topology.particles):
         for axis in range(2):

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.compilation import kernel, pair_law, parallel_kernel
 from surrofe2.base.simd import TILE, load, root, spread, store
 from surrofe2.plant_cell.forces import elastic_energy, fold_images, local_forces
 from surrofe2.plant_cell.tiles import Constants, Topology, make_workspace, pack, tiles_for, unpack
@@ -128,10 +128,24 @@ def set_images(z, topology):
             store(load(z, axis, i) + topology.image_offset[k, axis], z, axis, own + k)
 
 
+@pair_law
+def entries(tensor):
+    """(xx, xy, yx, yy) of a tensor (2, 2, TILE)."""
+    return load(tensor, 0, 0), load(tensor, 0, 1), load(tensor, 1, 0), load(tensor, 1, 1)
+
+
+@pair_law
+def inverse(of):
+    """The entries of the inverse of a tensor with the entries `of`."""
+    xx, xy, yx, yy = of
+    per_det = 1.0 / (xx * yy - xy * yx)
+    return yy * per_det, -xy * per_det, -yx * per_det, xx * per_det
+
+
 @kernel
 def map_affine(F, z, x):
     """x = F z; F (2, 2, TILE), z and x (2, local, TILE)."""
-    xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
+    xx, xy, yx, yy = entries(F)
     for i in range(z.shape[1]):
         zx, zy = load(z, 0, i), load(z, 1, i)
         store(xx * zx + xy * zy, x, 0, i)
@@ -167,8 +181,8 @@ def cauchy_stress(x, f, F, area, stress):
         xy -= fx * py
         yx -= fy * px
         yy -= fy * py
-    det = load(F, 0, 0) * load(F, 1, 1) - load(F, 0, 1) * load(F, 1, 0)
-    per_volume = 1.0 / (area * det)
+    fxx, fxy, fyx, fyy = entries(F)
+    per_volume = 1.0 / (area * (fxx * fyy - fxy * fyx))
     store(xx * per_volume, stress, 0, 0)
     store(xy * per_volume, stress, 0, 1)
     store(yx * per_volume, stress, 1, 0)

@@ -246,10 +246,10 @@ def _follow_path(solved: Solved, z: Array, z_start: Array, index: Index) -> None
     path = Path.between(*(unpack(each, points)[index] for each in (start.F, F, z_start)))
     tolerance = solved.settings.tolerance
     with one_blas_thread():
-        followed = Continuation(solved.unit, tolerance).follow(path)
-    solved.newton_solves += followed.newton_solves
-    arrived = followed.arrived
-    codes = np.where(followed.unstable, Status.UNSTABLE, Status.NOT_CONVERGED)
+        Continuation(solved.unit, tolerance).follow(path)
+    solved.newton_solves += int(path.solves.sum())
+    arrived = path.arrived
+    codes = np.where(path.unstable, Status.UNSTABLE, Status.NOT_CONVERGED)
     lanes, row = with_copies(index, points)  # and the copies that fill up a tile
     put_points(solved.answer.iterations, lanes, pack(np.where(arrived, PASSED_OVER, OPEN)[row]))
     put_points(solved.status, lanes, pack(np.where(arrived, _OK, codes)[row]))

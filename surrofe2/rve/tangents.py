@@ -35,7 +35,7 @@ from surrofe2.plant_cell.forces import fold_images, local_forces
 from surrofe2.plant_cell.tiles import make_workspace
 from surrofe2.rve.block_lu import COLUMNS, factorise, make_matrices, solve_columns, solved_columns
 from surrofe2.rve.newton import move, set_elastic_jacobian, set_jacobian
-from surrofe2.rve.particle_state import Drive, drive_of, map_affine, place
+from surrofe2.rve.particle_state import Drive, drive_of, entries, inverse, map_affine, place
 
 KINDS = ("constrained-runs", "elastic", "cauchy-born")
 _ELASTIC, _CAUCHY_BORN = 1, 2
@@ -141,8 +141,7 @@ def adjoint_load(work, by_x, by_v, drive, topology, c):
     fold_columns(by_v, topology, load_v)
     local_forces(work, topology, c)
     fold_images(work.f, topology)
-    xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
-    per_det = 1.0 / (xx * yy - xy * yx)
+    xx, xy, yx, yy = inverse(entries(F))
     for n in range(COLUMNS):
         for i in range(0, free, 2):
             vx, vy = load(load_v, n, i), load(load_v, n, i + 1)
@@ -153,8 +152,8 @@ def adjoint_load(work, by_x, by_v, drive, topology, c):
                 gx += force
             else:
                 gy += force
-            store(load(load_x, n, i) + (yy * gx - yx * gy) * per_det, load_x, n, i)
-            store(load(load_x, n, i + 1) + (xx * gy - xy * gx) * per_det, load_x, n, i + 1)
+            store(load(load_x, n, i) + (xx * gx + yx * gy), load_x, n, i)
+            store(load(load_x, n, i + 1) + (xy * gx + yy * gy), load_x, n, i + 1)
     return load_x
 
 
@@ -203,7 +202,7 @@ def set_velocities(z, y, F, rate, topology, v):
     """v = Ḟ z + F y for local particles; an image has the y of its owner."""
     own = topology.particles
     map_affine(rate, z, v)
-    xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
+    xx, xy, yx, yy = entries(F)
     for i in range(v.shape[1]):
         k = i if i < own else topology.owner[i - own]
         yi, yj = load(y, 0, k), load(y, 1, k)

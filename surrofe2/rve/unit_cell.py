@@ -234,17 +234,19 @@ def relax(
     F: Array,
     tolerance: float = RELAXED,
     rate: Array | None = None,
+    task: int = SOLVE,
 ) -> Equilibria:
     """Equilibria at F (k, 2, 2) by Newton from material positions (k, 2, n).
 
     Args:
         rate: (k, 2, 2) Ḟ that the particles feel; None: none, the equilibria are elastic.
+        task: `SOLVE`, or `SEEK` near the starts, which makes no factors; see `newton`.
     """
     points, z, tensors = len(starts), pack(starts), pack(F)
     factors, answer = Factors.empty(len(z), topology), empty_answer(len(z))
     drive = Drive(tensors, np.zeros_like(tensors) if rate is None else pack(rate))
-    task = np.full(len(z), SOLVE, dtype=np.int8)
-    newton(drive, z, factors.address, task, topology, constants, tolerance, answer)
+    tasks = np.full(len(z), task, dtype=np.int8)
+    newton(drive, z, factors.address, tasks, topology, constants, tolerance, answer)
     z, iterations = unpack(z, points), unpack(answer.iterations, points)
     found = iterations > 0
     energy = np.where(found, stored_energy(F, z, topology, constants), np.nan)

@@ -145,7 +145,7 @@ def test_the_way_down_only_goes_down():
     this, F = law("printed"), BEYOND["printed"]
     unit = this.unit_cell
     start = np.repeat(unit.position.T[None], len(F), axis=0)
-    end, found, _ = descend(unit.neighbours, unit.constants, F, start)
+    end, found, _ = descend(unit, F, start)
     assert found.all()
     there, before = (stored_energy(F, z, unit.topology, unit.constants) for z in (end, start))
     assert (there < before).all()
