@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ Flags = NDArray[np.bool_]
 _NEAR = 0.01  # |F − I| up to which the reference's own factors are tried at a cold start
 _OK = int(Status.OK)  # a member of an enumeration takes a microsecond to look up
 OPEN, PASSED_OVER = -1, 1
-"""Counts of iterations by which lanes are left to Newton's method, or look solved to it."""
+"""Counts of iterations: solvers take up a lane that has 0 or OPEN, and pass over one above 0."""
 
 
 def dashpot_rate(initialisation: str, F_dot: Array) -> Array:
@@ -44,7 +45,8 @@ class Solved:
     Attributes:
         drive: F and Ḟ in tiles. start: where to begin; it is not touched.
         cold: whether to make new factors; `start` need not be near then.
-        near: the contacts that were solved with.
+        near: the contacts that are solved with.
+        covered: (tiles, TILE) whether earlier lists, if there were any, had all contacts that act.
         answer: stress, nothing where the status is not OK, and force evaluations.
         status: (tiles, TILE) codes of `Status`.
         state: the warm start for the next call.
@@ -57,6 +59,7 @@ class Solved:
     start: RveState
     cold: bool
     near: Near
+    covered: Flags
     answer: Answer
     status: NDArray[np.int8]
     state: RveState
@@ -73,7 +76,8 @@ class Solved:
             start, F=drive.F, F_dot=drive.rate, iterations=answer.iterations, is_checked=cold
         )
         status = np.zeros(answer.iterations.shape, dtype=np.int8)
-        return cls(unit, settings, drive, start, cold, near, answer, status, state)
+        covered = np.ones(status.shape, dtype=np.bool_)
+        return cls(unit, settings, drive, start, cold, near, covered, answer, status, state)
 
     @property
     def law(self) -> tuple[Topology, Constants]:
@@ -94,6 +98,8 @@ class Solved:
 
     def put(self, index: Index, part: Solved) -> None:
         """Take over what was found at the points `index`."""
+        self.covered = self.has_all_contacts()
+        put_points(self.covered, index, part.has_all_contacts())
         put_points(self.answer.stress, index, part.answer.stress)
         put_points(self.answer.residual, index, part.answer.residual)
         put_points(self.status, index, part.status)
@@ -102,6 +108,13 @@ class Solved:
         self.newton_solves += part.newton_solves
         if part.near.topology is not self.near.topology:
             self.near = self.unit.neighbours.near(self.drive.F, self.state.z)
+
+    def has_all_contacts(self) -> Flags:
+        """(tiles, TILE) whether the contacts that were solved with are all that act."""
+        covered = self.covered & self.near.covers(self.drive.F, self.state.z)
+        if self.state.elastic is not None:
+            covered &= self.near.covers(self.drive.F, self.state.elastic)
+        return covered
 
     def tangents(self) -> Tangents:
         """∂P/∂F and ∂P/∂Ḟ at the solution; NaN where there is none."""
@@ -147,10 +160,9 @@ def solve_rves(
         near = unit.neighbours.near(drive.F, start.z)
     solved = Solved.unsolved(unit, settings, drive, start, cold, near)
     _initialise(solved)
-    covered = solved.near.covers(drive.F, solved.state.z)
-    covered &= (solved.state.elastic is None) or solved.near.covers(drive.F, solved.state.relaxed)
-    if not (covered | (solved.status != _OK)).all():
-        index = np.flatnonzero(unpack(~covered & (solved.status == _OK), start.points))
+    wrong = ~solved.has_all_contacts() & (solved.status == _OK)
+    if wrong.any():
+        index = np.flatnonzero(unpack(wrong, start.points))
         part = solved.at(index, cold=cold)
         part.near = unit.neighbours.everywhere(part.drive.F, part.start.z)
         _initialise(part)
@@ -250,33 +262,38 @@ def _follow_path(solved: Solved, z: Array, z_start: Array, index: Index) -> None
     solved.newton_solves += int(path.solves.sum())
     arrived = path.arrived
     codes = np.where(path.unstable, Status.UNSTABLE, Status.NOT_CONVERGED)
-    lanes, row = with_copies(index, points)  # and the copies that fill up a tile
-    put_points(solved.answer.iterations, lanes, pack(np.where(arrived, PASSED_OVER, OPEN)[row]))
-    put_points(solved.status, lanes, pack(np.where(arrived, _OK, codes)[row]))
-    if path.left.any():
-        left = unpack(solved.state.left, solved.status.size).copy()
-        left[lanes] |= path.left[row]
-        solved.state = replace(solved.state, left=pack(left))
+    _put(solved.answer.iterations, index, points, np.where(arrived, PASSED_OVER, OPEN))
+    _put(solved.status, index, points, np.where(arrived, _OK, codes))
+    left, passed = np.zeros_like(solved.state.left), np.zeros_like(solved.state.left)
+    _put(left, index, points, path.left)
+    _put(passed, index, points, arrived)
+    solved.state = replace(solved.state, left=solved.state.left | left)
     there = np.flatnonzero(arrived)
     if not len(there):
         return
-    lanes, row = with_copies(index[there], points)
-    put_points(z, lanes, pack(path.z[there[row]]))
+    index = index[there]
+    solved.covered = (solved.covered & solved.near.covers(F, z)) | passed
+    _put(z, index, points, path.z[there])
     solved.near = solved.unit.neighbours.near(F, z)
     found = relax(*solved.law, path.z[there], path.end[there], tolerance)
-    put_points(z, lanes, pack(found.z[row]))
-    put_points(solved.answer.stress, lanes, pack(found.stress[row]))
-    put_points(solved.answer.iterations, lanes, pack(found.iterations[row]))
+    _put(z, index, points, found.z)
+    _put(solved.answer.stress, index, points, found.stress)
+    _put(solved.answer.iterations, index, points, found.iterations)
+    lanes, row = with_copies(index, points)
     factors = solved.state.factors.put(lanes, found.factors.take(row))
     solved.state = replace(solved.state, factors=factors)
     if solved.felt.rate.any():
         # With dashpots on, such a point is as stable as the elastic equilibrium beside it.
-        open_lanes = np.zeros(solved.status.size, dtype=np.bool_)
-        open_lanes[lanes] = True
-        solved.answer.iterations[pack(open_lanes) & (solved.answer.iterations > 0)] = OPEN
+        solved.answer.iterations[passed & (solved.answer.iterations > 0)] = OPEN
         status = solved.status.copy()
         _newton(solved, z)
         solved.status[:] = status
+
+
+def _put(tiles: NDArray[Any], index: Index, points: int, values: NDArray[Any]) -> None:
+    """Overwrite the points `index` of packed `tiles` by values (k, …), and copies of the last."""
+    lanes, row = with_copies(index, points)
+    put_points(tiles, lanes, pack(values[row]))
 
 
 # The slow manifold, where velocities are those of the elastic equilibrium as F moves
@@ -338,11 +355,9 @@ def _hold_back(solved: Solved, index: Index) -> None:
     )
     found = relax(*solved.law, elastic, F, solved.settings.tolerance, rate)
     spent = np.abs(unpack(solved.answer.iterations, points)[index]) + found.iterations
-    lanes, row = with_copies(index, points)
-    put_points(solved.state.z, lanes, pack(found.z[row]))
-    put_points(solved.state.beyond_affine, lanes, pack(np.zeros_like(found.z)[row]))
-    put_points(solved.answer.stress, lanes, pack(found.stress[row]))
-    put_points(solved.answer.iterations, lanes, pack(np.where(found.found, spent, -1)[row]))
+    _put(solved.state.z, index, points, found.z)
+    _put(solved.state.beyond_affine, index, points, np.zeros_like(found.z))
+    _put(solved.answer.stress, index, points, found.stress)
+    _put(solved.answer.iterations, index, points, np.where(found.found, spent, -1))
+    _put(solved.status, index, points, np.where(found.found, _OK, Status.NOT_CONVERGED))
     solved.newton_solves += len(index)
-    codes = np.where(found.found, _OK, Status.NOT_CONVERGED)
-    put_points(solved.status, lanes, pack(codes[row]))
