@@ -296,12 +296,12 @@ def relaxations(
     def iterated(rate: Array) -> Relaxation:
         """The paper's iteration with this rate, interrupted at each of the counts."""
         drive, answer = Drive(pack(F[None]), pack(rate[None])), empty_answer(1)
-        X, mass = unit.position.T, unit.patches[0].mass
+        X, mass = unit.position.T, unit.neighbours.mass
         x, v = _tile(F @ X), _tile(rate @ X)
         forces, errors = [], []
         for count in np.diff(counts, prepend=0):
             stepping = Stepping(micro_step, _NEVER, int(count))
-            iterate(drive, x, v, mass, unit.topologies[-1], unit.constants, stepping, answer)
+            iterate(drive, x, v, mass, unit.topology, unit.constants, stepping, answer)
             forces.append(answer.residual[0, 0, 0])
             there = x[0, :, :, 0]
             velocity = v[0, :, :, 0] if rate.any() else L @ there
@@ -326,7 +326,7 @@ def _fixed_point(cell: CellParameters, F: Array, F_dot: Array) -> Array:
 def _newton_steps(unit: UnitCell, F: Array, F_dot: Array, reference: Array) -> Relaxation:
     """Newton's iterates: the states at which it stops as its tolerance is lowered."""
     drive, task = Drive(pack(F[None]), pack(F_dot[None])), np.full(1, SOLVE, dtype=np.int8)
-    law = unit.topologies[-1], unit.constants
+    law = unit.topology, unit.constants
     rows: dict[int, tuple[float, float]] = {}
     for tolerance in np.geomspace(1e5, _REFERENCE_TOLERANCE, 65):
         z, factors, answer = _tile(unit.position.T), Factors.empty(1, law[0]), empty_answer(1)

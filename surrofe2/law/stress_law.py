@@ -28,7 +28,6 @@ class Status(IntEnum):
     UNSTABLE = 2
     OUT_OF_RANGE = 3
     NOT_FINITE = 4
-    LIST_TOO_SHORT = 5
     NOT_TRUSTED = 6
 
 
@@ -41,8 +40,6 @@ _SENTENCES = {
     Status.OUT_OF_RANGE: "the deformation or its rate is outside the range of the surrogate's "
     "data; use the cached law or train on a wider range",
     Status.NOT_FINITE: "the stress came out as NaN or infinite",
-    Status.LIST_TOO_SHORT: "particles moved farther than the pair list covers; the deformation is "
-    "beyond the supported range",
     Status.NOT_TRUSTED: "the bound of the surrogate's error exceeds the stress tolerance; use the "
     "cached law, raise the tolerance or train on more data",
 }
@@ -312,7 +309,7 @@ def require_tangents(law: StressLaw, purpose: str = "tangents") -> None:
     """An `InputError` that begins with the purpose unless the law gives tangents."""
     if not law.has_tangents:
         raise InputError(
-            f"{purpose}: {type(law).__name__} has no tangents; use true RVEs (--law rve, solver "
+            f"{purpose}: {type(law).__name__} has no tangents; use RVEs (--law rve, solver "
             "direct) or integrator explicit"
         )
 

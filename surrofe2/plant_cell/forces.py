@@ -15,18 +15,16 @@ import numpy as np
 from surrofe2.base.compilation import kernel, pair_law
 from surrofe2.base.simd import TILE, inverse_root, load, spread, store
 from surrofe2.plant_cell.pair_laws import (
-    contact_bend,
-    contact_elastic,
+    contact,
     contact_energy,
-    contact_force,
-    contact_slopes,
     fluid_coefficients,
     spline,
     spline_slope,
+    tension,
+    wall,
     wall_energy,
-    wall_force,
+    within,
 )
-from surrofe2.plant_cell.tiles import central_pairs, outer_constants
 
 
 class Pair(NamedTuple):
@@ -80,36 +78,19 @@ def add_pair(f, i, j, fx, fy):
 
 
 @pair_law
-def central_tension(pair, is_bond, c):
-    """t(|r|, n·w), µN."""
+def central_law(pair, is_bond, weight, c):
+    """Weight that acts, and (t, ∂t/∂|r|, γ, ∂γ/∂|r|): the tension is that times t + γ n·w.
+
+    t alone is elastic. One weight for all of them is 0 beyond the cut-off: one selection of lanes.
+    """
     if is_bond:
-        tension = wall_force(pair.length, pair.rate, c)
+        elastic, stiffness, damping, _ = wall(pair.length, c)
+        law = elastic, spread(stiffness), spread(damping), spread(0.0)
+        acting = spread(weight)
     else:
-        tension = contact_force(pair.length, pair.inverse, pair.rate, c)
-    return tension
-
-
-@pair_law
-def central_slopes(pair, is_bond, c):
-    """(t, ∂t/∂|r|, ∂t/∂(n·w))."""
-    tension = central_tension(pair, is_bond, c)
-    if is_bond:
-        by_length, by_rate = spread(c.wall_stiffness), spread(c.wall_damping)
-    else:
-        by_length, by_rate = contact_slopes(pair.length, pair.inverse, pair.rate, c)
-    return tension, by_length, by_rate
-
-
-@pair_law
-def central_elastic(pair, is_bond, c):
-    """(t, t′, t″) by |r|, dashpots off."""
-    if is_bond:
-        tension = wall_force(pair.length, 0.0, c)
-        slope, bend = spread(c.wall_stiffness), spread(0.0)
-    else:
-        tension, slope = contact_elastic(pair.length, pair.inverse, c)
-        bend = contact_bend(pair.length, pair.inverse, c)
-    return tension, slope, bend
+        law = contact(pair.length, pair.inverse, c)
+        acting = within(pair.length, weight, c)
+    return acting, law
 
 
 @pair_law
@@ -123,19 +104,17 @@ def central_energy(length, inverse, is_bond, c):
 
 
 @kernel
-def add_central_forces(x, v, f, pairs, share, is_bond, c):
+def add_central_forces(x, v, f, pairs, weight, is_bond, c):
     """Add wall tensions (eq. 1) or contact repulsion (eq. 2) to f.
 
-    share (pairs, TILE) scales the whole force of a pair, lane by lane: ½ where one of the two walls
-    is missing, on the boundary of a tissue (docs/theory.md, walls at a free boundary), 0 in lanes
-    without that pair; c(r) keeps the parameter m_wall. None: 1 everywhere.
+    weight (pairs,) scales the whole force of a pair: ½ where one of the two walls is missing
+    (docs/theory.md, walls at a free boundary); c(r) keeps the parameter m_wall.
     """
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
         pair = pair_at(x, v, i, j)
-        a = central_tension(pair, is_bond, c) * pair.inverse
-        if share is not None:
-            a = load(share, k) * a
+        acting, law = central_law(pair, is_bond, weight[k], c)
+        a = acting * pair.inverse * tension(law, pair.rate)
         add_pair(f, i, j, a * pair.rx, a * pair.ry)
 
 
@@ -181,11 +160,10 @@ def fluid_specific_volume(x, topology, c, slope, volume):
 def local_forces(work, topology, c):
     """work.f at work.x and work.v: forces on own particles and, not yet folded, on images."""
     work.f[:] = 0.0
-    for outer in range(2):
-        bonds, contacts, own = central_pairs(topology, c, outer)
-        add_central_forces(work.x, work.v, work.f, bonds, None, True, own)
-        add_central_forces(work.x, work.v, work.f, contacts, None, False, own)
-    add_fluid_forces(work.x, work.v, work.f, topology, c, work.slope, work.volume)
+    x, v, f = work.x, work.v, work.f
+    add_central_forces(x, v, f, topology.bonds, topology.bond_weight, True, c)
+    add_central_forces(x, v, f, topology.contacts, topology.contact_weight, False, c)
+    add_fluid_forces(x, v, f, topology, c, work.slope, work.volume)
 
 
 @kernel
@@ -199,40 +177,31 @@ def fold_images(f, topology):
 
 
 @kernel
-def add_central_energy(x, pairs, share, is_bond, c, energy):
-    """Add the stored energy of bonds or contacts, pJ, to energy (1, TILE); share as above."""
+def add_central_energy(x, pairs, weight, is_bond, c, energy):
+    """Add the stored energy of bonds or contacts, pJ, to energy (1, TILE); weight as above."""
     total = spread(0.0)
     for k in range(pairs.shape[0]):
         rx, ry = difference(x, pairs[k, 0], pairs[k, 1])
         length, inverse = norm(rx, ry)
-        part = central_energy(length, inverse, is_bond, c)
-        if share is not None:
-            part = load(share, k) * part
-        total += part
+        total += weight[k] * central_energy(length, inverse, is_bond, c)
     store(load(energy, 0) + total, energy, 0)
 
 
 @kernel
-def add_fluid_energy(x, topology, exists, c, energy):
-    """Add Σ m c_s² ln ρ, pJ; exists (own, TILE): 0 where there is no particle. None: all are."""
+def add_fluid_energy(x, topology, c, energy):
+    """Add Σ m c_s² ln ρ, pJ."""
     slope = np.empty((topology.fluid_pairs.shape[0], TILE))
     volume = np.empty((topology.particles - topology.walls, TILE))
     fluid_specific_volume(x, topology, c, slope, volume)
     for p in range(volume.shape[0]):
         for lane in range(TILE):
-            part = c.fluid_mass * c.sound_speed_squared * np.log(volume[p, lane])
-            if exists is not None:
-                part = exists[topology.walls + p, lane] * part
-            energy[0, lane] -= part
+            energy[0, lane] -= c.fluid_mass * c.sound_speed_squared * np.log(volume[p, lane])
 
 
 @kernel
 def elastic_energy(x, topology, c, energy):
     """energy (1, TILE): stored energy of bonds, contacts and fluid, pJ."""
     store(0.0, energy, 0)
-    add_central_energy(x, topology.bonds, None, True, c, energy)
-    add_central_energy(x, topology.contacts, None, False, c, energy)
-    outer = outer_constants(topology, c)
-    add_central_energy(x, topology.outer_bonds, None, True, outer, energy)
-    add_central_energy(x, topology.outer_contacts, None, False, outer, energy)
-    add_fluid_energy(x, topology, None, c, energy)
+    add_central_energy(x, topology.bonds, topology.bond_weight, True, c, energy)
+    add_central_energy(x, topology.contacts, topology.contact_weight, False, c, energy)
+    add_fluid_energy(x, topology, c, energy)

@@ -32,9 +32,10 @@ SIGMA = 10.0 / (7.0 * np.pi)
 
 
 @pair_law
-def wall_force(length, rate, c):
-    """Tension [µN] of a bond of length |r| (µm) that stretches at n·w = `rate` (µm/µs)."""
-    return c.wall_stiffness * (length - c.rest_length) + c.wall_damping * rate
+def wall(length, c):
+    """(t, ∂t/∂|r|, γ, ∂γ/∂|r|) of a bond, whose tension is t + γ n·w, µN; µm, µm/µs."""
+    tension = c.wall_stiffness * (length - c.rest_length)
+    return tension, c.wall_stiffness, c.wall_damping, 0.0
 
 
 @pair_law
@@ -45,47 +46,40 @@ def wall_energy(length, c):
 
 
 @pair_law
-def contact_force(length, inverse, rate, c):
-    """Tension [µN] at |r| = `length`, its reciprocal `inverse`, n·w = `rate`; µm, µm/µs."""
-    inverse_3 = inverse * inverse * inverse
-    inverse_6 = inverse_3 * inverse_3
-    beyond = 1.0 / c.cutoff**6
-    cube = length * length * length
-    damping = c.contact_damping * inverse_3 * inverse_root(length) * (1.0 - cube * cube * beyond)
-    tension = damping * rate - c.repulsion * (inverse_6 - beyond)
-    return where_less(length, c.cutoff, tension, 0.0)
+def contact(length, inverse, c):
+    """As `wall` for a contact at |r| = `length`, its reciprocal `inverse`, within the cut-off.
 
-
-@pair_law
-def contact_slopes(length, inverse, rate, c):
-    """(∂t/∂|r|, ∂t/∂(n·w)) of the tension."""
+    What a kernel does not use of the four costs nothing.
+    """
     inverse_3 = inverse * inverse * inverse
+    inverse_6, beyond = inverse_3 * inverse_3, 1.0 / c.cutoff**6
     cube = length * length * length
-    fade = cube * cube * (1.0 / c.cutoff**6)
+    fade = cube * cube * beyond
     critical = c.contact_damping * inverse_3 * inverse_root(length)
+    tension = c.repulsion * (beyond - inverse_6)
+    stiffness = 6.0 * c.repulsion * inverse_6 * inverse
     damping = critical * (1.0 - fade)
     damping_slope = critical * inverse * (-3.5 * (1.0 - fade) - 6.0 * fade)
-    slope = damping_slope * rate + 6.0 * c.repulsion * inverse_3 * inverse_3 * inverse
-    inside_slope = where_less(length, c.cutoff, slope, 0.0)
-    return inside_slope, where_less(length, c.cutoff, damping, 0.0)
+    return tension, stiffness, damping, damping_slope
 
 
 @pair_law
-def contact_elastic(length, inverse, c):
-    """Tension without the dashpot, and its slope ∂t/∂|r|."""
-    inverse_3 = inverse * inverse * inverse
-    inverse_6 = inverse_3 * inverse_3
-    tension = c.repulsion * (1.0 / c.cutoff**6 - inverse_6)
-    slope = 6.0 * c.repulsion * inverse_6 * inverse
-    return where_less(length, c.cutoff, tension, 0.0), where_less(length, c.cutoff, slope, 0.0)
+def tension(law, rate):
+    """Of a bond or contact whose `law` is as of `wall`, µN, at n·w = rate."""
+    return law[0] + law[2] * rate
 
 
 @pair_law
-def contact_bend(length, inverse, c):
-    """∂²t/∂|r|² without the dashpot."""
+def within(length, value, c):
+    """The value where a contact acts, 0 beyond the cut-off."""
+    return where_less(length, c.cutoff, value, 0.0)
+
+
+@pair_law
+def contact_bend(inverse, c):
+    """∂²t/∂|r|² of a contact without its dashpot, within the cut-off."""
     inverse_4 = inverse * inverse * inverse * inverse
-    bend = -42.0 * c.repulsion * inverse_4 * inverse_4
-    return where_less(length, c.cutoff, bend, 0.0)
+    return -42.0 * c.repulsion * inverse_4 * inverse_4
 
 
 @pair_law
@@ -93,7 +87,7 @@ def contact_energy(length, inverse, c):
     """Stored energy of a contact, pJ: λ [r⁻⁵/5 + r x₀⁻⁶ − 6/5 x₀⁻⁵]."""
     inverse_5 = inverse * inverse * inverse * inverse * inverse
     energy = c.repulsion * (0.2 * inverse_5 + length * (1.0 / c.cutoff**6) - 1.2 / c.cutoff**5)
-    return where_less(length, c.cutoff, energy, 0.0)
+    return within(length, energy, c)
 
 
 @pair_law

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.compilation import kernel, pair_law
+from surrofe2.base.compilation import kernel
 from surrofe2.base.simd import TILE
 from surrofe2.plant_cell.parameters import CellParameters
 
@@ -39,10 +39,14 @@ class Constants(NamedTuple):
 
 
 class Topology(NamedTuple):
-    """Who interacts, by local indices, and the `Pattern` of matrices: numba nests no tuples.
+    """Who interacts, by local indices; at its end, how matrices lie, which is a `Pattern`.
 
-    bonds, contacts, fluid_pairs: (·, 2) local i, j. particles, of which `walls` come first: own.
-    outer_bonds, outer_contacts: those along a slab's outer walls, which act by `outer_share`.
+    Its fields are repeated here, for parallel kernels do not accept a tuple within a tuple.
+
+    bonds, contacts, fluid_pairs: (·, 2) local i, j, the first an own particle.
+    bond_weight, contact_weight: (·,) part of a pair's force and damping that acts: ½ where one of
+        the two walls is missing, along a slab's outer walls.
+    particles, of which `walls` come first: own.
     owner, image_offset: (g,) own particle of each image, (g, 2) µm from there to it; image k has
         the local index particles + k.
     fluid_start, fluid_pair_start: (cells + 1,) where each plant cell's fluid, counted from the
@@ -53,9 +57,8 @@ class Topology(NamedTuple):
     bonds: Ints
     contacts: Ints
     fluid_pairs: Ints
-    outer_bonds: Ints
-    outer_contacts: Ints
-    outer_share: float
+    bond_weight: Reals
+    contact_weight: Reals
     owner: Ints
     image_offset: Reals
     particles: int
@@ -121,34 +124,6 @@ def make_constants(cell: CellParameters, rest_length: float) -> Constants:
         sound_speed_squared=cell.sound_speed**2,
         viscosity=cell.viscosity,
     )
-
-
-@pair_law
-def outer_constants(topology, c):
-    """Constants of pairs along outer walls: `topology.outer_share` of their force and damping."""
-    share = topology.outer_share
-    return Constants(
-        share * c.wall_stiffness,
-        c.rest_length,
-        share * c.wall_damping,
-        share * c.repulsion,
-        c.cutoff,
-        share * c.contact_damping,
-        c.smoothing_length,
-        c.fluid_mass,
-        c.sound_speed_squared,
-        c.viscosity,
-    )
-
-
-@pair_law
-def central_pairs(topology, c, outer):
-    """Bonds, contacts and their constants, along a slab's outer walls or everywhere else."""
-    bonds, contacts, own = topology.bonds, topology.contacts, c
-    if outer:
-        bonds, contacts = topology.outer_bonds, topology.outer_contacts
-        own = outer_constants(topology, c)
-    return bonds, contacts, own
 
 
 def tiles_for(points: int) -> int:

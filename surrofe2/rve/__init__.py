@@ -3,9 +3,9 @@
 In reading order: `settings`, `rve_law` (the law), `solve` (one call of it), `unit_cell` (what an
 RVE is at rest), `rve_state` (the warm start), `particle_state` (forces and stress of given
 positions), `newton` and `block_lu` (equilibria), `constrained_runs` (the paper's iteration),
-`equilibrium_modes`, `slow_manifold` and `slow_solution`, `continuation`, `near_contacts` and
-`descent` (far loads), `tangents`, `parameter_gradients` (identification), `particles` (a look into
-RVEs), `micro_integration` (the reference of all initialisations).
+`slow_manifold`, `continuation` (far loads, stability), `tangents`, `parameter_gradients`
+(identification), `particles` (a look into RVEs), `micro_integration` (the reference of all
+initialisations).
 """
 
 from __future__ import annotations

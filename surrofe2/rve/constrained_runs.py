@@ -15,7 +15,15 @@ import numpy as np
 from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.tiles import make_workspace
-from surrofe2.rve.particle_state import answer_of, copy_particles, drive_of, keep_lane, measure
+from surrofe2.rve.particle_state import (
+    answer_of,
+    copy_particles,
+    drive_of,
+    entries,
+    inverse,
+    keep_lane,
+    measure,
+)
 
 
 class Stepping(NamedTuple):
@@ -46,7 +54,7 @@ def iterate_tile(drive, x, v, mass, topology, c, stepping, answer):
     copy_particles(v, work.v)
     done = np.zeros(TILE, dtype=np.bool_)
     for count in range(stepping.limit + 1):
-        _set_moving_images(F, rate, work.x, work.v, topology)
+        set_moving_images(F, rate, work.x, work.v, topology)
         measure(work, F, topology, c, sigma, mean)
         open_lanes = 0
         for k in range(TILE):
@@ -69,18 +77,17 @@ def iterate_tile(drive, x, v, mass, topology, c, stepping, answer):
 @kernel
 def _rescaling(F, rate, dt):
     """P = F (F + Δt Ḟ)⁻¹ (eq. 70), (2, 2, TILE)."""
+    xx, xy, yx, yy = inverse(entries(F + dt * rate))
     P = np.empty((2, 2, TILE))
-    xx, xy = load(F, 0, 0) + dt * load(rate, 0, 0), load(F, 0, 1) + dt * load(rate, 0, 1)
-    yx, yy = load(F, 1, 0) + dt * load(rate, 1, 0), load(F, 1, 1) + dt * load(rate, 1, 1)
-    per_det = 1.0 / (xx * yy - xy * yx)
     for i in range(2):
-        store((load(F, i, 0) * yy - load(F, i, 1) * yx) * per_det, P, i, 0)
-        store((load(F, i, 1) * xx - load(F, i, 0) * xy) * per_det, P, i, 1)
+        store(load(F, i, 0) * xx + load(F, i, 1) * yx, P, i, 0)
+        store(load(F, i, 0) * xy + load(F, i, 1) * yy, P, i, 1)
     return P
 
 
 @kernel
-def _set_moving_images(F, rate, x, v, topology):
+def set_moving_images(F, rate, x, v, topology):
+    """Images at x and v of their owners and the lattice's, which moves with (F, Ḟ)."""
     own = topology.particles
     for m in range(topology.owner.shape[0]):
         i = topology.owner[m]
@@ -99,7 +106,7 @@ def _euler_step(work, mass, P, own, dt):
     corner_x, corner_y = load(x, 0, 0) + dt * load(v, 0, 0), load(x, 1, 0) + dt * load(v, 1, 0)
     pull = dt / mass[0]
     corner_u, corner_v = load(v, 0, 0) + pull * load(f, 0, 0), load(v, 1, 0) + pull * load(f, 1, 0)
-    xx, xy, yx, yy = load(P, 0, 0), load(P, 0, 1), load(P, 1, 0), load(P, 1, 1)
+    xx, xy, yx, yy = entries(P)
     for i in range(own):
         hx = load(x, 0, i) + dt * load(v, 0, i) - corner_x
         hy = load(x, 1, i) + dt * load(v, 1, i) - corner_y

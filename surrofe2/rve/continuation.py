@@ -1,32 +1,50 @@
-"""Far loads: the elastic equilibrium followed in steps, over bifurcations.
+"""Far loads: the elastic equilibrium followed in steps, over bifurcations, and the way down.
 
 See docs/theory.md, stability. The path is straight in F, dashpots off, from where z is known to
 where it is asked for. A step from one stable equilibrium to the next is halved where Newton's
 method fails, where the state it finds is unstable, or where particles jump. The shortest step that
-still fails has met the end of its branch: from there particles move down the elastic energy to a
-minimum, see `descent`, and the path goes on along that branch.
+still fails has met the end of its branch: from there particles move down the elastic energy E to a
+minimum, and the path follows that branch on.
+
+A step down is Newton's, with the modulus of every eigenvalue of the Hessian H = Σ λ q qᵀ::
+
+    δx = Σ q (q·f)/|λ|,  halved until E falls,        f = −∂E/∂x
+
+Where H is positive definite that is H⁻¹ f, and eigenvalues need not be known. At rest in a saddle f
+says nothing, and the kick is the part of a fixed pattern w that lies in the unstable directions,
+δx ∝ Σ_{λ<0} |λ| q (q·w): it depends neither on the sign nor on the choice of eigenvectors that
+numpy returns. w is fixed in material coordinates, so a rotated RVE leaves along the rotated
+direction. Which of two mirrored branches is reached is w's choice, and a reflected RVE may choose
+the other.
+
+Forces and Hessian are by x of all particles but the held one, ordered x₁, y₁, x₂, … as everywhere.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
+import numba
 import numpy as np
+import scipy  # scipy.linalg is loaded where an RVE leaves its branch
 from numpy.typing import NDArray
 
-from surrofe2.base.simd import TILE
+from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.simd import TILE, load, spread, store, where_less
 from surrofe2.base.tensors import rotation, transpose
-from surrofe2.plant_cell.tiles import pack, unpack
-from surrofe2.rve.descent import Landscape, descend
-from surrofe2.rve.near_contacts import NearContacts
-from surrofe2.rve.newton import SEEK, SEEK_LIMIT, newton
-from surrofe2.rve.particle_state import ASTRAY, Drive, empty_answer
-from surrofe2.rve.unit_cell import UnitCell
+from surrofe2.plant_cell.block_pattern import make_pattern
+from surrofe2.plant_cell.forces import difference, elastic_energy, fold_images, local_forces
+from surrofe2.plant_cell.tiles import Topology, make_workspace, pack, tiles_for, unpack
+from surrofe2.rve.newton import SEEK, SEEK_LIMIT, move, set_elastic_jacobian
+from surrofe2.rve.particle_state import ASTRAY, place, place_images
+from surrofe2.rve.unit_cell import UnitCell, relax
 
 Reals = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Index = NDArray[np.intp]
+Counts = NDArray[np.int_]
 
 LONGEST, SHORTEST = 0.05, 0.004
 """Longest step, and the one that is not halved any further: largest change of an entry of F."""
@@ -37,6 +55,21 @@ FAR = 0.15
 EFFORT, OF_STEP_DOWN = 2700, 10
 """Newton iterations on the path of a point after which it is given up; a step down counts ten."""
 
+RESTING = 1e-4
+"""Mean particle force below which a minimum is left to Newton's method, µN."""
+KICK = 0.2
+"""Longest displacement of a particle out of a saddle, µm."""
+DOWN = 0.4
+"""Longest displacement of a particle in one step down, µm."""
+PAIRED = 0.02
+"""Distance of fluid particles below which they count as one, µm."""
+LEAST = 1e-12
+"""Stiffness of a mode that counts as one, over the largest of a particle."""
+STEPS, HALVINGS = 100, 30
+"""Steps down to a minimum, and halvings of each, after which there is none."""
+ROAM = 2.0
+"""How far particles may move, µm, before their contacts are listed again."""
+
 
 def is_far(F: Reals) -> Flags:
     """(tiles, TILE) whether F (tiles, 2, 2, TILE) is too far from I to be reached in one step."""
@@ -45,13 +78,18 @@ def is_far(F: Reals) -> Flags:
     return pack(np.abs(U - np.eye(2)).max(axis=(1, 2)) > FAR)
 
 
-class Path(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Path:
     """How far m points have come from F = `start` to F = `end`, (m, 2, 2) each.
 
-    z: (m, 2, n) their equilibria there.
-    done: (m,) the part of the path. step: the next step, as such a part.
-    effort: (m,) what it took, in Newton iterations.
-    left: (m,) whether a branch was left.
+    `follow` writes into the arrays as points go on.
+
+    Attributes:
+        z: (m, 2, n) their equilibria there.
+        done: (m,) the part of the path. step: the next step, as such a part.
+        effort: (m,) what it took, in Newton iterations. solves: (m,) of Newton's method.
+        left: (m,) whether a branch was left.
+        unstable: (m,) whether the last equilibrium met was unstable.
     """
 
     start: Reals
@@ -59,16 +97,27 @@ class Path(NamedTuple):
     z: Reals
     done: Reals
     step: Reals
-    effort: NDArray[np.int_]
+    effort: Counts
+    solves: Counts
     left: Flags
+    unstable: Flags
 
     @classmethod
     def between(cls, start: Reals, end: Reals, z: Reals) -> Path:
         """From z (m, 2, n) at F = `start`; a rotation between the two F is made at once."""
         start, count = rotation(end) @ transpose(rotation(start)) @ start, len(z)
-        effort, left = np.zeros(count, dtype=np.int_), np.zeros(count, dtype=np.bool_)
-        path = cls(start, end.copy(), z.copy(), np.zeros(count), np.full(count, 0.5), effort, left)
-        return path._replace(step=np.minimum(path.step, path.part_of(LONGEST)))
+        effort, solves = np.zeros((2, count), dtype=np.int_)
+        left, unstable = np.zeros((2, count), dtype=np.bool_)
+        z, done, step = z.copy(), np.zeros(count), np.full(count, 0.5)
+        path = cls(start, end, z, done, step, effort, solves, left, unstable)
+        np.minimum(step, path.part_of(LONGEST), out=step)
+        return path
+
+    @property
+    def arrived(self) -> Flags:
+        """(m,) whether a stable equilibrium was found at the end."""
+        arrived: Flags = self.done >= 1.0
+        return arrived
 
     def part_of(self, change: float) -> Reals:
         """(m,) the part of the path on which F changes by so much, at most 1."""
@@ -76,107 +125,70 @@ class Path(NamedTuple):
         part: Reals = change / np.maximum(length, change)
         return part
 
-    def take(self, index: Index) -> Path:
-        """That of the points `index`."""
-        return Path(
-            self.start[index], self.end[index], self.z[index], self.done[index], self.step[index],
-            self.effort[index], self.left[index],
-        )  # fmt: skip
 
-    def put(self, index: Index, other: Path) -> None:
-        """Let the points `index` be where those of the `other` are."""
-        for mine, new in zip(self, other, strict=True):
-            mine[index] = new
+class Trial(NamedTuple):
+    """What there is near where k elastic equilibria were sought.
 
-
-@dataclass(frozen=True, slots=True)
-class Equilibria:
-    """Elastic equilibria of k points near where they were sought.
-
-    Attributes:
-        z: (k, 2, particles) material positions, µm.
-        iterations: (k,) force evaluations.
-        found, stable: (k,).
+    z: (k, 2, particles) material positions, µm. iterations: (k,) force evaluations that it took.
+    found, stable: (k,).
     """
 
     z: Reals
-    iterations: NDArray[np.int_]
+    iterations: Counts
     found: Flags
     stable: Flags
 
-    def take(self, index: Index) -> Equilibria:
+    def take(self, index: Index) -> Trial:
         """Those of the points `index`."""
-        return Equilibria(
-            self.z[index], self.iterations[index], self.found[index], self.stable[index]
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class Followed:
-    """The end of the path of m points.
-
-    Attributes:
-        arrived: (m,) whether a stable equilibrium was found at the end.
-        unstable: (m,) whether the path ended at an equilibrium with no stable one below it.
-        newton_solves: how many it took.
-    """
-
-    arrived: Flags
-    unstable: Flags
-    newton_solves: int
+        z, iterations, found, stable = self
+        return Trial(z[index], iterations[index], found[index], stable[index])
 
 
 class Continuation:
-    """Follows equilibria of one unit cell, with its longest list of contacts."""
+    """Follows equilibria of one unit cell."""
 
     def __init__(self, unit: UnitCell, tolerance: float) -> None:
-        self.constants, self.tolerance = unit.constants, tolerance
-        self.contacts = NearContacts(unit.patches[-1].topology, unit.cell.repulsion_cutoff)
+        self.unit, self.tolerance = unit, tolerance
 
-    def follow(self, path: Path) -> Followed:
-        """Go on to the end of the path; it is left where the points have come to."""
-        # `active` numbers points of the path; `stuck` and masks like `good` number the active ones.
+    def follow(self, path: Path) -> None:
+        """Lead all points towards the end of the path, as far as `EFFORT` goes.
+
+        `active` numbers points of the path. What one step finds is numbered as `active` is: F, z,
+        trial, good (a step on the same branch) and `stuck`, those whose branch has ended.
+        """
         longest, shortest = path.part_of(LONGEST), path.part_of(SHORTEST)
-        arrived, unstable = path.done >= 1.0, np.zeros(len(path.z), dtype=np.bool_)
-        active, solves = np.flatnonzero(~arrived & (path.effort < EFFORT)), 0
+        active = np.arange(len(path.z))
         while len(active):
             z = path.z[active]
             F, trial, good = self._next(path, active, shortest[active])
             part, there = np.minimum(path.done[active] + path.step[active], 1.0), trial.z
-            solves += len(active)
-            at_shortest = path.step[active] <= shortest[active]
-            stuck = np.flatnonzero(~good & at_shortest)
+            path.solves[active] += 1
+            stuck = np.flatnonzero(~good & (path.step[active] <= shortest[active]))
             if len(stuck):
-                unstable[active[stuck]] = trial.found[stuck]
-                begin, spare = trial.take(stuck), EFFORT - path.effort[active[stuck]]
+                ended = active[stuck]
+                path.unstable[ended] = trial.found[stuck]
+                begin, spare = trial.take(stuck), EFFORT - path.effort[ended]
                 there[stuck], good[stuck], tried = self._leave(F[stuck], z[stuck], begin, spare)
-                path.effort[active[stuck]] += OF_STEP_DOWN * tried
-                solves += len(stuck)
-            lost = np.isin(np.arange(len(active)), stuck) & ~good
+                path.effort[ended] += OF_STEP_DOWN * tried
+                path.solves[ended] += 1
+                path.left[ended] |= good[stuck]
             ahead = active[good]
-            path.left[ahead] |= np.isin(np.flatnonzero(good), stuck)
             path.z[ahead], path.done[ahead] = there[good], part[good]
-            arrived[ahead] = part[good] >= 1.0
             step = path.step[active] * np.where(good, 2.0, 0.5)
             path.step[active] = np.clip(step, shortest[active], longest[active])
-            active = active[~arrived[active] & ~lost & (path.effort[active] < EFFORT)]
-        return Followed(arrived, unstable & ~arrived, solves)
+            keeps_on = ~path.arrived[active] & (path.effort[active] < EFFORT)
+            keeps_on[stuck] &= good[stuck]
+            active = active[keeps_on]
 
-    def newton(self, F: Reals, z: Reals) -> Equilibria:
+    def newton(self, F: Reals, z: Reals) -> Trial:
         """The elastic equilibrium near z (m, 2, n) by Newton's method."""
-        law = self.contacts.within(F, z, ASTRAY * np.linalg.norm(F, axis=(1, 2))), self.constants
-        points, z, tensors = len(z), pack(z), pack(F)
-        answer, tiles = empty_answer(len(z)), len(z)
-        drive, task = Drive(tensors, np.zeros_like(tensors)), np.full(tiles, SEEK, dtype=np.int8)
-        unused = np.zeros(tiles, dtype=np.intp)
-        newton(drive, z, unused, task, *law, self.tolerance, answer)
-        iterations = unpack(answer.iterations, points)
-        found = iterations > 0
-        stable = found & unpack(answer.stable, points)
-        count = np.where(iterations == -1, SEEK_LIMIT, np.abs(iterations))
-        return Equilibria(unpack(z, points), count, found, stable)
+        skin = 2.0 * ASTRAY * np.linalg.norm(F, axis=(1, 2)).max()
+        topology = self.unit.neighbours.near(pack(F), pack(z), skin).topology
+        found = relax(topology, self.unit.constants, z, F, self.tolerance, task=SEEK)
+        count = np.where(found.iterations == -1, SEEK_LIMIT, np.abs(found.iterations))
+        return Trial(found.z, count, found.found, found.stable)
 
-    def _next(self, path: Path, active: Index, shortest: Reals) -> tuple[Reals, Equilibria, Flags]:
+    def _next(self, path: Path, active: Index, shortest: Reals) -> tuple[Reals, Trial, Flags]:
         """The next step of the `active` points, halved as often as a tile has room to try at once.
 
         Returns:
@@ -199,23 +211,206 @@ class Continuation:
         return F[every, taken], trial.take(tries * every + taken), good[every, taken]
 
     def _leave(
-        self, F: Reals, z: Reals, trial: Equilibria, spare: NDArray[np.int_]
-    ) -> tuple[Reals, Flags, NDArray[np.int_]]:
+        self, F: Reals, z: Reals, trial: Trial, spare: Counts
+    ) -> tuple[Reals, Flags, Counts]:
         """z of points in a stable state, whether there is one, and how many steps down it took.
 
         Down from the unstable equilibrium, or, where none was found or it lies far off, from the
         last stable one.
         """
         saddle = trial.found & ~trial.stable & ~_jumped(trial.z, z)
-        begin = np.where(saddle[:, None, None], trial.z, z)
-        landscape = Landscape(F, self.contacts, self.constants)
-        below, found, tried = descend(landscape, begin, np.maximum(spare // OF_STEP_DOWN, 1))
+        begin, most = (
+            np.where(saddle[:, None, None], trial.z, z),
+            np.maximum(spare // OF_STEP_DOWN, 1),
+        )
+        below, found, tried = descend(self.unit, F, begin, most)
         solved = self.newton(F, below)
         there = np.where(solved.found[:, None, None], solved.z, below)
-        found &= solved.stable & ~landscape.paired(there)
+        found &= solved.stable & ~_paired(self.unit.topology, F, there)
         return there, found, tried
 
 
 def _jumped(z: Reals, before: Reals) -> Flags:
     jumped: Flags = np.abs(z - before).max(axis=(1, 2)) > JUMP
     return jumped
+
+
+def _paired(topology: Topology, F: Reals, z: Reals) -> Flags:
+    """(m,) whether two fluid particles of an RVE at F (m, 2, 2) and z (m, 2, n) have met.
+
+    That is SPH's pairing instability. The model's forces between fluid particles vanish with their
+    distance, so such a pair is an equilibrium of the numbers and none of the tissue.
+    """
+    i, j = topology.fluid_pairs.T
+    apart = F @ (z[:, :, i] - z[:, :, j])
+    nearest: Reals = (apart * apart).sum(axis=1).min(axis=1, initial=np.inf)
+    return nearest < PAIRED**2
+
+
+class Found(NamedTuple):
+    """What there is after a step, of RVEs in tiles.
+
+    energy: (tiles, 1, TILE) E, pJ. falls: (tiles, TILE) whether it is lower than before.
+    forces: (tiles, 2n − 2, TILE) f = −∂E/∂x, µN. slope: (tiles, (2n − 2)², TILE) −H, µN/µm.
+    nearest: (tiles, 1, TILE) smallest square of a distance of fluid particles, µm².
+    """
+
+    energy: Reals
+    falls: Flags
+    forces: Reals
+    slope: Reals
+    nearest: Reals
+
+
+@parallel_kernel
+def go_down(F, z, step, topology, c, found):
+    """Move z (tiles, 2, n, TILE) by the step δx (tiles, 2n − 2, TILE), in place.
+
+    The step is halved until E falls below the energy `found` before; else z stays.
+    """
+    for t in numba.prange(z.shape[0]):
+        here = Found(
+            found.energy[t], found.falls[t], found.forces[t], found.slope[t], found.nearest[t]
+        )
+        _go_down_tile(F[t], z[t], step[t], topology, c, here)
+
+
+@kernel
+def _go_down_tile(F, z, step, topology, c, found):
+    work, no_columns = make_workspace(topology), np.empty((0, 8, TILE))
+    trial, energy, falls = np.empty((1, TILE)), found.energy, found.falls
+    falls[:] = False
+    for _ in range(HALVINGS):
+        place(work, z, F, topology)
+        move(step, F, work.z)
+        place_images(work, F, topology)
+        elastic_energy(work.x, topology, c, trial)
+        left = 0
+        for k in range(TILE):
+            if falls[k]:
+                continue
+            if trial[0, k] < energy[0, k]:
+                falls[k] = True
+                energy[0, k] = trial[0, k]
+            else:
+                step[:, k] *= 0.5
+                left += 1
+        if left == 0:
+            break
+    for k in range(TILE):
+        if not falls[k]:
+            step[:, k] = 0.0
+    move(step, F, z)
+    place(work, z, F, topology)
+    set_elastic_jacobian(work, F, topology, c, found.slope, no_columns)
+    local_forces(work, topology, c)
+    fold_images(work.f, topology)
+    for i in range(1, topology.particles):
+        store(load(work.f, 0, i), found.forces, 2 * i - 2)
+        store(load(work.f, 1, i), found.forces, 2 * i - 1)
+    nearest = spread(np.inf)
+    for k in range(topology.fluid_pairs.shape[0]):
+        rx, ry = difference(work.x, topology.fluid_pairs[k, 0], topology.fluid_pairs[k, 1])
+        square = rx * rx + ry * ry
+        nearest = where_less(square, nearest, square, nearest)
+    store(nearest, found.nearest, 0)
+
+
+@cache
+def _dense_pattern(particles: int) -> dict[str, Any]:
+    """Of full matrices, whatever those of a topology are: all eigenvalues are wanted."""
+    return make_pattern(np.zeros(particles, dtype=np.int32), [])._asdict()
+
+
+def descend(
+    unit: UnitCell, F: Reals, z: Reals, most: Counts | int = STEPS
+) -> tuple[Reals, Flags, Counts]:
+    """From z (m, 2, n) at F (m, 2, 2) down to a minimum of E, in at most so many steps.
+
+    Returns:
+        z there, (m,) whether it is one: mean force below `RESTING`, Hessian positive definite; and
+        (m,) how many steps were tried.
+    """
+    z, found, tried = z.copy(), np.zeros(len(z), dtype=np.bool_), np.zeros(len(z), dtype=np.int_)
+    limit, energy = np.minimum(np.full(len(z), most), STEPS), np.full(len(z), np.inf)
+    # The first step has no length, and any energy is below ∞: it only evaluates energy, forces and
+    # Hessian where the descent begins.
+    active, step = np.arange(len(z)), np.zeros((len(z), 2 * z.shape[2] - 2))
+    while len(active):
+        # Whenever an RVE stops, the others are packed into tiles again, so that no lane is idle.
+        count, tensors, moving = len(active), pack(F[active]), pack(z[active])
+        here, room = _not_found(energy[active], step.shape[1]), 0.0
+        continues = np.ones(count, dtype=np.bool_)
+        while continues.all():
+            if room < DOWN:
+                topology, room = unit.neighbours.near(tensors, moving, 2.0 * ROAM).topology, ROAM
+                topology = topology._replace(**_dense_pattern(topology.particles))
+            room -= float(_lengths(step).max())
+            go_down(tensors, moving, pack(step), topology, unit.constants, here)
+            apart = here.nearest[:, 0] >= PAIRED**2
+            continues = unpack(here.falls & apart, count) & (tried[active] < limit[active])
+            for k in np.flatnonzero(continues).tolist():
+                tile, lane = divmod(k, TILE)
+                forces, hessian = here.forces[tile, :, lane], -here.slope[tile, :, lane]
+                step[k], found[active[k]] = _step(F[active[k]], forces, hessian)
+                tried[active[k]] += 1
+                continues[k] = not found[active[k]]
+        z[active], energy[active] = unpack(moving, count), unpack(here.energy, count)[:, 0]
+        active, step = active[continues], step[continues]
+    return z, found, tried
+
+
+def _not_found(energy: Reals, free: int) -> Found:
+    """Nothing found yet by RVEs that are to fall below the energies (k,)."""
+    tiles = tiles_for(len(energy))
+    return Found(
+        energy=pack(energy[:, None]),
+        falls=np.empty((tiles, TILE), dtype=np.bool_),
+        forces=np.empty((tiles, free, TILE)),
+        slope=np.empty((tiles, free * free, TILE)),
+        nearest=np.empty((tiles, 1, TILE)),
+    )
+
+
+def _step(F: Reals, forces: Reals, values: Reals) -> tuple[Reals, bool]:
+    """(2n − 2,) Newton's step, or the kick out of a saddle at rest; whether this is a minimum."""
+    hessian = values.reshape(len(forces), -1)
+    resting = bool(_lengths(forces[None]).mean() < RESTING)
+    factor, not_definite = scipy.linalg.lapack.dpotrf(hessian, clean=False)
+    if not not_definite:
+        if resting:
+            return forces, True
+        step = scipy.linalg.lapack.dpotrs(factor, forces)[0]
+    else:
+        step = over_saddle(F, forces, hessian, resting)
+    step = step * min(DOWN / max(_lengths(step[None]).max(), 1e-300), 1.0)
+    return step, False
+
+
+def over_saddle(F: Reals, forces: Reals, hessian: Reals, resting: bool) -> Reals:
+    """H⁻¹ f with the sign of the unstable modes turned, or, `resting`, the kick along these."""
+    # The unstable modes alone: all of them take twice as long, and a solution does for the others.
+    stiffness, modes = scipy.linalg.eigh(
+        hessian, subset_by_value=(-np.inf, 0.0), driver="evr", check_finite=False
+    )
+    if resting:
+        step = modes @ (-stiffness * (modes.T @ _pattern(F, len(forces))))
+        return step * (KICK / max(_lengths(step[None]).max(), 1e-300))
+    least = LEAST * np.abs(np.diagonal(hessian)).max()  # a particle that touches nothing stays
+    shifted = hessian + least * np.eye(len(forces))
+    step = scipy.linalg.lapack.dsysv(shifted, forces)[2]
+    turned = 1.0 / np.maximum(-stiffness, least) - 1.0 / (stiffness + least)
+    return step + modes @ (turned * (modes.T @ forces))
+
+
+def _pattern(F: Reals, free: int) -> Reals:
+    """(free,) displacements that single out one of mirrored branches, whatever F (2, 2)."""
+    angle = np.arange(1, free // 2 + 1) * np.sqrt(2.0)
+    return (F @ np.stack([np.cos(angle), np.sin(2.0 * angle)])).T.ravel()
+
+
+def _lengths(vectors: Reals) -> Reals:
+    """(m, n − 1) of vectors (m, 2n − 2)."""
+    pairs = vectors.reshape(len(vectors), vectors.shape[1] // 2, 2)
+    lengths: Reals = np.sqrt((pairs * pairs).sum(axis=2))
+    return lengths

@@ -17,10 +17,10 @@ from surrofe2.base.compilation import kernel
 from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.forces import fold_images, local_forces
-from surrofe2.plant_cell.tiles import make_workspace, pack
-from surrofe2.rve.particle_state import Drive, cauchy_stress, drive_of, map_affine, place
+from surrofe2.plant_cell.tiles import make_workspace
+from surrofe2.rve.constrained_runs import set_moving_images
+from surrofe2.rve.particle_state import Drive, cauchy_stress, drive_of, map_affine
 from surrofe2.rve.rve_law import RveLaw
-from surrofe2.rve.solve import covered_by
 
 Array = NDArray[np.float64]
 Path = Callable[[float], tuple[Array, Array]]
@@ -48,7 +48,7 @@ def integrate_rve(law: RveLaw, path: Path, times: Array, micro_step: float = 1e-
     if times.ndim != 1 or (np.diff(times) <= 0.0).any() or not micro_step > 0.0:
         raise InputError("micro-integration: times must increase and micro_step be positive")
     unit = law.unit_cell
-    X, mass, pairs = law.rest_state(1).z[0], unit.patches[0].mass, unit.topologies[-1]
+    X, mass, topology = law.rest_state(1).z[0], unit.neighbours.mass, unit.topology
     F, F_dot = path(times[0])
     elastic = RveLaw(law.cell, initialisation="elastic", reference=law.reference)
     z = elastic.respond(F[None], np.zeros((1, 2, 2))).state.z[0]
@@ -63,7 +63,7 @@ def integrate_rve(law: RveLaw, path: Path, times: Array, micro_step: float = 1e-
             halves = begin + dt * (first + 0.5 * np.arange(2 * count + 1))
             frames = [path(float(t)) for t in halves]
             drive = Drive(_lanes([f[0] for f in frames]), _lanes([f[1] for f in frames]))
-            _integrate(u, w, drive, dt, X, mass, pairs, unit.constants)
+            _integrate(u, w, drive, dt, X, mass, topology, unit.constants)
         if not np.isfinite(u).all():
             raise SimulationError(
                 f"micro-integration: particles flew apart before t = {end} µs; take a shorter "
@@ -81,38 +81,33 @@ def _lanes(tensors: list[Array]) -> Array:
 def _stress(law: RveLaw, u: Array, w: Array, F: Array, F_dot: Array) -> Array:
     unit, X, drive = law.unit_cell, law.rest_state(1).z[0], Drive(*_lanes([F, F_dot]))
     stress = np.empty((2, 2, TILE))
-    _stress_of(u, w, drive, X, unit.topologies[-1], unit.constants, stress)
-    z = X + np.einsum("ab,bpl->apl", np.linalg.inv(F), u)
-    if not covered_by(unit, -1, pack(F[None]), z[None]).all():
-        raise SimulationError("micro-integration: particles moved beyond the pair lists")
+    _stress_of(u, w, drive, X, unit.topology, unit.constants, stress)
     return stress[..., 0].copy()
 
 
 @kernel
-def _place(u, w, drive, X, topology, work):
-    """Local x = F X + u and v = Ḟ X + w; images move as their owners do."""
-    own = topology.particles
-    place(work, X, drive.F, topology)
-    map_affine(drive.rate, work.z, work.v)
-    for i in range(work.z.shape[1]):
-        k = i if i < own else topology.owner[i - own]
-        for axis in range(2):
-            store(load(work.x, axis, i) + load(u, axis, k), work.x, axis, i)
-            store(load(work.v, axis, i) + load(w, axis, k), work.v, axis, i)
+def _set_forces(u, w, drive, X, topology, c, work):
+    """Local forces at x = F X + u and v = Ḟ X + w; images move as their owners do."""
+    map_affine(drive.F, X, work.x)
+    map_affine(drive.rate, X, work.v)
+    for axis in range(2):
+        for i in range(topology.particles):
+            store(load(work.x, axis, i) + load(u, axis, i), work.x, axis, i)
+            store(load(work.v, axis, i) + load(w, axis, i), work.v, axis, i)
+    set_moving_images(drive.F, drive.rate, work.x, work.v, topology)
+    local_forces(work, topology, c)
 
 
 @kernel
 def _stress_of(u, w, drive, X, topology, c, stress):
     work = make_workspace(topology)
-    _place(u, w, drive, X, topology, work)
-    local_forces(work, topology, c)
+    _set_forces(u, w, drive, X, topology, c, work)
     cauchy_stress(work.x, work.f, drive.F, topology.area, stress)
 
 
 @kernel
 def _accelerations(u, w, drive, X, mass, topology, c, work, a):
-    _place(u, w, drive, X, topology, work)
-    local_forces(work, topology, c)
+    _set_forces(u, w, drive, X, topology, c, work)
     fold_images(work.f, topology)
     for i in range(topology.particles):
         for axis in range(2):

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, load, store
-from surrofe2.plant_cell.jacobian import force_jacobian
+from surrofe2.plant_cell.derivatives import force_jacobian
 from surrofe2.plant_cell.tiles import Constants, Topology, make_workspace
 from surrofe2.rve.block_lu import (
     COLUMNS,
@@ -39,8 +39,10 @@ from surrofe2.rve.particle_state import (
     copy_particles,
     drive_of,
     empty_answer,
+    entries,
     evaluate,
     give_up,
+    inverse,
     keep_lane,
     limit_step,
     map_affine,
@@ -96,8 +98,7 @@ def change(tensor, before):
 @kernel
 def add_slopes(slopes, first, tensor, z):
     """z += Σ_m slopes[:, first + m] tensor_m over xx, xy, yx, yy, but of the held particle."""
-    xx, xy = load(tensor, 0, 0), load(tensor, 0, 1)
-    yx, yy = load(tensor, 1, 0), load(tensor, 1, 1)
+    xx, xy, yx, yy = entries(tensor)
     for m in range(slopes.shape[0]):
         value = load(slopes, m, first) * xx + load(slopes, m, first + 1) * xy
         value += load(slopes, m, first + 2) * yx + load(slopes, m, first + 3) * yy
@@ -107,13 +108,13 @@ def add_slopes(slopes, first, tensor, z):
 
 @kernel
 def settle(residual, before, stop, count, source, target, iterations):
-    """How many lanes are left under way at evaluation `count`.
+    """Mark lanes that are solved or given up at evaluation `count`; return how many are not.
 
     iterations becomes count where the residual (1, TILE) is within tolerance; there the lane of
     source goes to target. It becomes −1 where the lane is given up; the residual replaces the one
     `before` (TILE,).
     """
-    left = 0
+    open_lanes = 0
     for k in range(TILE):
         if iterations[k] == 0:
             if residual[0, k] <= stop.tolerance:
@@ -122,9 +123,9 @@ def settle(residual, before, stop, count, source, target, iterations):
             elif not residual[0, k] < stop.contraction * before[k] or count == stop.limit:
                 iterations[k] = -1
             else:
-                left += 1
+                open_lanes += 1
             before[k] = residual[0, k]
-    return left
+    return open_lanes
 
 
 @kernel
@@ -155,24 +156,22 @@ def hold(step, iterations):
 @kernel
 def move(step, F, z):
     """z += F⁻¹ δx on own particles but the held one."""
-    xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
-    per_det = 1.0 / (xx * yy - xy * yx)
+    xx, xy, yx, yy = inverse(entries(F))
     for i in range(1, step.shape[0] // 2 + 1):
         dx, dy = load(step, 2 * i - 2), load(step, 2 * i - 1)
-        store(load(z, 0, i) + (yy * dx - xy * dy) * per_det, z, 0, i)
-        store(load(z, 1, i) + (xx * dy - yx * dx) * per_det, z, 1, i)
+        store(load(z, 0, i) + (xx * dx + xy * dy), z, 0, i)
+        store(load(z, 1, i) + (yx * dx + yy * dy), z, 1, i)
 
 
 @kernel
 def set_jacobian(work, drive, topology, c, matrix, columns):
     """`force_jacobian` at local z, x, v, with L = rate F⁻¹."""
-    F, rate, L = drive.F, drive.rate, np.empty((2, 2, TILE))
-    xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
-    per_det = 1.0 / (xx * yy - xy * yx)
+    L = np.empty((2, 2, TILE))
+    xx, xy, yx, yy = inverse(entries(drive.F))
     for i in range(2):
-        rx, ry = load(rate, i, 0), load(rate, i, 1)
-        store((rx * yy - ry * yx) * per_det, L, i, 0)
-        store((ry * xx - rx * xy) * per_det, L, i, 1)
+        rx, ry = load(drive.rate, i, 0), load(drive.rate, i, 1)
+        store(rx * xx + ry * yx, L, i, 0)
+        store(rx * xy + ry * yy, L, i, 1)
     force_jacobian(work, L, topology, c, matrix, columns)
 
 
@@ -331,13 +330,12 @@ def _refactorise(work, matrices, drive, topology, c, lu, slopes):
 @kernel
 def keep_slopes(steps, F, slopes, first):
     """slopes[:, first:first + 4] = F⁻¹ steps, of four steps (4, free, TILE)."""
-    xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
-    per_det = 1.0 / (xx * yy - xy * yx)
+    xx, xy, yx, yy = inverse(entries(F))
     for m in range(COLUMNS):
         for i in range(0, steps.shape[1], 2):
             dx, dy = load(steps, m, i), load(steps, m, i + 1)
-            store((yy * dx - xy * dy) * per_det, slopes, i, first + m)
-            store((xx * dy - yx * dx) * per_det, slopes, i + 1, first + m)
+            store(xx * dx + xy * dy, slopes, i, first + m)
+            store(yx * dx + yy * dy, slopes, i + 1, first + m)
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Particles of RVEs that follow (F, Ḟ): positions, forces, residual, stress, reach of pair lists.
+"""Particles of RVEs that follow (F, Ḟ): positions, forces, residual, stress.
 
 Unknowns are material positions z, so that x = F z moves along with F, and velocities v = Ḟ z are
 affine: v = L x. z of particle 0, a wall corner, stays at the origin.
@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.compilation import kernel, pair_law, parallel_kernel
 from surrofe2.base.simd import TILE, load, root, spread, store
 from surrofe2.plant_cell.forces import elastic_energy, fold_images, local_forces
 from surrofe2.plant_cell.tiles import Constants, Topology, make_workspace, pack, tiles_for, unpack
@@ -128,10 +128,24 @@ def set_images(z, topology):
             store(load(z, axis, i) + topology.image_offset[k, axis], z, axis, own + k)
 
 
+@pair_law
+def entries(tensor):
+    """(xx, xy, yx, yy) of a tensor (2, 2, TILE)."""
+    return load(tensor, 0, 0), load(tensor, 0, 1), load(tensor, 1, 0), load(tensor, 1, 1)
+
+
+@pair_law
+def inverse(of):
+    """The entries of the inverse of a tensor with the entries `of`."""
+    xx, xy, yx, yy = of
+    per_det = 1.0 / (xx * yy - xy * yx)
+    return yy * per_det, -xy * per_det, -yx * per_det, xx * per_det
+
+
 @kernel
 def map_affine(F, z, x):
     """x = F z; F (2, 2, TILE), z and x (2, local, TILE)."""
-    xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
+    xx, xy, yx, yy = entries(F)
     for i in range(z.shape[1]):
         zx, zy = load(z, 0, i), load(z, 1, i)
         store(xx * zx + xy * zy, x, 0, i)
@@ -167,8 +181,8 @@ def cauchy_stress(x, f, F, area, stress):
         xy -= fx * py
         yx -= fy * px
         yy -= fy * py
-    det = load(F, 0, 0) * load(F, 1, 1) - load(F, 0, 1) * load(F, 1, 0)
-    per_volume = 1.0 / (area * det)
+    fxx, fxy, fyx, fyy = entries(F)
+    per_volume = 1.0 / (area * (fxx * fyy - fxy * fyx))
     store(xx * per_volume, stress, 0, 0)
     store(xy * per_volume, stress, 0, 1)
     store(yx * per_volume, stress, 1, 0)
@@ -236,39 +250,3 @@ def _energy_tile(F, z, topology, c, energy):
     work = make_workspace(topology)
     place(work, z, F, topology)
     elastic_energy(work.x, topology, c, energy)
-
-
-@kernel
-def list_covers(F, z, reference, reach, cutoff, covered):
-    """covered (tiles, TILE): whether no pair farther than `reach` can be within the cut-off.
-
-    Unlisted pairs have |Z| > reach in the reference (n, 2). With particles at most d from there
-    in material coordinates, |r| ≥ s_min(F) (reach − 2 d).
-    """
-    for t in range(z.shape[0]):
-        for lane in range(z.shape[3]):
-            farthest = 0.0
-            for i in range(reference.shape[0]):
-                dx = z[t, 0, i, lane] - reference[i, 0]
-                dy = z[t, 1, i, lane] - reference[i, 1]
-                farthest = max(farthest, dx * dx + dy * dy)
-            a, b = F[t, 0, 0, lane], F[t, 0, 1, lane]
-            d, e = F[t, 1, 0, lane], F[t, 1, 1, lane]
-            smallest = 0.5 * (np.hypot(a + e, b - d) - np.hypot(a - e, b + d))
-            covered[t, lane] = smallest * (reach - 2.0 * np.sqrt(farthest)) >= cutoff
-
-
-@kernel
-def pairs_apart(F, z, pairs, offset, cutoff, apart):
-    """apart (tiles, TILE): whether all pairs i, j (k, 2) are; j is `offset` (k, 2) off."""
-    apart[:] = True
-    for t in range(z.shape[0]):
-        for k in range(pairs.shape[0]):
-            i, j = pairs[k, 0], pairs[k, 1]
-            for lane in range(TILE):
-                rx = z[t, 0, j, lane] + offset[k, 0] - z[t, 0, i, lane]
-                ry = z[t, 1, j, lane] + offset[k, 1] - z[t, 1, i, lane]
-                px = F[t, 0, 0, lane] * rx + F[t, 0, 1, lane] * ry
-                py = F[t, 1, 0, lane] * rx + F[t, 1, 1, lane] * ry
-                if px * px + py * py < cutoff * cutoff:
-                    apart[t, lane] = False

@@ -13,7 +13,7 @@ import scipy  # scipy.sparse is loaded where particles are looked at
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.arrangement import make_arrangement
-from surrofe2.plant_cell.pair_lists import Patch
+from surrofe2.plant_cell.tiles import Topology
 from surrofe2.rve.unit_cell import UnitCell
 
 Array = NDArray[np.float64]
@@ -102,41 +102,41 @@ def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Arr
         F, F_dot: (n, 2, 2).
         z: (n, p, 2) µm. fluctuation: (n, p, 2) µm/µs.
     """
-    cell, patch = unit.cell, unit.patches[-1]
+    cell, topology, lattice = unit.cell, unit.topology, unit.reference.lattice
     arrangement = make_arrangement(cell)
     x, v = np.einsum("nij,npj->npi", F, z), np.einsum("nij,npj->npi", F_dot, z) + fluctuation
     force = np.zeros_like(x)
-    area = (np.linalg.det(F) * patch.topology.area)[:, None, None]
+    area = (np.linalg.det(F) * topology.area)[:, None, None]
 
     def pairs_of(listed: NDArray[np.int32]) -> _Pairs:
-        return _pairs(patch, listed, x, v, F, F_dot)
+        return _pairs(unit, listed, x, v, F, F_dot)
 
     def act(pairs: _Pairs, forces: Array) -> Array:
         """Add the forces; the virial of each pair as stress, (n, k, 2, 2)."""
-        force[:] += _summed(pairs.i, forces, patch.topology.particles)
-        force[:] -= _summed(pairs.j, forces, patch.topology.particles)
+        force[:] += _summed(pairs.i, forces, topology.particles)
+        force[:] -= _summed(pairs.j, forces, topology.particles)
         return np.einsum("nki,nkj->nkij", forces, pairs.r) / area[:, None]
 
-    bonds = pairs_of(patch.topology.bonds)
+    bonds = pairs_of(topology.bonds)
     tension = cell.wall_stiffness * (bonds.length - unit.rest_length)
     tension += unit.constants.wall_damping * bonds.rate
     bond_stress = act(bonds, (tension / bonds.length)[:, :, None] * bonds.r).sum(axis=1)
 
-    contacts = pairs_of(patch.topology.contacts)
+    contacts = pairs_of(topology.contacts)
     along = _contact_tension(unit, contacts) / contacts.length
     pushes = along[:, :, None] * contacts.r
     contact_stress = act(contacts, pushes)
-    between_walls = np.maximum(contacts.i, contacts.j) < patch.topology.walls
+    between_walls = np.maximum(contacts.i, contacts.j) < topology.walls
 
-    fluid = pairs_of(patch.topology.fluid_pairs)
-    density, forces = _fluid(unit, patch, fluid)
+    fluid = pairs_of(topology.fluid_pairs)
+    density, forces = _fluid(unit, fluid)
     fluid_stress = act(fluid, forces).sum(axis=1)
 
-    starts = patch.topology.fluid_start.astype(np.int64)
+    starts = topology.fluid_start.astype(np.int64)
     fluid_cell = np.repeat(np.arange(starts.size - 1), np.diff(starts))
     spacing = unit.rest_length
-    rims = _rim_areas(arrangement.rims, x, patch.lattice, F)
-    at_rest = _rim_areas(arrangement.rims, unit.position[None], patch.lattice, np.eye(2)[None])
+    rims = _rim_areas(arrangement.rims, x, lattice, F)
+    at_rest = _rim_areas(arrangement.rims, unit.position[None], lattice, np.eye(2)[None])
     return Particles(
         F=F,
         F_dot=F_dot,
@@ -149,36 +149,29 @@ def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Arr
         bond_shift=bonds.shift,
         tension=tension,
         stretch=bonds.length / unit.rest_length,
-        contact_pressure=_push_on_walls(patch, contacts, pushes, fluid_cell) / spacing,
+        contact_pressure=_push_on_walls(topology, contacts, pushes, fluid_cell) / spacing,
         area_ratio=rims / at_rest,
         stress=bond_stress + contact_stress.sum(axis=1) + fluid_stress,
         wall_stress=bond_stress + contact_stress[:, between_walls].sum(axis=1),
         fluid_stress=fluid_stress,
-        is_wall=np.arange(patch.topology.particles) < patch.topology.walls,
+        is_wall=np.arange(topology.particles) < topology.walls,
         fluid_cell=fluid_cell,
-        lattice=patch.lattice,
+        lattice=lattice,
     )
 
 
 def _pairs(
-    patch: Patch, listed: NDArray[np.int32], x: Array, v: Array, F: Array, rate: Array
+    unit: UnitCell, listed: NDArray[np.int32], x: Array, v: Array, F: Array, rate: Array
 ) -> _Pairs:
     """Listed local pairs, images brought back to their owners and moved by the lattice."""
-    own = np.concatenate([np.arange(patch.topology.particles), patch.topology.owner]).astype(
-        np.int64
-    )
-    shift = _shift_of(patch, listed[:, 1]) - _shift_of(patch, listed[:, 0])
-    offset = shift @ patch.lattice.T
-    i, j = own[listed[:, 0]], own[listed[:, 1]]
+    owner = np.append(np.arange(unit.topology.particles), unit.topology.owner)
+    shifts = np.pad(unit.neighbours.shift, ((unit.topology.particles, 0), (0, 0))).astype(np.int64)
+    i, j = owner[listed].T
+    shift = shifts[listed[:, 1]] - shifts[listed[:, 0]]
+    offset = shift @ unit.reference.lattice.T
     r = x[:, j] - x[:, i] + offset @ F.transpose(0, 2, 1)
     w = v[:, j] - v[:, i] + offset @ rate.transpose(0, 2, 1)
     return _Pairs(i, j, shift, r, w, np.linalg.norm(r, axis=2))
-
-
-def _shift_of(patch: Patch, local: NDArray[np.int32]) -> Index:
-    shift = np.concatenate([np.zeros((patch.topology.particles, 2), np.int64), patch.shift])
-    picked: Index = shift[local].astype(np.int64)
-    return picked
 
 
 def _contact_tension(unit: UnitCell, pairs: _Pairs) -> Array:
@@ -190,7 +183,7 @@ def _contact_tension(unit: UnitCell, pairs: _Pairs) -> Array:
     return np.where(r < c.cutoff, dashpot - spring, 0.0)
 
 
-def _fluid(unit: UnitCell, patch: Patch, pairs: _Pairs) -> tuple[Array, Array]:
+def _fluid(unit: UnitCell, pairs: _Pairs) -> tuple[Array, Array]:
     """(n, f) densities, eq. (7), and (n, k, 2) forces on i, eq. (8)."""
     cell, h = unit.cell, unit.constants.smoothing_length
     s = pairs.length / h
@@ -198,8 +191,8 @@ def _fluid(unit: UnitCell, patch: Patch, pairs: _Pairs) -> tuple[Array, Array]:
     outer, inner = np.maximum(2.0 - s, 0.0), np.maximum(1.0 - s, 0.0)
     kernel = scale * (0.25 * outer**3 - inner**3)
     slope = scale / h * (3.0 * inner**2 - 0.75 * outer**2) / pairs.length
-    i, j = pairs.i - patch.topology.walls, pairs.j - patch.topology.walls
-    mass, n_fluid = unit.constants.fluid_mass, patch.topology.particles - patch.topology.walls
+    walls, mass = unit.topology.walls, unit.constants.fluid_mass
+    i, j, n_fluid = pairs.i - walls, pairs.j - walls, unit.topology.particles - walls
     density = mass * (scale + _summed(i, kernel, n_fluid) + _summed(j, kernel, n_fluid))
     a, b = 1.0 / density[:, i], 1.0 / density[:, j]
     along = mass**2 * slope * cell.sound_speed**2 * (a + b)
@@ -207,34 +200,32 @@ def _fluid(unit: UnitCell, patch: Patch, pairs: _Pairs) -> tuple[Array, Array]:
     return density, along[:, :, None] * pairs.r + against[:, :, None] * pairs.w
 
 
-def _push_on_walls(patch: Patch, pairs: _Pairs, pushes: Array, fluid_cell: Index) -> Array:
+def _push_on_walls(topology: Topology, pairs: _Pairs, pushes: Array, fluid_cell: Index) -> Array:
     """(n, walls) largest force that the fluid of one plant cell exerts on each wall particle, µN.
 
     A plant cell and its image, which lie on both sides of a wall, count as two.
     """
-    first, second = pairs.i < patch.topology.walls, pairs.j < patch.topology.walls
+    first, second = pairs.i < topology.walls, pairs.j < topology.walls
     mixed = np.flatnonzero(first != second)
     wall_first = first[mixed]
     wall = np.where(wall_first, pairs.i[mixed], pairs.j[mixed])
-    fluid = np.where(wall_first, pairs.j[mixed], pairs.i[mixed]) - patch.topology.walls
+    fluid = np.where(wall_first, pairs.j[mixed], pairs.i[mixed]) - topology.walls
     shift = np.where(wall_first, 1, -1)[:, None] * pairs.shift[mixed]
     sides = np.column_stack([wall, fluid_cell[fluid], shift])
     unique, side = np.unique(sides, axis=0, return_inverse=True)
     outward = pushes[:, mixed] * np.where(wall_first, 1.0, -1.0)[:, None]
     total = np.linalg.norm(_summed(side.ravel(), outward, len(unique)), axis=2)
-    largest = np.zeros((patch.topology.walls, len(pushes)))
+    largest = np.zeros((topology.walls, len(pushes)))
     np.maximum.at(largest, unique[:, 0], total.T)
     return largest.T
 
 
 def _summed(target: Index, values: Array, size: int) -> Array:
     """(n, size, …) sums of values (n, k, …) by their targets (k,)."""
-    sums = np.zeros((size, len(values), *values.shape[2:]))
-    matrix = scipy.sparse.csr_matrix(
-        (np.ones(target.size), (target, np.arange(target.size))), (size, target.size)
-    )
-    sums[:] = (matrix @ values.swapaxes(0, 1).reshape(target.size, -1)).reshape(sums.shape)
-    return sums.swapaxes(0, 1)
+    entries = np.ones(target.size), (target, np.arange(target.size))
+    matrix = scipy.sparse.csr_matrix(entries, (size, target.size))
+    sums = matrix @ values.swapaxes(0, 1).reshape(target.size, -1)
+    return np.asarray(sums).reshape(size, len(values), *values.shape[2:]).swapaxes(0, 1)
 
 
 def _rim_areas(rims: tuple[NDArray[np.int32], ...], x: Array, lattice: Array, F: Array) -> Array:

@@ -20,16 +20,15 @@ from surrofe2.law.stress_law import (
 )
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.plant_cell.tiles import Topology, pack, unpack
+from surrofe2.plant_cell.tiles import pack, unpack
 from surrofe2.run.views import Facts, Viewed
 from surrofe2.rve.newton import renew
 from surrofe2.rve.particle_state import Drive
 from surrofe2.rve.particles import Particles, look_into
-from surrofe2.rve.rve_state import RveState, rest_state
+from surrofe2.rve.rve_state import RveState
 from surrofe2.rve.settings import RveSettings
 from surrofe2.rve.slow_manifold import renew_slow
-from surrofe2.rve.slow_solution import solution_kind
-from surrofe2.rve.solve import covered_by, dashpot_rate, solve_rves
+from surrofe2.rve.solve import dashpot_rate, solve_rves
 from surrofe2.rve.unit_cell import make_unit_cell
 
 _RENEW_AFTER = {"slow-manifold": 9}
@@ -83,7 +82,6 @@ class RveLaw(Viewed):
         )
         self.cell = cell
         self.unit_cell = make_unit_cell(cell, reference)
-        self._kind = solution_kind(self.settings.initialisation)
         self._name = f"{cell.fingerprint} {self.settings.initialisation} {self.settings.solver}"
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -132,7 +130,7 @@ class RveLaw(Viewed):
 
     def rest_state(self, points: int) -> RveState:
         """State of n RVEs at F = I, to warm-start from."""
-        return rest_state(self.unit_cell.position, self.unit_cell.factors, points, self._name)
+        return self.unit_cell.rest_state(points, self._name)
 
     def particles(self, F: Any, F_dot: Any, state: RveState | None = None) -> Particles:
         """The particles behind the stress at n points: positions, forces, pressures, walls.
@@ -192,18 +190,18 @@ class RveLaw(Viewed):
                 "use solver direct"
             )
         drive = Drive(pack(F), pack(F_dot))
-        solution = solve_rves(self._kind, self.unit_cell, self.settings, drive, state, cold)
-        status = unpack(solution.status, points)
-        stress = unpack(solution.answer.stress, points)
+        solved = solve_rves(self.unit_cell, self.settings, drive, state, cold=cold)
+        status = unpack(solved.status, points)
+        stress = unpack(solved.answer.stress, points)
         if status.any():
             stress[status != Status.OK] = np.nan
-        slopes = solution.tangents() if tangents else None
-        left = solution.state.left_points
+        slopes = solved.tangents() if tangents else None
+        left = solved.state.left_points
         return StressResponse(
             stress,
             status,
-            solution.state,
-            solution.effort(),
+            solved.state,
+            solved.effort(),
             slopes,
             left_bifurcation=left if left.any() else None,
         )
@@ -230,15 +228,17 @@ class RveLaw(Viewed):
         self, state: RveState, tiles: NDArray[np.bool_]
     ) -> tuple[RveState, NDArray[np.bool_]]:
         """The state with new factors of these tiles, and (tiles, TILE) which RVEs are stable."""
-        factors = state.factors.renewed(tiles)
-        law = self.covering_topology(state), self.unit_cell.constants
+        factors, near = state.factors.renewed(tiles), state.near
+        if near is None:
+            near = self.unit_cell.neighbours.near(state.F, state.z)
+        law = near.topology, self.unit_cell.constants
         if self.initialisation == "slow-manifold":
             stable = np.empty((len(tiles), TILE), dtype=np.bool_)
             renew_slow(state.F, state.relaxed, factors.address, tiles, *law, stable)
         else:
             drive = Drive(state.F, dashpot_rate(self.initialisation, state.F_dot))
             stable = renew(drive, state.z, factors, tiles, *law)
-        return replace(state, factors=factors), stable
+        return replace(state, factors=factors, near=near), stable
 
     def _leave(self, response: StressResponse, index: NDArray[np.intp]) -> Acceptance:
         """The answer with the points `index` in stable states, where there are any.
@@ -247,7 +247,7 @@ class RveLaw(Viewed):
         """
         part = response.state.take(index)
         drive = Drive(part.F, part.F_dot)
-        found = solve_rves(self._kind, self.unit_cell, self.settings, drive, part, cold=True)
+        found = solve_rves(self.unit_cell, self.settings, drive, part, cold=True)
         count = len(index)
         way = np.abs(unpack(found.state.z, count) - unpack(part.z, count)).max(axis=(1, 2))
         status, stress = response.status.copy(), response.stress.copy()
@@ -259,13 +259,6 @@ class RveLaw(Viewed):
         if not left.any():
             return Acceptance(status, state)
         return Acceptance(status, state, stress, left)
-
-    def covering_topology(self, state: RveState) -> Topology:
-        """The shortest pair lists that cover every point, else the longest."""
-        for level, topology in enumerate(self.unit_cell.topologies):
-            if covered_by(self.unit_cell, level, state.F, state.z).all():
-                return topology
-        return topology
 
 
 def _same_law(cell: CellParameters, settings: RveSettings, reference: ReferenceState) -> RveLaw:

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from surrofe2.base.compilation import kernel
 from surrofe2.base.simd import TILE, load, store
+from surrofe2.plant_cell.neighbours import Near
 from surrofe2.plant_cell.tiles import Topology, pack, put_points, tiles_for, unpack
 
 Reals = NDArray[np.float64]
@@ -120,8 +121,9 @@ def _singles_at(typing: Any, address: Any) -> Any:
 @kernel
 def kept_factors(address, topology):
     """(lu (size, TILE), slopes (free, 8, TILE)) of the block at an address; not copied."""
-    lu = carray(_singles_at(address), (topology.size, TILE))
-    behind = address + _BYTES * topology.size * TILE
+    size = topology.size
+    lu = carray(_singles_at(address), (size, TILE))
+    behind = address + _BYTES * size * TILE
     return lu, carray(_singles_at(behind), (2 * topology.particles - 2, SLOPES, TILE))
 
 
@@ -142,6 +144,7 @@ class RveState:
         z: (tiles, 2, particles, TILE) material positions, x = F z, µm.
         F, F_dot: (tiles, 2, 2, TILE) where z was solved.
         factors: kept factorisation and prediction, see `newton`.
+        near: the contacts to solve with first; None: they have to be listed.
         iterations: (tiles, TILE) force evaluations of the last solve.
         left: (tiles, TILE) whether the RVE left its branch at a bifurcation on its way here.
         fluctuation: as z, v − L x, µm/µs; None: zero, velocities are affine.
@@ -155,6 +158,7 @@ class RveState:
     F: Reals
     F_dot: Reals
     factors: Factors
+    near: Near | None
     iterations: NDArray[np.int32]
     left: NDArray[np.bool_]
     fluctuation: Reals | None = None
@@ -187,7 +191,8 @@ class RveState:
         """The state of the same law whose `to_arrays` gave these, with the first of `factors`."""
         points = len(arrays["z"])
         tiles: dict[str, Any] = {name: pack(values) for name, values in arrays.items()}
-        return cls(of=of, points=points, factors=factors.repeated(tiles_for(points)), **tiles)
+        factors = factors.repeated(tiles_for(points))
+        return cls(of=of, points=points, factors=factors, near=None, **tiles)
 
     def take(self, index: NDArray[np.intp]) -> RveState:
         """The state of the points `index` alone."""
@@ -195,7 +200,8 @@ class RveState:
             return self
         tiles = self._tiles(self).items()
         taken: dict[str, Any] = {k: pack(unpack(v, self.points)[index]) for k, v in tiles}
-        return replace(self, points=len(index), factors=self.factors.take(index), **taken)
+        near, factors = self.near and self.near.take(index, self.points), self.factors.take(index)
+        return replace(self, points=len(index), factors=factors, near=near, **taken)
 
     def put(self, index: NDArray[np.intp], part: RveState) -> RveState:
         """This state with the points `index` replaced by those of `part`."""
@@ -205,8 +211,9 @@ class RveState:
         for name, values in part._tiles(self).items():
             put_points(tiles[name], index, values)
         factors = self.factors.put(index, part.factors)
+        near = self.near and part.near and self.near.put(index, part.near)
         is_checked = self.is_checked and part.is_checked
-        return replace(self, factors=factors, is_checked=is_checked, **tiles)
+        return replace(self, factors=factors, near=near, is_checked=is_checked, **tiles)
 
     def _tiles(self, other: RveState) -> dict[str, Any]:
         """Arrays of tiles by name, but those that neither this state nor the other has."""
@@ -233,24 +240,3 @@ def with_copies(index: NDArray[np.intp], points: int) -> tuple[NDArray[np.intp],
     last = place[index == points - 1]
     copies = np.arange(points, tiles_for(points) * TILE if len(last) else points)
     return np.append(index, copies), np.append(place, np.repeat(last, len(copies)))
-
-
-def rest_state(position: Reals, factors: Factors, points: int, of: str) -> RveState:
-    """n RVEs of a law at F = I, Ḟ = 0 with particles at `position` (n, 2) and the factors there."""
-
-    def everywhere(value: NDArray[Any]) -> NDArray[Any]:
-        lanes = np.broadcast_to(value[..., None], (*value.shape, TILE))
-        return np.ascontiguousarray(np.broadcast_to(lanes, (tiles_for(points), *lanes.shape)))
-
-    z = everywhere(position.T)
-    identity = everywhere(np.eye(2))
-    return RveState(
-        of=of,
-        points=points,
-        z=z,
-        F=identity,
-        F_dot=np.zeros_like(identity),
-        factors=factors.repeated(len(z)),
-        iterations=np.zeros((len(z), TILE), dtype=np.int32),
-        left=np.zeros((len(z), TILE), dtype=np.bool_),
-    )

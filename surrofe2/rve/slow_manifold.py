@@ -28,11 +28,10 @@ from numpy.typing import NDArray
 
 from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, load, store
-from surrofe2.plant_cell.force_derivatives import elastic_forces_and_rates
+from surrofe2.plant_cell.derivatives import elastic_forces_and_rates
 from surrofe2.plant_cell.forces import fold_images, local_forces
 from surrofe2.plant_cell.tiles import make_workspace
 from surrofe2.rve.block_lu import COLUMNS, has_negative_pivots, make_matrices, solve_columns
-from surrofe2.rve.equilibrium_modes import along, equilibrium_modes, set_velocities, unit_velocities
 from surrofe2.rve.newton import (
     NEWTON_LIMIT,
     Stop,
@@ -59,6 +58,7 @@ from surrofe2.rve.particle_state import (
     place_images,
 )
 from surrofe2.rve.rve_state import keep_factors, kept_factors
+from surrofe2.rve.tangents import along, equilibrium_modes, set_velocities, unit_velocities
 
 LIMIT = 40
 CONTRACTION = 0.9

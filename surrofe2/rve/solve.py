@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,22 +11,25 @@ from numpy.typing import NDArray
 from surrofe2.base.compilation import one_blas_thread
 from surrofe2.base.simd import TILE
 from surrofe2.law.stress_law import Array, Status, Tangents
-from surrofe2.plant_cell.tiles import pack, put_points, unpack
+from surrofe2.plant_cell.neighbours import Near
+from surrofe2.plant_cell.tiles import Constants, Topology, pack, put_points, unpack
 from surrofe2.rve.constrained_runs import Stepping, iterate
-from surrofe2.rve.continuation import Continuation, Followed, Path, is_far
+from surrofe2.rve.continuation import Continuation, Path, is_far
 from surrofe2.rve.newton import SKIP, SOLVE, chord, newton
-from surrofe2.rve.particle_state import Drive, empty_answer, list_covers, pairs_apart, stress_at
+from surrofe2.rve.particle_state import Answer, Drive, empty_answer, stress_at
 from surrofe2.rve.rve_state import RveState, with_copies
 from surrofe2.rve.settings import RveSettings
-from surrofe2.rve.tangents import KINDS, affine_tangents
+from surrofe2.rve.slow_manifold import Moving, follow, newton_slow, renew_slow
+from surrofe2.rve.tangents import KINDS, affine_tangents, slow_tangents
 from surrofe2.rve.unit_cell import UnitCell, relax
+
+Index = NDArray[np.intp]
+Flags = NDArray[np.bool_]
 
 _NEAR = 0.01  # |F − I| up to which the reference's own factors are tried at a cold start
 _OK = int(Status.OK)  # a member of an enumeration takes a microsecond to look up
-
-
-Paths = tuple[NDArray[np.intp], Path] | None
-"""Points, and how far they have come."""
+OPEN, PASSED_OVER = -1, 1
+"""Counts of iterations: solvers take up a lane that has 0 or OPEN, and pass over one above 0."""
 
 
 def dashpot_rate(initialisation: str, F_dot: Array) -> Array:
@@ -34,140 +38,105 @@ def dashpot_rate(initialisation: str, F_dot: Array) -> Array:
     return np.zeros_like(F_dot) if elastic else F_dot
 
 
-def covered_by(unit: UnitCell, level: int, F: Array, z: Array) -> NDArray[np.bool_]:
-    """(tiles, TILE): whether the contacts that list `level` holds are all there can be.
-
-    First by the bound of `list_covers`; where that is too coarse, the pairs up to a longer reach
-    that the list leaves out are looked at one by one.
-    """
-    patch, cutoff, position = unit.patches[level], unit.constants.cutoff, unit.reference.position
-    covered = np.empty((len(F), TILE), dtype=np.bool_)
-    list_covers(F, z, position, patch.reach, cutoff, covered)
-    if covered.all():
-        return covered
-    farther, apart, unlisted = np.empty_like(covered), np.empty_like(covered), patch.unlisted
-    list_covers(F, z, position, unlisted.reach, cutoff, farther)
-    pairs_apart(F, z, unlisted.pairs, unlisted.offset, cutoff, apart)
-    return covered | (farther & apart)
-
-
-def solve_rves(
-    kind: type[Solution],
-    unit: UnitCell,
-    settings: RveSettings,
-    drive: Drive,
-    before: RveState,
-    cold: bool,
-    level: int = 0,
-    earlier: Paths = None,
-) -> Solution:
-    """Initialise every RVE; where the list of contacts was too short, again with a longer.
-
-    Args:
-        kind: as `slow_solution.solution_kind` says.
-        drive: F and Ḟ in tiles.
-        before: where to start from; it is not touched. It need not be near if `cold`, which makes
-            new factors.
-        level: which of the unit's lists of contacts to take first.
-        earlier: how far points have come by shorter lists.
-    """
-    solution = kind(unit, settings, drive, before, cold, level, earlier)
-    solution.solve()
-    covered = covered_by(unit, level, drive.F, solution.state.z) | solution.lost
-    covered &= ~solution.needs_longer_list
-    if covered.all():
-        return solution
-    if level == len(unit.patches) - 1:
-        solution.status[~covered & (solution.status == _OK)] = Status.LIST_TOO_SHORT
-        return solution
-    index = np.flatnonzero(~unpack(covered, before.points))
-    part_drive = Drive(*(pack(unpack(tensor, before.points)[index]) for tensor in drive))
-    paths = solution.paths_of(index)
-    part = solve_rves(kind, unit, settings, part_drive, before.take(index), cold, level + 1, paths)
-    if len(index) == before.points:
-        part.newton_solves += solution.newton_solves
-        return part
-    solution.put(index, part)
-    return solution
-
-
-class Solution:
-    """What was found for the points of `before` at `drive`, with one list of contacts.
+@dataclass(slots=True, eq=False)
+class Solved:
+    """What is known of the points of a call; the functions of this file fill it in.
 
     Attributes:
-        answer: stress, nothing where the status is not OK.
+        drive: F and Ḟ in tiles. start: where to begin; it is not touched.
+        cold: whether to make new factors; `start` need not be near then.
+        near: the contacts that are solved with.
+        covered: (tiles, TILE) whether earlier lists, if there were any, had all contacts that act.
+        answer: stress, nothing where the status is not OK, and force evaluations.
         status: (tiles, TILE) codes of `Status`.
         state: the warm start for the next call.
-        needs_longer_list: (tiles, TILE) points whose path ended where this list of contacts is too
-            short.
-        lost: (tiles, TILE) points whose path ended without a stress, whatever the list.
         newton_solves: how many points needed Newton's method.
     """
 
-    def __init__(
-        self,
-        unit: UnitCell,
-        settings: RveSettings,
-        drive: Drive,
-        before: RveState,
-        cold: bool,
-        level: int,
-        earlier: Paths,
-    ) -> None:
-        self.unit, self.settings, self.initialisation = unit, settings, settings.initialisation
-        self.given = drive
-        self.drive = Drive(drive.F, dashpot_rate(self.initialisation, drive.rate))
-        self.before, self.cold, self.level, self.paths = before, cold, level, earlier
-        self.law = unit.patches[level].topology, unit.constants
-        self.answer = empty_answer(len(drive.F))
-        self.status = np.zeros(self.answer.iterations.shape, dtype=np.int8)
-        self.needs_longer_list = np.zeros_like(self.status, dtype=np.bool_)
-        self.lost = np.zeros_like(self.needs_longer_list)
-        self.newton_solves = 0
-        self.state = replace(
-            before,
-            F=drive.F,
-            F_dot=drive.rate,
-            iterations=self.answer.iterations,
-            is_checked=cold,
+    unit: UnitCell
+    settings: RveSettings
+    drive: Drive
+    start: RveState
+    cold: bool
+    near: Near
+    covered: Flags
+    answer: Answer
+    status: NDArray[np.int8]
+    state: RveState
+    newton_solves: int = 0
+
+    @classmethod
+    def unsolved(
+        cls, unit: UnitCell, settings: RveSettings, drive: Drive, start: RveState, cold: bool,
+        near: Near,
+    ) -> Solved:  # fmt: skip
+        """Nothing known yet."""
+        answer = empty_answer(len(drive.F))
+        state = replace(
+            start, F=drive.F, F_dot=drive.rate, iterations=answer.iterations, is_checked=cold
         )
+        status = np.zeros(answer.iterations.shape, dtype=np.int8)
+        covered = np.ones(status.shape, dtype=np.bool_)
+        return cls(unit, settings, drive, start, cold, near, covered, answer, status, state)
 
-    def paths_of(self, index: NDArray[np.intp]) -> Paths:
-        """How far the points `index` have come, numbered by their places in it."""
-        if self.paths is None:
-            return None
-        followed, path = self.paths
-        _, place, row = np.intersect1d(index, followed, return_indices=True)
-        return place, path.take(row)
+    @property
+    def law(self) -> tuple[Topology, Constants]:
+        """What kernels need to compute forces."""
+        return self.near.topology, self.unit.constants
 
-    def put(self, index: NDArray[np.intp], part: Solution) -> None:
-        """Replace what was found at the points `index`; tangents are then by the longer list."""
+    @property
+    def felt(self) -> Drive:
+        """F, and the rate at which positions are solved for."""
+        return Drive(self.drive.F, dashpot_rate(self.settings.initialisation, self.drive.rate))
+
+    def at(self, index: Index, *, cold: bool) -> Solved:
+        """The points `index` alone, unsolved."""
+        points = self.start.points
+        drive = Drive(*(pack(unpack(tensor, points)[index]) for tensor in self.drive))
+        near, start = self.near.take(index, points), self.start.take(index)
+        return Solved.unsolved(self.unit, self.settings, drive, start, cold, near)
+
+    def put(self, index: Index, part: Solved) -> None:
+        """Take over what was found at the points `index`."""
+        self.covered = self.has_all_contacts()
+        put_points(self.covered, index, part.has_all_contacts())
         put_points(self.answer.stress, index, part.answer.stress)
         put_points(self.answer.residual, index, part.answer.residual)
-        put_points(self.answer.iterations, index, part.answer.iterations)
         put_points(self.status, index, part.status)
         self.state = self.state.put(index, part.state)
+        self.answer = self.answer._replace(iterations=self.state.iterations)
         self.newton_solves += part.newton_solves
-        self.law = part.law
+        if part.near.topology is not self.near.topology:
+            self.near = self.unit.neighbours.near(self.drive.F, self.state.z)
+
+    def has_all_contacts(self) -> Flags:
+        """(tiles, TILE) whether the contacts that were solved with are all that act."""
+        covered = self.covered & self.near.covers(self.drive.F, self.state.z)
+        if self.state.elastic is not None:
+            covered &= self.near.covers(self.drive.F, self.state.elastic)
+        return covered
 
     def tangents(self) -> Tangents:
         """∂P/∂F and ∂P/∂Ḟ at the solution; NaN where there is none."""
-        points = self.before.points
-        values = self._all_tangents()
+        points, state = self.start.points, self.state
+        values = np.empty((len(self.status), 2, 2, 8, TILE))
+        if self.settings.initialisation == "slow-manifold":
+            slow_tangents(self.drive, state.z, state.relaxed, *self.law, values)
+            if state.left.any():
+                affine = np.empty_like(values)
+                kind = KINDS.index("constrained-runs")
+                affine_tangents(self.drive, state.z, kind, *self.law, affine)
+                np.copyto(values, affine, where=state.left[:, None, None, None, :])
+        else:
+            kind = KINDS.index(self.settings.initialisation)
+            affine_tangents(self.drive, state.z, kind, *self.law, values)
         tangents = unpack(values, points).reshape(points, 2, 2, 2, 2, 2)
         tangents[unpack(self.status, points) != _OK] = np.nan
         return Tangents(tangents[:, :, :, 0].copy(), tangents[:, :, :, 1].copy())
 
-    def _all_tangents(self) -> Array:
-        """(tiles, 2, 2, 8, TILE), whether there is a solution or not."""
-        values = np.empty((len(self.status), 2, 2, 8, TILE))
-        kind = KINDS.index(self.initialisation)
-        affine_tangents(self.given, self.state.z, kind, *self.law, values)
-        return values
-
     def effort(self) -> dict[str, int]:
         """Summable counts of what the answer cost."""
-        points, newly_left = self.before.points, self.state.left & ~self.before.left
+        points, newly_left = self.start.points, self.state.left & ~self.start.left
         return {
             "rve_solves": points,
             "force_evaluations": int(np.abs(unpack(self.answer.iterations, points)).sum()),
@@ -175,129 +144,220 @@ class Solution:
             "left_bifurcation": int(unpack(newly_left, points).sum()),
         }
 
-    def solve(self) -> None:
-        """Initialise every RVE with the list of contacts at hand."""
-        if self.initialisation == "cauchy-born":
-            self._evaluate()
-        elif self.settings.solver == "iterated":
-            self._iterate()
-        else:
-            self._solve_directly()
-            if self.initialisation == "elastic":
-                self._evaluate()
 
-    def _evaluate(self) -> None:
-        """Stress at z with velocities L x (eqs. 64, 67)."""
-        stress_at(self.given, self.state.z, *self.law, self.answer)
+def solve_rves(
+    unit: UnitCell, settings: RveSettings, drive: Drive, start: RveState, *, cold: bool
+) -> Solved:
+    """Initialise every RVE, with the contacts near `start`, or all where particles move farther.
 
-    def _iterate(self) -> None:
-        """The paper's iteration from the last state, carried along by the incremental F."""
-        before, settings, (F, rate) = self.before, self.settings, self.drive
-        x = np.einsum("tabl,tbpl->tapl", F, before.z)
-        v = np.einsum("tabl,tbpl->tapl", rate, before.z) + before.beyond_affine
-        stepping = Stepping(settings.micro_step, settings.stop, settings.max_iterations)
-        iterate(self.drive, x, v, self.unit.patches[0].mass, *self.law, stepping, self.answer)
-        self.status[self.answer.iterations < 0] = Status.NOT_CONVERGED
-        lanes = np.moveaxis(F, -1, 1)
-        z = np.moveaxis(np.linalg.solve(lanes, np.moveaxis(x, -1, 1)), 1, -1)
-        fluctuation = v - np.einsum("tabl,tbpl->tapl", rate, z)
-        self.state = replace(self.state, z=np.ascontiguousarray(z), fluctuation=fluctuation)
-        if self.initialisation == "elastic":
-            self._evaluate()
+    Args:
+        drive: F and Ḟ in tiles.
+        start: where to begin; it is not touched. It need not be near if `cold`, which makes new
+            factors.
+    """
+    near = start.near
+    if near is None or not near.covers(drive.F, start.z).all():
+        near = unit.neighbours.near(drive.F, start.z)
+    solved = Solved.unsolved(unit, settings, drive, start, cold, near)
+    _initialise(solved)
+    wrong = ~solved.has_all_contacts() & (solved.status == _OK)
+    if wrong.any():
+        index = np.flatnonzero(unpack(wrong, start.points))
+        part = solved.at(index, cold=cold)
+        part.near = unit.neighbours.everywhere(part.drive.F, part.start.z)
+        _initialise(part)
+        solved.put(index, part)
+    solved.state = replace(solved.state, near=solved.near)
+    return solved
 
-    def _solve_directly(self) -> None:
-        before, z, iterations = self.before, self.before.z.copy(), self.answer.iterations
-        self.state = replace(self.state, z=z)
-        if self.cold:
-            # −1, as where `chord` failed: such a point is left to Newton's method
-            iterations[np.abs(self.drive.F - before.F).max(axis=(1, 2)) > _NEAR] = -1
-        at = Drive(before.F, dashpot_rate(self.initialisation, before.F_dot))
-        tolerance = self.settings.tolerance
-        chord(self.drive, z, at, before.factors.address, *self.law, tolerance, self.answer)
-        if self.cold or (iterations < 0).any():
-            self._newton_where_open(z, before.z)
-            self.status[(iterations < 0) & (self.status == _OK)] = Status.NOT_CONVERGED
 
-    def _newton_where_open(self, z: Array, z_before: Array) -> None:
-        iterations, far = self.answer.iterations, np.zeros_like(self.needs_longer_list)
-        if self.cold:
-            far = is_far(self.drive.F)
-        iterations[far] = 1  # looks solved, so that Newton's method passes it over
-        self._newton(z, renewed=self.cold)
-        iterations[far] = -1  # open again: the path has to lead there
-        astray = (iterations < 0) | (self.status == Status.UNSTABLE)
-        if astray.any():
-            self._follow(z, z_before, astray)
+def _initialise(solved: Solved) -> None:
+    settings = solved.settings
+    match settings.initialisation, settings.solver:
+        case "cauchy-born", _:
+            _evaluate(solved)
+        case "slow-manifold", _:
+            _solve_slow(solved)
+        case initialisation, solver:
+            if solver == "iterated":
+                _iterate(solved)
+            else:
+                _solve(solved)
+            if initialisation == "elastic":
+                _evaluate(solved)
 
-    def _newton(self, z: Array, renewed: bool = False) -> None:
-        """Solve where `chord` did not; check stability there, or everywhere with new factors."""
-        failed = self.answer.iterations < 0
-        self.newton_solves += int(failed.sum())
-        tiles = np.asarray(failed.any(axis=1)) | renewed
-        factors = self.state.factors.renewed(tiles)
-        task = np.where(tiles, SOLVE, SKIP).astype(np.int8)
-        address, tolerance = factors.address, self.settings.tolerance
-        self.answer.stable[:] = True
-        newton(self.drive, z, address, task, *self.law, tolerance, self.answer)
-        self.status[(failed | renewed) & ~self.answer.stable] = Status.UNSTABLE
-        self.state = replace(self.state, factors=factors)
 
-    def _follow(self, z_found: Array, z_before: Array, astray: NDArray[np.bool_]) -> None:
-        """Follow points that Newton's method misses, or finds unstable, from where they were."""
-        F, points = self.drive.F, self.before.points
-        index = np.flatnonzero(unpack(astray, points))
-        path = Path.between(*(unpack(each, points)[index] for each in (self.before.F, F, z_before)))
-        if self.paths is not None:
-            _, here, there = np.intersect1d(index, self.paths[0], return_indices=True)
-            path.put(here, self.paths[1].take(there))
-        self.paths = index, path
-        with one_blas_thread():
-            followed = Continuation(self.unit, self.settings.tolerance).follow(path)
-        self.newton_solves += followed.newton_solves
-        self._take_over(index, path, followed, z_found)
-        self._at_rate(index, z_found)
+def _evaluate(solved: Solved) -> None:
+    """Stress at z with velocities L x (eqs. 64, 67)."""
+    stress_at(solved.drive, solved.state.z, *solved.law, solved.answer)
 
-    def _take_over(
-        self, index: NDArray[np.intp], path: Path, followed: Followed, z_found: Array
-    ) -> None:
-        """Replace what was found at the points `index`, and the copies that fill up a tile."""
-        arrived = followed.arrived
-        codes = np.where(followed.unstable, Status.UNSTABLE, Status.NOT_CONVERGED)
-        points, row = with_copies(index, self.before.points)
-        put_points(self.answer.iterations, points, pack(np.where(arrived, 1, -1)[row]))
-        put_points(self.status, points, pack(np.where(arrived, _OK, codes)[row]))
-        put_points(self.lost, points, pack(~arrived[row]))
-        if path.left.any():
-            left = unpack(self.state.left, self.status.size).copy()
-            left[points] |= path.left[row]
-            self.state = replace(self.state, left=pack(left))
-        there = np.flatnonzero(arrived)
-        if self.level < len(self.unit.patches) - 1:
-            covered = covered_by(self.unit, self.level, pack(path.end), pack(path.z))
-            listed = unpack(covered, len(index))
-            put_points(self.needs_longer_list, points, pack((arrived & ~listed)[row]))
-            there = np.flatnonzero(arrived & listed)
-        if not len(there):
-            return
-        solved = relax(*self.law, path.z[there], path.end[there], self.settings.tolerance)
-        points, row = with_copies(index[there], self.before.points)
-        put_points(z_found, points, pack(solved.z[row]))
-        put_points(self.answer.stress, points, pack(solved.stress[row]))
-        put_points(self.answer.iterations, points, pack(solved.iterations[row]))
-        factors = self.state.factors.put(points, solved.factors.take(row))
-        self.state = replace(self.state, factors=factors)
 
-    def _at_rate(self, index: NDArray[np.intp], z: Array) -> None:
-        """From elastic equilibria at the points `index` to those with dashpots on.
+def _iterate(solved: Solved) -> None:
+    """The paper's iteration from the last state, carried along by the incremental F."""
+    start, settings, (F, rate) = solved.start, solved.settings, solved.felt
+    x = np.einsum("tabl,tbpl->tapl", F, start.z)
+    v = np.einsum("tabl,tbpl->tapl", rate, start.z) + start.beyond_affine
+    stepping = Stepping(settings.micro_step, settings.stop, settings.max_iterations)
+    mass = solved.unit.neighbours.mass
+    iterate(Drive(F, rate), x, v, mass, *solved.law, stepping, solved.answer)
+    solved.status[solved.answer.iterations < 0] = Status.NOT_CONVERGED
+    lanes = np.moveaxis(F, -1, 1)
+    z = np.moveaxis(np.linalg.solve(lanes, np.moveaxis(x, -1, 1)), 1, -1)
+    fluctuation = v - np.einsum("tabl,tbpl->tapl", rate, z)
+    solved.state = replace(solved.state, z=np.ascontiguousarray(z), fluctuation=fluctuation)
 
-        Such a point is as stable as the elastic equilibrium beside it.
-        """
-        followed = np.zeros(self.before.points, dtype=np.bool_)
-        followed[index] = True
-        iterations = self.answer.iterations
-        arrived = pack(followed) & (self.status == _OK) & (iterations > 0)
-        if arrived.any() and self.drive.rate.any():
-            iterations[arrived] = -1
-            status = self.status.copy()
-            self._newton(z)
-            self.status[:] = status
+
+# Positions with affine velocities: constrained runs, solved directly, and elastic equilibria
+
+
+def _solve(solved: Solved) -> None:
+    """With kept factors where they serve, else by Newton's method, else along a path."""
+    start, iterations, felt = solved.start, solved.answer.iterations, solved.felt
+    z = start.z.copy()
+    solved.state = replace(solved.state, z=z)
+    if solved.cold:
+        iterations[np.abs(felt.F - start.F).max(axis=(1, 2)) > _NEAR] = OPEN
+    at = Drive(start.F, dashpot_rate(solved.settings.initialisation, start.F_dot))
+    tolerance = solved.settings.tolerance
+    chord(felt, z, at, start.factors.address, *solved.law, tolerance, solved.answer)
+    if solved.cold or (iterations < 0).any():
+        _solve_open(solved, z, start.z)
+        solved.status[(iterations < 0) & (solved.status == _OK)] = Status.NOT_CONVERGED
+
+
+def _solve_open(solved: Solved, z: Array, z_start: Array) -> None:
+    """Newton's method in lanes that are open, from z in place; where it fails, along a path."""
+    iterations, far = solved.answer.iterations, np.zeros_like(solved.state.left)
+    if solved.cold:
+        far = is_far(solved.drive.F)
+    iterations[far] = PASSED_OVER
+    _newton(solved, z, renewed=solved.cold)
+    iterations[far] = OPEN  # the path has to lead there
+    astray = (iterations < 0) | (solved.status == Status.UNSTABLE)
+    if astray.any():
+        _follow_path(solved, z, z_start, np.flatnonzero(unpack(astray, solved.start.points)))
+
+
+def _newton(solved: Solved, z: Array, renewed: bool = False) -> None:
+    """Solve lanes that are open; check stability there, or everywhere with new factors."""
+    failed = solved.answer.iterations < 0
+    solved.newton_solves += int(unpack(failed, solved.start.points).sum())
+    tiles = np.asarray(failed.any(axis=1)) | renewed
+    factors = solved.state.factors.renewed(tiles)
+    task = np.where(tiles, SOLVE, SKIP).astype(np.int8)
+    solved.answer.stable[:] = True
+    tolerance = solved.settings.tolerance
+    newton(solved.felt, z, factors.address, task, *solved.law, tolerance, solved.answer)
+    solved.status[(failed | renewed) & ~solved.answer.stable] = Status.UNSTABLE
+    solved.state = replace(solved.state, factors=factors)
+
+
+def _follow_path(solved: Solved, z: Array, z_start: Array, index: Index) -> None:
+    """Lead the points `index`, which Newton's method misses or finds unstable, from the start."""
+    F, start, points = solved.drive.F, solved.start, solved.start.points
+    path = Path.between(*(unpack(each, points)[index] for each in (start.F, F, z_start)))
+    tolerance = solved.settings.tolerance
+    with one_blas_thread():
+        Continuation(solved.unit, tolerance).follow(path)
+    solved.newton_solves += int(path.solves.sum())
+    arrived = path.arrived
+    codes = np.where(path.unstable, Status.UNSTABLE, Status.NOT_CONVERGED)
+    _put(solved.answer.iterations, index, points, np.where(arrived, PASSED_OVER, OPEN))
+    _put(solved.status, index, points, np.where(arrived, _OK, codes))
+    left, passed = np.zeros_like(solved.state.left), np.zeros_like(solved.state.left)
+    _put(left, index, points, path.left)
+    _put(passed, index, points, arrived)
+    solved.state = replace(solved.state, left=solved.state.left | left)
+    there = np.flatnonzero(arrived)
+    if not len(there):
+        return
+    index = index[there]
+    solved.covered = (solved.covered & solved.near.covers(F, z)) | passed
+    _put(z, index, points, path.z[there])
+    solved.near = solved.unit.neighbours.near(F, z)
+    found = relax(*solved.law, path.z[there], path.end[there], tolerance)
+    _put(z, index, points, found.z)
+    _put(solved.answer.stress, index, points, found.stress)
+    _put(solved.answer.iterations, index, points, found.iterations)
+    lanes, row = with_copies(index, points)
+    factors = solved.state.factors.put(lanes, found.factors.take(row))
+    solved.state = replace(solved.state, factors=factors)
+    if solved.felt.rate.any():
+        # With dashpots on, such a point is as stable as the elastic equilibrium beside it.
+        solved.answer.iterations[passed & (solved.answer.iterations > 0)] = OPEN
+        status = solved.status.copy()
+        _newton(solved, z)
+        solved.status[:] = status
+
+
+def _put(tiles: NDArray[Any], index: Index, points: int, values: NDArray[Any]) -> None:
+    """Overwrite the points `index` of packed `tiles` by values (k, …), and copies of the last."""
+    lanes, row = with_copies(index, points)
+    put_points(tiles, lanes, pack(values[row]))
+
+
+# The slow manifold, where velocities are those of the elastic equilibrium as F moves
+
+
+def _solve_slow(solved: Solved) -> None:
+    """Warm where possible, else from a new elastic equilibrium.
+
+    At a bifurcation the slopes of that equilibrium have no bound, and neither have the velocities.
+    From there on, where the state's `left` says so, they are affine as in constrained runs.
+    """
+    start, points = solved.start, solved.start.points
+    if solved.cold:
+        _start_slow(solved)
+    else:
+        moving = Moving(start.z.copy(), start.relaxed.copy(), start.beyond_affine.copy())
+        at, tolerance = Drive(start.F, start.F_dot), solved.settings.tolerance
+        address = start.factors.address
+        follow(solved.drive, moving, at, address, *solved.law, tolerance, solved.answer)
+        solved.state = replace(solved.state, **moving._asdict())
+        index = np.flatnonzero(unpack(solved.answer.iterations < 0, points))
+        if len(index):
+            part = solved.at(index, cold=False)
+            _start_slow(part)
+            solved.put(index, part)
+    held = solved.state.left & (solved.status == _OK)
+    if held.any():
+        _hold_back(solved, np.flatnonzero(unpack(held, points)))
+
+
+def _start_slow(solved: Solved) -> None:
+    """From a new elastic equilibrium, and its factors, to Ḟ."""
+    answer, drive, tolerance = solved.answer, solved.drive, solved.settings.tolerance
+    elastic = solved.start.relaxed.copy()
+    answer.iterations[:] = OPEN
+    _solve_open(solved, elastic, solved.start.relaxed)
+    found = (answer.iterations > 0) & (solved.status == _OK)
+    tiles = np.ones(len(elastic), dtype=np.bool_)
+    address = solved.state.factors.address  # of blocks that Newton's method has made just now
+    renew_slow(drive.F, elastic, address, tiles, *solved.law, np.empty_like(found))
+    moving, at = Moving(elastic.copy(), elastic, np.zeros_like(elastic)), solved.felt
+    answer.iterations[:] = 0
+    follow(drive, moving, at, address, *solved.law, tolerance, answer)
+    soft = found & (answer.iterations < 0)
+    if soft.any():  # z_el is stable but so soft that `follow` misses z
+        counts = np.where(soft, 0, PASSED_OVER).astype(np.int32)
+        newton_slow(drive, moving, *solved.law, tolerance, answer._replace(iterations=counts))
+        answer.iterations[soft] = counts[soft]
+    solved.status[~found & (solved.status == _OK)] = Status.NOT_CONVERGED
+    missed = found & (answer.iterations < 0)
+    solved.state = replace(solved.state, left=solved.state.left | missed, **moving._asdict())
+
+
+def _hold_back(solved: Solved, index: Index) -> None:
+    """Positions with affine velocities at the points `index`, where a bifurcation was met."""
+    points = solved.start.points
+    elastic, F, rate = (
+        unpack(each, points)[index] for each in (solved.state.relaxed, *solved.drive)
+    )
+    found = relax(*solved.law, elastic, F, solved.settings.tolerance, rate)
+    spent = np.abs(unpack(solved.answer.iterations, points)[index]) + found.iterations
+    _put(solved.state.z, index, points, found.z)
+    _put(solved.state.beyond_affine, index, points, np.zeros_like(found.z))
+    _put(solved.answer.stress, index, points, found.stress)
+    _put(solved.answer.iterations, index, points, np.where(found.found, spent, -1))
+    _put(solved.status, index, points, np.where(found.found, _OK, Status.NOT_CONVERGED))
+    solved.newton_solves += len(index)

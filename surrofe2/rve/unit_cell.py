@@ -1,11 +1,11 @@
-"""An RVE at rest: its reference state settled, its pair lists, its factorisation at F = I.
+"""An RVE at rest: its reference state settled, its neighbours, its factorisation at F = I.
 
 The paper starts "from this cell in its equilibrium state", and its tissue measures an exact
 multiple of the cell: so the wall rest length l₀ follows from σ(I, 0) = 0 with particles relaxed.
-Irregular cells also need the shape of the box at its given area (symmetry frees the others of
-it); the stress of an elastic equilibrium is symmetric, so these three numbers free it. Where
-starts lead to several equilibria, the stable one of least energy is taken, at the l₀ of one
-square cell and in the box as it was laid out.
+Irregular cells also need the shape of the box at its given area (regular ones need no change of
+shape, by symmetry); the stress of an elastic equilibrium is symmetric, so these three numbers free
+it. Where starts lead to several equilibria, the stable one of least energy is taken, at the l₀ of
+one square cell and in the box as it was laid out.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from surrofe2.base.errors import InputError
 from surrofe2.base.simd import TILE
 from surrofe2.plant_cell.arrangement import Arrangement, make_arrangement, start_positions
-from surrofe2.plant_cell.pair_lists import WHOLE_CELLS, Patch, make_patches
+from surrofe2.plant_cell.neighbours import Near, Neighbours, make_neighbours
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.plant_cell.tiles import Constants, Topology, make_constants, pack, unpack
+from surrofe2.plant_cell.tiles import Constants, Topology, make_constants, pack, tiles_for, unpack
 from surrofe2.rve.constrained_runs import Stepping, iterate_tile
 from surrofe2.rve.newton import SOLVE, newton, renew
 from surrofe2.rve.particle_state import Drive, answer_of, drive_of, empty_answer, stored_energy
-from surrofe2.rve.rve_state import Factors
+from surrofe2.rve.rve_state import Factors, RveState
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -58,14 +58,15 @@ class UnitCell:
 
     Attributes:
         reference: relaxed positions, lattice and rest length.
-        patches: pair lists of rising reach; the shortest that provably covers a deformation serves.
+        neighbours: everyone who can interact. near: the contacts near the reference, one tile.
         factors: factorisation at the reference, one tile.
     """
 
     cell: CellParameters
     reference: ReferenceState
     constants: Constants
-    patches: tuple[Patch, ...]
+    neighbours: Neighbours
+    near: Near
     factors: Factors
 
     @property
@@ -79,9 +80,25 @@ class UnitCell:
         return self.reference.rest_length
 
     @property
-    def topologies(self) -> tuple[Topology, ...]:
-        """Those of the patches."""
-        return tuple(patch.topology for patch in self.patches)
+    def topology(self) -> Topology:
+        """Everyone who can interact."""
+        return self.neighbours.topology
+
+    def rest_state(self, points: int, of: str) -> RveState:
+        """n RVEs of a law at F = I, Ḟ = 0 in the reference, with the factors there."""
+        tiles = tiles_for(points)
+        z, F = (np.repeat(each, tiles, axis=0) for each in (self.near.z, self.near.F))
+        return RveState(
+            of=of,
+            points=points,
+            z=z,
+            F=F,
+            F_dot=np.zeros_like(F),
+            factors=self.factors.repeated(tiles),
+            near=replace(self.near, F=F, z=z),
+            iterations=np.zeros((tiles, TILE), dtype=np.int32),
+            left=np.zeros((tiles, TILE), dtype=np.bool_),
+        )
 
 
 @lru_cache(maxsize=32)
@@ -97,28 +114,26 @@ def make_unit_cell(cell: CellParameters, reference: ReferenceState | None = None
     reference.check_belongs_to(cell)
     position = reference.position
     if len(position) != make_arrangement(cell).particles:
-        raise InputError("reference: another number of particles; have it settled anew")
-    return unit_around(cell, reference, make_patches(cell, position, reference.lattice))
+        raise InputError("reference: another number of particles; settle it again")
+    return unit_around(cell, reference, make_neighbours(cell, position, reference.lattice))
 
 
 def unit_around(
-    cell: CellParameters, reference: ReferenceState, patches: tuple[Patch, ...]
+    cell: CellParameters, reference: ReferenceState, neighbours: Neighbours
 ) -> UnitCell:
-    """Particles at rest in `reference`, with their pair lists.
+    """Particles at rest in `reference`, with their neighbours.
 
     Raises:
         InputError: they are not in a stable equilibrium.
     """
-    position, topology = reference.position, patches[0].topology
     constants = make_constants(cell, reference.rest_length)
-    z = np.repeat(np.ascontiguousarray(position.T)[None, ..., None], TILE, axis=-1)
-    unit = pack(np.eye(2)[None])
-    factors = Factors.empty(1, topology)
-    drive = Drive(unit, np.zeros_like(unit))
-    stable = renew(drive, z, factors, np.array([True]), topology, constants)
+    z, identity = pack(reference.position.T[None]), pack(np.eye(2)[None])
+    near = neighbours.near(identity, z)
+    factors, drive = Factors.empty(1, near.topology), Drive(identity, np.zeros_like(identity))
+    stable = renew(drive, z, factors, np.array([True]), near.topology, constants)
     if not stable.all():
-        raise InputError("reference: not a stable equilibrium of this cell; have it settled anew")
-    return UnitCell(cell, reference, constants, patches, factors)
+        raise InputError("reference: not a stable equilibrium of this cell; settle it again")
+    return UnitCell(cell, reference, constants, neighbours, near, factors)
 
 
 @lru_cache(maxsize=32)
@@ -195,9 +210,9 @@ def equilibria_in(
     constants = make_constants(cell, rest_length)
     damped = make_constants(_damped(cell), rest_length)
     settled = _settled(cell, lattice, damped, moved, arrangement)
-    (patch,) = make_patches(cell, settled[0], lattice, WHOLE_CELLS, arrangement=arrangement)
+    topology = make_neighbours(cell, settled[0], lattice, arrangement=arrangement).topology
     unit = np.broadcast_to(np.eye(2), (len(settled), 2, 2))
-    return relax(patch.topology, constants, np.swapaxes(settled, 1, 2), unit)
+    return relax(topology, constants, np.swapaxes(settled, 1, 2), unit)
 
 
 def _damped(cell: CellParameters) -> CellParameters:
@@ -218,12 +233,20 @@ def relax(
     starts: Array,
     F: Array,
     tolerance: float = RELAXED,
+    rate: Array | None = None,
+    task: int = SOLVE,
 ) -> Equilibria:
-    """Elastic equilibria at F (k, 2, 2) by Newton from material positions (k, 2, n)."""
+    """Equilibria at F (k, 2, 2) by Newton from material positions (k, 2, n).
+
+    Args:
+        rate: (k, 2, 2) Ḟ that the particles feel; None: none, the equilibria are elastic.
+        task: `SOLVE`, or `SEEK` near the starts, which makes no factors; see `newton`.
+    """
     points, z, tensors = len(starts), pack(starts), pack(F)
     factors, answer = Factors.empty(len(z), topology), empty_answer(len(z))
-    drive, task = Drive(tensors, np.zeros_like(tensors)), np.full(len(z), SOLVE, dtype=np.int8)
-    newton(drive, z, factors.address, task, topology, constants, tolerance, answer)
+    drive = Drive(tensors, np.zeros_like(tensors) if rate is None else pack(rate))
+    tasks = np.full(len(z), task, dtype=np.int8)
+    newton(drive, z, factors.address, tasks, topology, constants, tolerance, answer)
     z, iterations = unpack(z, points), unpack(answer.iterations, points)
     found = iterations > 0
     energy = np.where(found, stored_energy(F, z, topology, constants), np.nan)
@@ -256,8 +279,8 @@ def _settled(
     arrangement: Arrangement,
 ) -> Array:
     """Where particles come to rest at F = I from `starts` (k, n, 2), of those that do."""
-    (patch,) = make_patches(cell, starts[0], lattice, WHOLE_CELLS, arrangement=arrangement)
-    mass = patch.mass.copy()
+    neighbours = make_neighbours(cell, starts[0], lattice, arrangement=arrangement)
+    mass = neighbours.mass.copy()
     walls = mass[: arrangement.walls]
     np.maximum(walls, cell.wall_particle_mass, out=walls)  # outer walls may be light
     x = np.ascontiguousarray(np.moveaxis(pack(starts), 2, 1))
@@ -265,8 +288,10 @@ def _settled(
     drive, v, answer = Drive(unit, np.zeros_like(unit)), np.zeros_like(x), empty_answer(len(x))
     stepping = Stepping(_SETTLING_STEP, _SETTLED[cell.arrangement], _SETTLING_LIMIT)
     for t in range(len(x)):
-        at, said = drive_of(drive, t), answer_of(answer, t)
-        iterate_tile(at, x[t], v[t], mass, patch.topology, constants, stepping, said)
+        iterate_tile(
+            drive_of(drive, t), x[t], v[t], mass, neighbours.topology, constants, stepping,
+            answer_of(answer, t),
+        )  # fmt: skip
     rested = unpack(answer.iterations, len(starts)) >= 0
     if not rested.any():
         raise InputError(
@@ -282,7 +307,7 @@ def _free_of_stress(
 ) -> ReferenceState:
     """Solve for l₀ and, of irregular cells, the box's shape: F = exp of a traceless matrix."""
     lattice = make_arrangement(cell).tessellation.lattice
-    topology = make_patches(cell, z.T, lattice)[-1].topology
+    topology = make_neighbours(cell, z.T, lattice).topology
     tolerance = FREE_OF_STRESS * cell.density * cell.sound_speed**2
     at = z[None].copy()
 
@@ -313,7 +338,7 @@ def _free_of_stress(
         raise InputError(_NOT_FREE)
     F, l0 = shape(u), float(u[0] * cell.spring_length)
     relaxed, box = at[0].T @ F.T, F @ lattice
-    topology = make_patches(cell, relaxed, box)[0].topology
+    topology = make_neighbours(cell, relaxed, box).topology
     final = relax(topology, make_constants(cell, l0), relaxed.T[None], np.eye(2)[None])
     lowest(final)
     return ReferenceState(cell.fingerprint, final.z[0].T.copy(), box, l0)

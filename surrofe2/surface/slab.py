@@ -22,7 +22,7 @@ from surrofe2.base.errors import InputError
 from surrofe2.base.simd import TILE
 from surrofe2.plant_cell.arrangement import make_slab_arrangement
 from surrofe2.plant_cell.forces import local_forces
-from surrofe2.plant_cell.pair_lists import FARTHEST, make_patches
+from surrofe2.plant_cell.neighbours import FARTHEST, make_neighbours
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.plant_cell.tiles import make_workspace
@@ -72,7 +72,7 @@ def make_slab(cell: CellParameters, reference: ReferenceState, rows: int) -> Uni
         )
     relaxed = found.z[0].T.copy()
     at_rest = ReferenceState(cell.fingerprint, relaxed, lattice, reference.rest_length)
-    return unit_around(cell, at_rest, make_patches(cell, relaxed, lattice, arrangement=made))
+    return unit_around(cell, at_rest, make_neighbours(cell, relaxed, lattice, arrangement=made))
 
 
 def bend(unit: UnitCell, F: Array, z: Array) -> tuple[float, Array]:
@@ -87,7 +87,7 @@ def bend(unit: UnitCell, F: Array, z: Array) -> tuple[float, Array]:
     Raises:
         InputError: the bent slab does not come to rest.
     """
-    topology, n = unit.topologies[-1], len(z)
+    topology, n = unit.topology, len(z)
     side, span = unit.cell.cell_side, F[0, 0] * unit.cell.cell_side
     theta = TURN * (-1.0) ** np.arange(TILE)
     x = z @ F.T
@@ -100,8 +100,7 @@ def bend(unit: UnitCell, F: Array, z: Array) -> tuple[float, Array]:
     cos, sin = np.cos(turn), np.sin(turn)
     moved = span / theta * np.stack([sin, 2.0 * np.sin(0.5 * turn) ** 2])
     by_theta = (column * span * np.stack([cos, sin]) - moved) / theta
-    straight, work = unit.topologies[0], make_workspace(topology)
-    lu, _ = kept_factors(unit.factors.address[0], straight)
+    work, (lu, _) = make_workspace(topology), kept_factors(unit.factors.address[0], topology)
     work.v[:] = 0.0
     for _ in range(_LIMIT):
         own = at[:, topology.owner]
@@ -117,6 +116,6 @@ def bend(unit: UnitCell, F: Array, z: Array) -> tuple[float, Array]:
             moment = -(pulled * across).sum(axis=(0, 1))
             return float(side * np.mean(moment / theta)), at[..., 0].T.copy()
         step = np.ascontiguousarray(-np.swapaxes(f[:, 1:], 0, 1)).reshape(-1, TILE)
-        solve(lu, step, straight)
+        solve(lu, step, topology)
         at[:, 1:] += np.swapaxes(step.reshape(-1, 2, TILE), 0, 1)
     raise InputError("surface: a bent slab finds no rest; check outer_wall and wall_stiffness")

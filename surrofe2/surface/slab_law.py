@@ -24,10 +24,8 @@ from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.plant_cell.tiles import pack, unpack
 from surrofe2.rve.particle_state import Drive
 from surrofe2.rve.rve_law import RveLaw
-from surrofe2.rve.rve_state import rest_state
 from surrofe2.rve.settings import RveSettings
-from surrofe2.rve.slow_solution import solution_kind
-from surrofe2.rve.solve import Solution, solve_rves
+from surrofe2.rve.solve import Solved, solve_rves
 from surrofe2.surface.slab import bend, make_slab
 
 Array = NDArray[np.float64]
@@ -175,7 +173,7 @@ class SlabPoint:
 
     resultant: Array
     bulk: SideFree
-    solution: Solution
+    solution: Solved
     valid: NDArray[np.bool_]
 
 
@@ -275,10 +273,9 @@ class SlabLaw:
         bulk = side_free(self.law, stretch, rate)
         known = bulk.valid[:, None, None]
         F, F_dot = np.where(known, bulk.F, np.eye(2)), np.where(known, bulk.F_dot, 0.0)
-        start = rest_state(self.unit.position, self.unit.factors, len(F), "slab")
+        start = self.unit.rest_state(len(F), "slab")
         drive = Drive(pack(F), pack(F_dot))
-        kind = solution_kind(self.law.initialisation)
-        solution = solve_rves(kind, self.unit, self.law.settings, drive, start, cold=True)
+        solution = solve_rves(self.unit, self.law.settings, drive, start, cold=True)
         stress = unpack(solution.answer.stress, len(F))
         resultant = self.unit.reference.lattice[1, 1] * stress[:, 0, 0] * F[:, 1, 1]
         valid = bulk.valid & (unpack(solution.status, len(F)) == Status.OK)

@@ -30,7 +30,14 @@ from surrofe2.plant_cell.forces import (
     norm,
     pair_at,
 )
-from surrofe2.plant_cell.pair_laws import contact_energy, contact_force, wall_energy, wall_force
+from surrofe2.plant_cell.pair_laws import (
+    contact,
+    contact_energy,
+    tension,
+    wall,
+    wall_energy,
+    within,
+)
 from surrofe2.tissue.external_forces import (
     BodyContacts,
     DrivenParticles,
@@ -158,7 +165,7 @@ def _sum_forces(t, particles, lists, constants, fluid):
     for k in range(here[1], end[1]):
         i, j = lists.bonds[k, 0], lists.bonds[k, 1]
         pair = pair_at(x, v, i, j)
-        a = wall_force(pair.length, pair.rate, bond_at(constants.bonds, k)) * pair.inverse
+        a = tension(wall(pair.length, bond_at(constants.bonds, k)), pair.rate) * pair.inverse
         add_pair(f, i, j, a * pair.rx, a * pair.ry)
     cutoff = constants.cutoff
     _add_contacts(x, v, f, lists.lines, here[2], end[2], constants.lines, cutoff)
@@ -189,7 +196,8 @@ def _add_contacts(x, v, f, pairs, start, end, rows, cutoff):
 @pair_law
 def _add_contact(x, v, f, i, j, c):
     pair = pair_at(x, v, i, j)
-    a = contact_force(pair.length, pair.inverse, pair.rate, c) * pair.inverse
+    law = contact(pair.length, pair.inverse, c)
+    a = tension(law, pair.rate) * within(pair.length, pair.inverse, c)
     add_pair(f, i, j, a * pair.rx, a * pair.ry)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from surrofe2.base.simd import TILE
 from surrofe2.plant_cell import forces
 from surrofe2.plant_cell.arrangement import start_positions
-from surrofe2.plant_cell.pair_lists import make_patches
+from surrofe2.plant_cell.neighbours import make_neighbours
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tiles import Workspace, make_constants
 from tests.plant_cell.twin import Twin
@@ -18,13 +18,11 @@ REST = 1.9
 class Patch:
     """One cell, in every lane another state: material positions z (TILE, n, 2), F, Ḟ."""
 
-    def __init__(self, preset: str, seed: int = 0, reach: float = 25.0) -> None:
+    def __init__(self, preset: str, seed: int = 0) -> None:
         rng = np.random.default_rng(seed)
         self.cell = CellParameters.preset(preset)
-        base, levels = start_positions(self.cell), ((reach / self.cell.repulsion_cutoff,) * 2,)
-        lattice = self.cell.tessellation.lattice
-        (self.patch,) = make_patches(self.cell, base, lattice, levels, sparse=False)
-        self.topology = self.patch.topology
+        base, lattice = start_positions(self.cell), self.cell.tessellation.lattice
+        self.topology = make_neighbours(self.cell, base, lattice, sparse=False).topology
         self.constants = make_constants(self.cell, REST)
         self.twin = Twin(self.cell, REST)
         self.z = base + 0.1 * rng.uniform(-1, 1, (TILE, *base.shape))
@@ -34,7 +32,7 @@ class Patch:
     def local(self, z, tensor):
         """(2, local, TILE): tensor applied to own particles and images."""
         everyone = np.concatenate(
-            [z, z[:, self.topology.owner] + self.patch.shift @ self.patch.lattice.T], axis=1
+            [z, z[:, self.topology.owner] + self.topology.image_offset], axis=1
         )
         return np.ascontiguousarray(np.einsum("lab,lpb->apl", tensor, everyone))
 

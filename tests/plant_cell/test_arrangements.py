@@ -5,8 +5,9 @@ import pytest
 
 from surrofe2.base.errors import InputError
 from surrofe2.plant_cell.arrangement import make_arrangement, start_positions
-from surrofe2.plant_cell.pair_lists import make_patches
+from surrofe2.plant_cell.neighbours import FARTHEST, make_neighbours
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.tiles import pack
 
 CASES = (("square", 4, 38, 64), ("hexagon", 1, 17, 19), ("voronoi", 9, None, 144))
 
@@ -68,14 +69,15 @@ def test_one_square_has_the_particles_in_the_order_that_tissues_repeat():
 def test_pairs_of_one_square_are_those_found_by_looking_at_every_image():
     cell = CellParameters()
     position, lattice = start_positions(cell), 25.0 * np.eye(2)
-    (patch,) = make_patches(cell, position, lattice, ((1.4, 1.4),))
+    every = make_neighbours(cell, position, lattice)
+    listed = every.near(pack(np.eye(2)[None]), pack(position.T[None]), 4.0).topology
     images = 25.0 * np.array([(a, b) for a in range(-2, 3) for b in range(-2, 3)])
     r = position[:, None, None] - position[None, :, None] - images
     apart = np.sqrt((r**2).sum(axis=-1))  # (i, j, image)
     walls, bonds = apart[:19, :19].ravel(), np.full(20, 2.5)
     near = np.sort(walls[(walls > 0.0) & (walls <= 14.0)])[::2]
     is_bond = near < 2.5 + 1e-9  # besides the springs, corners' neighbours are farther
-    np.testing.assert_allclose(lengths(patch, patch.topology.bonds), bonds, atol=1e-12)
+    np.testing.assert_allclose(lengths(position, listed, listed.bonds), bonds, atol=1e-12)
     assert is_bond.sum() == 20
     rim = [(w + 25.0 * np.array(s)) for w in position[:19] for s in np.ndindex(2, 2)]
     rim = np.array([p for p in rim if (p <= 25.0 + 1e-9).all()])
@@ -83,14 +85,13 @@ def test_pairs_of_one_square_are_those_found_by_looking_at_every_image():
     fluid = np.linalg.norm(position[19:, None] - rim, axis=2).ravel()
     expected = np.concatenate([near[~is_bond], fluid[fluid <= 14.0]])
     np.testing.assert_allclose(
-        lengths(patch, patch.topology.contacts), np.sort(expected), atol=1e-9
+        lengths(position, listed, listed.contacts), np.sort(expected), atol=1e-9
     )
-    assert len(patch.topology.fluid_pairs) == 16 * 15 // 2
+    assert len(listed.fluid_pairs) == 16 * 15 // 2
 
 
-def lengths(patch, pairs):
-    images = patch.position[patch.topology.owner] + patch.shift @ patch.lattice.T
-    local = np.concatenate([patch.position, images])
+def lengths(position, topology, pairs):
+    local = np.concatenate([position, position[topology.owner] + topology.image_offset])
     return np.sort(np.linalg.norm(local[pairs[:, 0]] - local[pairs[:, 1]], axis=1))
 
 
@@ -138,16 +139,10 @@ def test_fluid_may_reach_every_wall_around_it_from_wherever_it_is():
     lattice = made.tessellation.lattice
     for k in range(2):
         position = start_positions(cell, k)
-        (patch,) = make_patches(cell, position, lattice, ((np.inf, 1.2),))
-        owner = np.concatenate([np.arange(made.particles), patch.topology.owner])[
-            patch.topology.contacts
-        ]
+        topology = make_neighbours(cell, position, lattice).topology
+        owner = np.append(np.arange(made.particles), topology.owner)[topology.contacts]
         with_fluid = (owner >= made.walls).any(axis=1)
         pairs = zip(made.rims, made.fluid_counts, strict=True)
         assert with_fluid.sum() == sum(len(rim) * count for rim, count in pairs)
-        rest = patch.unlisted
-        assert (rest.pairs < made.walls).all()
-        i, j = rest.pairs.T
-        way = position[j] + rest.offset - position[i]
-        assert np.linalg.norm(way, axis=1).min() > 12.0
-        assert np.linalg.norm(way, axis=1).max() <= rest.reach == 30.0
+        walls = lengths(position, topology, topology.contacts[~with_fluid])
+        assert 29.0 < walls.max() <= FARTHEST * cell.repulsion_cutoff

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from surrofe2.base.simd import TILE
-from surrofe2.plant_cell import force_derivatives, forces, jacobian
-from surrofe2.plant_cell.force_derivatives import add_force_gradients, add_stiffness_rates
+from surrofe2.plant_cell import derivatives, forces
+from surrofe2.plant_cell.derivatives import add_force_gradients, add_stiffness_rates
 from tests.plant_cell.lanes_of_states import Patch
 
 
@@ -34,7 +34,7 @@ class Local(Patch):
 
     def elastic_rates(self, x, v):
         work, rate = self.workspace(x, v), np.empty_like(x)
-        force_derivatives.elastic_forces_and_rates(
+        derivatives.elastic_forces_and_rates(
             work, rate, np.empty_like(work.volume), self.topology, self.constants
         )
         return rate
@@ -79,7 +79,7 @@ def test_gradients_are_the_transposed_jacobian(local):
     L = np.ascontiguousarray(np.moveaxis(F_dot @ np.linalg.inv(F), 0, -1))
     Z = local.local(local.z, np.broadcast_to(np.eye(2), F.shape))
     work = local.workspace(local.x, local.v, Z)
-    jacobian.force_jacobian(work, L, local.topology, local.constants, J, columns)
+    derivatives.force_jacobian(work, L, local.topology, local.constants, J, columns)
     J = local.dense(J)
     weights = np.ascontiguousarray(local.fields[:, :, local.owners])
     by_x, by_v = local.gradients(weights)

@@ -6,7 +6,7 @@ from numba import njit
 from scipy.integrate import quad
 
 from surrofe2.base.simd import TILE, load, store
-from surrofe2.plant_cell import force_derivatives, forces, jacobian
+from surrofe2.plant_cell import derivatives, forces
 from surrofe2.plant_cell.pair_laws import (
     spline,
     spline_curvature,
@@ -117,7 +117,7 @@ def test_jacobian_and_load_are_the_derivatives_of_the_forces(patch):
     L = np.ascontiguousarray(np.moveaxis(F_dot @ np.linalg.inv(F), 0, -1))
     identity = np.broadcast_to(np.eye(2), F.shape)
     work = patch.workspace(patch.local(z, F), patch.local(z, F_dot), patch.local(z, identity))
-    jacobian.force_jacobian(work, L, patch.topology, patch.constants, J, load)
+    derivatives.force_jacobian(work, L, patch.topology, patch.constants, J, load)
     J = patch.dense(J)
     step = 1e-6
     inverse = np.linalg.inv(F)
@@ -148,7 +148,7 @@ def test_elastic_force_rates_are_the_slopes_along_a_motion(patch):
     owners = np.concatenate([np.arange(n), patch.topology.owner])
     v += np.einsum("lab,lpb->apl", patch.F, y[:, owners])
     work, rate = patch.workspace(x, v), np.empty_like(x)
-    force_derivatives.elastic_forces_and_rates(
+    derivatives.elastic_forces_and_rates(
         work, rate, np.empty_like(work.volume), patch.topology, patch.constants
     )
     f = work.f
@@ -174,7 +174,9 @@ def test_elastic_jacobian_is_symmetric(patch):
     identity = np.broadcast_to(np.eye(2), patch.F.shape)
     x = patch.local(patch.z, patch.F)
     work = patch.workspace(x, np.zeros_like(x), patch.local(patch.z, identity))
-    jacobian.force_jacobian(work, np.zeros((2, 2, TILE)), patch.topology, patch.constants, J, load)
+    derivatives.force_jacobian(
+        work, np.zeros((2, 2, TILE)), patch.topology, patch.constants, J, load
+    )
     J = patch.dense(J)
     assert abs(J - J.swapaxes(0, 1)).max() < 1e-12 * abs(J).max()
 

@@ -8,7 +8,7 @@ import pytest
 
 from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import Status
-from surrofe2.plant_cell.pair_lists import make_patches
+from surrofe2.plant_cell.neighbours import make_neighbours
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import INITIALISATIONS, RveLaw, RveSettings
 from surrofe2.rve.unit_cell import relax
@@ -38,8 +38,8 @@ def deformations(n=8, size=0.04, seed=0):
 def test_two_by_two_squares_are_one_square(initialisation):
     F, F_dot = deformations()
     four, one = law("square", 4, initialisation), law("square", 1, initialisation)
-    assert len(four.unit_cell.topologies[0].width) > 1  # groups
-    assert len(one.unit_cell.topologies[0].width) == 1
+    assert len(four.unit_cell.topology.width) > 1  # groups
+    assert len(one.unit_cell.topology.width) == 1
     assert four.rest_length == pytest.approx(one.rest_length, abs=1e-11)
     assert four.density == pytest.approx(one.density, rel=1e-14)
     mine, theirs = (this.respond(F, F_dot, tangents=True) for this in (four, one))
@@ -100,8 +100,9 @@ def test_sparse_and_dense_matrices_find_the_same_equilibrium():
     z = np.broadcast_to(unit.position.T, (8, *unit.position.T.shape))
     found = []
     for sparse in (True, False):
-        patches = make_patches(unit.cell, unit.position, unit.reference.lattice, sparse=sparse)
-        found.append(relax(patches[1].topology, unit.constants, z, F))
+        lattice = unit.reference.lattice
+        neighbours = make_neighbours(unit.cell, unit.position, lattice, sparse=sparse)
+        found.append(relax(neighbours.topology, unit.constants, z, F))
     np.testing.assert_allclose(found[0].stress, found[1].stress, rtol=0, atol=1e-9)
     np.testing.assert_allclose(found[0].energy, found[1].energy, rtol=1e-13)
     np.testing.assert_array_equal(found[0].stable, found[1].stable)

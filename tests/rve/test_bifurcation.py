@@ -10,10 +10,9 @@ import pytest
 
 from surrofe2.law.stress_law import Status, describe
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.tiles import unpack
+from surrofe2.plant_cell.tiles import pack, unpack
 from surrofe2.rve import RveLaw
-from surrofe2.rve.descent import KICK, ROAM, Landscape, descend, over_saddle
-from surrofe2.rve.near_contacts import NearContacts
+from surrofe2.rve.continuation import KICK, ROAM, descend, over_saddle
 from surrofe2.rve.particle_state import stored_energy
 from tests.rve.curvature_twin import Curvatures
 
@@ -55,7 +54,7 @@ def assert_stable(preset, F, answer, chunk=256):
         least = min(least, np.linalg.eigvalsh(hessian).min())
     assert least > 0.0
     failed = answer.status[answer.status != Status.OK]
-    assert np.isin(failed, [Status.UNSTABLE, Status.NOT_CONVERGED, Status.LIST_TOO_SHORT]).all()
+    assert np.isin(failed, [Status.UNSTABLE, Status.NOT_CONVERGED]).all()
     assert np.isnan(answer.stress[answer.status != Status.OK]).all()
     return least
 
@@ -145,25 +144,27 @@ def test_a_rotation_turns_the_branch_along():
 def test_the_way_down_only_goes_down():
     this, F = law("printed"), BEYOND["printed"]
     unit = this.unit_cell
-    contacts = NearContacts(unit.topologies[-1], unit.constants.cutoff)
     start = np.repeat(unit.position.T[None], len(F), axis=0)
-    end, found, _ = descend(Landscape(F, contacts, unit.constants), start)
+    end, found, _ = descend(unit, F, start)
     assert found.all()
-    there, before = (stored_energy(F, z, unit.topologies[-1], unit.constants) for z in (end, start))
+    there, before = (stored_energy(F, z, unit.topology, unit.constants) for z in (end, start))
     assert (there < before).all()
-    assert (np.abs(end - start).max(axis=(1, 2)) > ROAM).any()  # contacts were listed anew
+    assert (np.abs(end - start).max(axis=(1, 2)) > ROAM).any()  # contacts were listed again
 
 
 def test_contacts_left_out_change_no_bit():
+    """A list covers what it was made for, until particles have moved by half the skin."""
     unit, F = law("printed").unit_cell, far(5)
-    whole = unit.topologies[-1]
-    few = NearContacts(whole, unit.constants.cutoff).within(
-        F, unit.position.T + 0 * F[:, :1, :1], np.full(5, 1.0)
-    )
+    rest = unit.position.T + 0 * F[:, :1, :1]
+    near = unit.neighbours.near(pack(F), pack(rest), 2.0)
     rng = np.random.default_rng(2)
-    z = unit.position.T + 0.5 * rng.uniform(-1.0, 1.0, (5, *unit.position.T.shape)) / 1.6
-    assert len(few.contacts) < 0.5 * len(whole.contacts)
-    energies = [stored_energy(F, z, each, unit.constants) for each in (few, whole)]
+    z = rest + 0.5 * rng.uniform(-1.0, 1.0, rest.shape) / 1.6
+    assert near.covers(pack(F), pack(z)).all()
+    assert not near.covers(pack(F), pack(rest + 2.0 * (np.arange(35) == 7))).any()
+    assert len(near.topology.contacts) < 0.5 * len(unit.topology.contacts)
+    energies = [
+        stored_energy(F, z, each, unit.constants) for each in (near.topology, unit.topology)
+    ]
     np.testing.assert_array_equal(*energies)
 
 

@@ -3,7 +3,7 @@ import pytest
 
 from surrofe2.base.errors import InputError
 from surrofe2.base.simd import TILE
-from surrofe2.plant_cell.jacobian import add_product
+from surrofe2.plant_cell.derivatives import add_product
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.rve.unit_cell import make_unit_cell

@@ -149,11 +149,11 @@ def test_tension_is_the_slope_of_the_energy_beyond_that_of_the_bulk():
         at = law.point(along, np.zeros(4))
         unit, bulk = law.unit, law.law.unit_cell
         slab_energy = stored_energy(
-            at.bulk.F, unpack(at.solution.state.relaxed, 4), unit.topologies[-1], unit.constants
+            at.bulk.F, unpack(at.solution.state.relaxed, 4), unit.topology, unit.constants
         )
         settled = law.law.respond(at.bulk.F, np.zeros((4, 2, 2))).state
         cell_energy = stored_energy(
-            at.bulk.F, unpack(settled.relaxed, 4), bulk.topologies[-1], bulk.constants
+            at.bulk.F, unpack(settled.relaxed, 4), bulk.topology, bulk.constants
         )
         beyond = slab_energy - law.rows * cell_energy
         slope = np.array([1.0, -8.0, 8.0, -1.0]) @ beyond / (12.0 * d)
@@ -185,9 +185,7 @@ def test_the_law_does_not_depend_on_the_thickness(preset):
 
 def test_images_of_a_slab_do_not_see_each_other():
     unit = slab().unit
-    for patch in unit.patches:
-        assert not patch.shift[:, 1].any()
-        assert not patch.unlisted.offset[:, 1].any()
+    assert not unit.neighbours.shift[:, 1].any()
     height = np.ptp(unit.position[:, 1])
     assert unit.reference.lattice[1, 1] - height > 3.0 * unit.cell.repulsion_cutoff
 

@@ -1,0 +1,328 @@
+"""Who interacts with whom in an arrangement of plant cells: bonds, fluid pairs and contacts.
+
+Contacts are fluid with the walls around its plant cell, and wall particles that are not bonded to
+each other, wherever they are. `Neighbours` has all that can come about; `near` lists those within
+the cut-off and a skin, which serve until particles have moved too far (`Near.covers`). A contact
+that is left out exerts no force, so that a list never changes a result.
+
+Kernels see local particles only: first the unit's own, then images of those that they interact
+with; a pair (i, j) needs no shift. All RVEs of one call share a list, so that they can be SIMD
+lanes. Until then a pair is a row (i, j, a, b): own particles, and the lattice shift of j.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.base.compilation import kernel
+from surrofe2.base.simd import TILE, any_less, load, store, where_less
+from surrofe2.plant_cell.arrangement import Arrangement, make_arrangement
+from surrofe2.plant_cell.block_pattern import make_pattern, sparse_pays
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.tiles import Topology, pack, put_points, unpack
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Ints = NDArray[np.int32]
+
+SKIN = 0.2
+"""How much farther than the cut-off contacts are listed, in cut-offs."""
+BESIDE, FARTHEST = 1.4, 3.0
+"""Distances in the reference, in cut-offs, of walls that bound no plant cell together: up to the
+first they have blocks in matrices; beyond the second they are never listed."""
+_SHIFTS = 128
+"""Lattice shifts are smaller than half of this."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Near:
+    """A topology with the contacts within `reach` of each other at positions z, x = F z.
+
+    Attributes:
+        F: (tiles, 2, 2, TILE). z: (tiles, 2, own, TILE) material positions, µm.
+    """
+
+    topology: Topology
+    F: Array
+    z: Array
+    reach: float
+    cutoff: float
+
+    def covers(self, F: Array, z: Array) -> Flags:
+        """(tiles, TILE): whether all contacts that act at z (tiles, 2, n, TILE) are listed.
+
+        What is not listed has |r₀| > reach. With particles at most d from where they were listed,
+        in material coordinates, and G = F F₀⁻¹: |r| ≥ s_min(G) (reach − 2 s_max(F₀) d).
+        """
+        covered = np.empty((len(F), TILE), dtype=np.bool_)
+        mark_covered(F, z, self.F, self.z, self.reach, self.cutoff, covered)
+        return covered
+
+    def take(self, index: NDArray[np.intp], points: int) -> Near:
+        """The same list for some of the points it was made for."""
+        F, z = (pack(unpack(tiles, points)[index]) for tiles in (self.F, self.z))
+        return replace(self, F=F, z=z)
+
+    def put(self, index: NDArray[np.intp], part: Near) -> Near | None:
+        """The list of all points where `part` is of the points `index`; None: they differ."""
+        if part.topology is not self.topology:
+            return None
+        F, z = self.F.copy(), self.z.copy()
+        put_points(F, index, part.F)
+        put_points(z, index, part.z)
+        return replace(self, F=F, z=z)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Neighbours:
+    """Particles of a periodic unit and all that can interact.
+
+    Attributes:
+        topology: with every contact.
+        mass: (n,) ng, walls first.
+        lattice: (2, 2) µm, its columns the periods.
+        shift: (g, 2) integer lattice shift of each image.
+        cutoff: µm.
+    """
+
+    topology: Topology
+    mass: Array
+    lattice: Array
+    shift: Ints
+    cutoff: float
+
+    def near(self, F: Array, z: Array, skin: float | None = None) -> Near:
+        """The contacts that any RVE at F (tiles, 2, 2, TILE), z (tiles, 2, n, TILE) may soon have.
+
+        Args:
+            skin: µm beyond the cut-off; None: `SKIN`.
+        """
+        every, own = self.topology, self.topology.particles
+        reach = self.cutoff + (SKIN * self.cutoff if skin is None else skin)
+        listed = np.empty(len(every.contacts), dtype=np.bool_)
+        mark_near(F, z, every.contacts, every.owner, every.image_offset, reach, listed)
+        contacts = every.contacts[listed]
+        used = np.arange(own + len(every.owner)) < own
+        used[contacts[:, 1]] = used[every.bonds[:, 1]] = True
+        # images keep their order, so that sums over them are the same to the bit with every list
+        number, images = (np.cumsum(used) - 1).astype(np.int32), used[own:]
+        topology = every._replace(
+            contacts=number[contacts],
+            contact_weight=every.contact_weight[listed],
+            bonds=number[every.bonds],
+            owner=every.owner[images],
+            image_offset=every.image_offset[images],
+        )
+        return Near(topology, F, z, reach, self.cutoff)
+
+    def everywhere(self, F: Array, z: Array) -> Near:
+        """The list of every contact, which covers all positions."""
+        return Near(self.topology, F, z, np.inf, self.cutoff)
+
+
+@kernel
+def mark_near(F, z, pairs, owner, offset, reach, near):
+    """near (k,): whether local particles i, j of `pairs` (k, 2) are within reach in any RVE."""
+    own = z.shape[2]
+    for k in range(pairs.shape[0]):
+        i, j, ox, oy = pairs[k, 0], pairs[k, 1], 0.0, 0.0
+        if j >= own:
+            image = j - own
+            j, ox, oy = owner[image], offset[image, 0], offset[image, 1]
+        near[k] = False
+        for t in range(z.shape[0]):
+            dx, dy = load(z, t, 0, j) - load(z, t, 0, i), load(z, t, 1, j) - load(z, t, 1, i)
+            dx, dy = dx + ox, dy + oy
+            rx = load(F, t, 0, 0) * dx + load(F, t, 0, 1) * dy
+            ry = load(F, t, 1, 0) * dx + load(F, t, 1, 1) * dy
+            if any_less(rx * rx + ry * ry, reach * reach):
+                near[k] = True
+                break
+
+
+@kernel
+def mark_covered(F, z, listed_F, listed_z, reach, cutoff, covered):
+    """See `Near.covers`."""
+    moved = np.empty((1, TILE))
+    for t in range(z.shape[0]):
+        store(0.0, moved, 0)
+        for i in range(z.shape[2]):
+            dx = load(z, t, 0, i) - load(listed_z, t, 0, i)
+            dy = load(z, t, 1, i) - load(listed_z, t, 1, i)
+            farthest, square = load(moved, 0), dx * dx + dy * dy
+            store(where_less(farthest, square, square, farthest), moved, 0)
+        for k in range(TILE):
+            xx, xy, yx, yy = F[t, 0, 0, k], F[t, 0, 1, k], F[t, 1, 0, k], F[t, 1, 1, k]
+            a, b, c, d = (
+                listed_F[t, 0, 0, k], listed_F[t, 0, 1, k], listed_F[t, 1, 0, k],
+                listed_F[t, 1, 1, k],
+            )  # fmt: skip
+            largest = 0.5 * (np.hypot(a + d, b - c) + np.hypot(a - d, b + c))
+            # G times det F₀, of which the smallest singular value is taken as of any 2 × 2 matrix
+            gxx, gxy, gyx, gyy = xx * d - xy * c, xy * a - xx * b, yx * d - yy * c, yy * a - yx * b
+            smallest = 0.5 * (np.hypot(gxx + gyy, gxy - gyx) - np.hypot(gxx - gyy, gxy + gyx))
+            room = reach - 2.0 * largest * np.sqrt(moved[0, k])
+            covered[t, k] = smallest * room >= cutoff * (a * d - b * c)
+
+
+def make_neighbours(
+    cell: CellParameters,
+    position: Array,
+    lattice: Array,
+    *,
+    sparse: bool | None = None,
+    arrangement: Arrangement | None = None,
+) -> Neighbours:
+    """Everyone who can interact in an arrangement.
+
+    Args:
+        position: (n, 2) reference positions, µm.
+        lattice: (2, 2), its columns the lattice vectors, µm.
+        sparse: whether matrices have blocks of interacting groups alone; None: where that pays.
+        arrangement: instead of the cell's own, such as a slab.
+    """
+    arrangement, particles = arrangement or make_arrangement(cell), len(position)
+    walls, cutoff, weight = arrangement.walls, cell.repulsion_cutoff, 0.5 * cell.outer_wall
+    contacts, has_block = _contacts(arrangement, position, lattice, cutoff)
+    mass = np.full(particles, cell.fluid_mass)
+    mass[:walls] = cell.wall_particle_mass * np.where(arrangement.outer > 0, weight, 1.0)
+    counts = np.array(arrangement.fluid_counts)
+    fluid = np.concatenate(
+        [first + np.stack(np.triu_indices(count, 1), axis=1)
+         for first, count in zip(walls + arrangement.fluid_start, counts, strict=False)]
+    )  # fmt: skip
+    pattern = make_pattern(*interacting_groups(arrangement, contacts[has_block]))
+    if not (sparse or (sparse is None and sparse_pays(pattern))):
+        pattern = make_pattern(np.zeros(particles, dtype=np.int32), [])
+    lists = [_sorted(arrangement.bonds), _sorted(contacts)]
+    weights = [np.where(_is_outer(arrangement, pairs), weight, 1.0) for pairs in lists]
+    owner, shift, (bonds, contacts) = _localised(lists, particles)
+    topology = Topology(
+        bonds=bonds,
+        contacts=contacts,
+        fluid_pairs=fluid.astype(np.int32),
+        bond_weight=weights[0],
+        contact_weight=weights[1],
+        owner=owner,
+        image_offset=np.ascontiguousarray(shift @ lattice.T),
+        particles=particles,
+        walls=walls,
+        fluid_start=arrangement.fluid_start,
+        fluid_pair_start=np.append(0, np.cumsum(counts * (counts - 1) // 2)).astype(np.int32),
+        area=abs(float(np.linalg.det(lattice))),
+        **pattern._asdict(),
+    )
+    return Neighbours(topology, mass, lattice, shift, cutoff)
+
+
+def interacting_groups(
+    arrangement: Arrangement, contacts: Ints
+) -> tuple[Ints, set[tuple[int, int]]]:
+    """(n,) group of each particle, the walls of an edge or a plant cell's fluid; coupled groups.
+
+    contacts: (k, 2) or more columns, the first two the particles that may touch, by their owners.
+    """
+    first = int(arrangement.wall_edge.max()) + 1
+    counts = arrangement.fluid_counts
+    labels = np.concatenate(
+        [arrangement.wall_edge, first + np.repeat(np.arange(len(counts)), counts)]
+    )
+    pairs = set()
+    for k, rim in enumerate(arrangement.rims):
+        around = {*labels[rim[:, 0]].tolist(), first + k}
+        pairs |= {(g, h) for g in around for h in around}
+    for listed in (arrangement.bonds, contacts):
+        pairs |= {(g, h) for g, h in np.unique(labels[listed[:, :2]], axis=0).tolist()}
+    return labels, pairs
+
+
+def _contacts(
+    arrangement: Arrangement, position: Array, lattice: Array, cutoff: float
+) -> tuple[Ints, Flags]:
+    """Contacts (k, 4) that can come about, and whether they have a block in matrices.
+
+    Fluid with the walls around it at any distance, for it may flow. Walls that bound no plant cell
+    together meet only where tissue is crushed: their forces act then, but matrices do without them,
+    and solvers take more steps.
+    """
+    walls = arrangement.walls
+    pairs = _wall_pairs(position[:walls], lattice, FARTHEST * cutoff)
+    same = np.unique(np.concatenate([_keys(_all_pairs(rim)) for rim in arrangement.rims]))
+    bonded = np.isin(_keys(pairs), _keys(arrangement.bonds))
+    pairs = pairs[~bonded]
+    i, j, shift = pairs[:, 0], pairs[:, 1], pairs[:, 2:]
+    distance = np.linalg.norm(position[j] + shift @ lattice.T - position[i], axis=1)
+    has_block = np.isin(_keys(pairs), same) | (distance <= BESIDE * cutoff)
+    fluid, touching = walls + arrangement.fluid_start, []
+    for first, last, rim in zip(fluid[:-1], fluid[1:], arrangement.rims, strict=True):
+        inside = np.repeat(np.arange(first, last), len(rim))[:, None]
+        touching.append(np.hstack([inside, np.tile(rim, (last - first, 1))]))
+    every = np.concatenate([pairs, *touching]).astype(np.int32)
+    return every, np.append(has_block, np.ones(len(every) - len(pairs), dtype=np.bool_))
+
+
+def _wall_pairs(position: Array, lattice: Array, reach: float) -> NDArray[np.int64]:
+    """(k, 4) pairs of wall particles within reach, each once."""
+    height = abs(np.linalg.det(lattice)) / np.linalg.norm(lattice, axis=0)[::-1]
+    extent = np.ptp(np.linalg.solve(lattice, position.T), axis=1)
+    most = np.ceil(reach / height + extent).astype(int)
+    found = []
+    for a in range(-most[0], most[0] + 1):
+        for b in range(-most[1], most[1] + 1):
+            r = position[None] + lattice @ np.array([a, b]) - position[:, None]
+            i, j = np.nonzero((r**2).sum(axis=2) <= reach**2)
+            once = (i < j) | ((i == j) & ((a, b) > (0, 0)))
+            i, j = i[once], j[once]
+            found.append(np.stack([i, j, np.full_like(i, a), np.full_like(i, b)], axis=1))
+    return np.concatenate(found)
+
+
+def _all_pairs(rim: Ints) -> Ints:
+    """(k, 4) pairs of different wall particles, by their images, around one plant cell."""
+    p, q = np.nonzero(~np.eye(len(rim), dtype=np.bool_))
+    return np.column_stack([rim[p, 0], rim[q, 0], rim[q, 1:] - rim[p, 1:]])
+
+
+def _keys(pairs: NDArray[np.integer]) -> NDArray[np.int64]:
+    """One number for each pair (k, 4), the same whichever of the two comes first."""
+    i, j, a, b = pairs.T.astype(np.int64)
+    turned = (i > j) | ((i == j) & ((a < 0) | ((a == 0) & (b < 0))))
+    i, j = np.where(turned, j, i), np.where(turned, i, j)
+    a, b = np.where(turned, -a, a), np.where(turned, -b, b)
+    # i, j, a, b side by side in 64 bits; shifts are raised by half of `_SHIFTS` to be positive
+    return ((i << 32) | j) * _SHIFTS**2 + (a + _SHIFTS // 2) * _SHIFTS + b + _SHIFTS // 2
+
+
+def _is_outer(arrangement: Arrangement, pairs: Ints) -> NDArray[np.bool_]:
+    """(k,) whether both particles of pairs (k, 4) lie along one outer wall."""
+    of = np.pad(arrangement.outer, (0, arrangement.particles - arrangement.walls))
+    along: NDArray[np.bool_] = (of[pairs[:, 0]] > 0) & (of[pairs[:, 0]] == of[pairs[:, 1]])
+    return along
+
+
+def _sorted(pairs: Ints) -> Ints:
+    return pairs[np.lexsort(pairs.T[::-1])]
+
+
+def _localised(lists: list[Ints], particles: int) -> tuple[Ints, Ints, list[Ints]]:
+    """Owner and shift of the images in `lists`, numbered as they first appear; local pairs."""
+    every = np.concatenate(lists)
+    shifted = every[:, 2:].any(axis=1)
+    kinds, first, number = np.unique(
+        every[shifted, 1:], axis=0, return_index=True, return_inverse=True
+    )
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    local = every[:, :2].copy()
+    local[shifted, 1] = particles + rank[number.reshape(-1)]
+    images = kinds[order].astype(np.int32)
+    ends = np.cumsum([len(pairs) for pairs in lists])
+    return (
+        np.ascontiguousarray(images[:, 0]),
+        np.ascontiguousarray(images[:, 1:]),
+        [np.ascontiguousarray(part) for part in np.split(local, ends[:-1])],
+    )
