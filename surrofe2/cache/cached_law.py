@@ -64,7 +64,7 @@ _REASONS = {
 
 def effort_of(count: int, why: NDArray[np.int8]) -> dict[str, int]:
     """Of `count` points, hits and fallbacks, the latter also by the surrogate's reason (k,)."""
-    counts = np.bincount(why, minlength=len(Status)).tolist()
+    counts = np.bincount(why, minlength=max(Status) + 1).tolist()
     by_reason = {f"fallbacks_{name}": counts[code] for code, name in _REASONS.items()}
     return {"hits": count - len(why), "fallbacks": len(why), **by_reason}
 

@@ -207,17 +207,22 @@ def test_a_recipe_without_a_range_is_for_rves(invoke, recipe_path):
     assert "No [range]: only `--law rve` can run this recipe.\n" in done.stdout
 
 
-def checked(path, *options, **environment):
+WATCH = """import os, subprocess, sys
+process = subprocess.Popen(sys.argv[1:])
+_, code, used = os.wait4(process.pid, 0)
+print(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0)
+sys.exit(os.waitstatus_to_exitcode(code))
+"""
+"""By a process between: a child's peak of memory begins with what its parent has."""
+
+
+def checked(path, *options):
     """The command in a process: (what it prints, processor seconds, memory in MB)."""
     command = [sys.executable, "-m", "surrofe2", "check", str(path), *options]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, text=True, env={**os.environ, **environment}
-    ) as process:
-        printed = process.stdout.read()
-        _, code, used = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(code)
-    assert process.returncode == 0, printed
-    return printed, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0
+    watched = [sys.executable, "-c", WATCH, *command]
+    printed = subprocess.run(watched, stdout=subprocess.PIPE, text=True, check=True).stdout
+    seconds, memory = map(float, printed.splitlines()[-1].split())
+    return printed, seconds, memory
 
 
 @pytest.mark.slow
