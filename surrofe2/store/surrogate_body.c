@@ -1,310 +1,264 @@
-/* The formulas; the numbers above are of one surrogate, and all sizes are known here. Slopes are by
- * the scaled inputs, LANES of them, of which the last is not used. */
+/* The formulas. Each is a loop over LANES points, a quantity of which is a row of so many numbers; all
+ * sizes are known here, so that compilers make vector instructions of the loops. What is called
+ * ..._of_1 is the same for a point alone. Do not compile this with -ffast-math, which takes the
+ * rounding to an integer away. */
 
-#define INPUTS 7
-#define ONE 7
-#define COMPONENTS 4
-#define STRETCH 3
-#define LANES 8
-
-#define LAYER(weight, bias, columns, rows, source, target)   \
-    do {                                                     \
-        for (int i = 0; i < rows; i++)                       \
-            target[i] = bias[i];                             \
-        for (int j = 0; j < columns; j++)                    \
-            for (int i = 0; i < rows; i++)                   \
-                target[i] += weight[j][i] * source[j];       \
-    } while (0)
-
-#define SLOPES(weight, columns, rows, source, target)        \
-    do {                                                     \
-        memset(target, 0, sizeof target);                    \
-        for (int j = 0; j < columns; j++)                    \
-            for (int i = 0; i < rows; i++)                   \
-                for (int k = 0; k < LANES; k++)              \
-                    target[i][k] += weight[j][i] * source[j][k]; \
-    } while (0)
-
-#define TANH_SLOPES(tanh, rows, slopes)                      \
-    do {                                                     \
-        for (int i = 0; i < rows; i++)                       \
-            for (int k = 0; k < LANES; k++)                  \
-                slopes[i][k] *= 1.0 - tanh[i] * tanh[i];     \
-    } while (0)
-
-/* 1 - 2/(e^2y + 1), with e^2y = 2^n e^r, n an integer and |r| <= ln 2/2: e^r is a polynomial, 2^n is
- * written into the exponent bits, so that the loop becomes vector instructions. Do not compile this
- * with -ffast-math, which would take the rounding to an integer away. */
-static inline void tanh_of(double *y, int n)
+/* tanh of |y| <= 20, 1 - 2/(e^2y + 1), with e^2y = 2^n e^r, n an integer and |r| <= ln 2/2: e^r is a polynomial, and 2^n
+ * is written into the exponent bits. */
+static inline double tanh_of(double y)
 {
-    for (int i = 0; i < n; i++) {
-        const double magic = 6755399441055744.0, ln2 = 0.6931471805599453;
-        double z = 2.0 * y[i], q = 2.510038549551032e-08, scale;
-        uint64_t bits;
-        z = z > 40.0 ? 40.0 : z;
-        z = z < -40.0 ? -40.0 : z;
-        const double shifted = z * 1.4426950408889634 + magic, r = z - (shifted - magic) * ln2;
-        q = q * r + 2.7620088445409746e-07;
-        q = q * r + 2.7557268459997064e-06;
-        q = q * r + 2.4801521295954376e-05;
-        q = q * r + 0.00019841269863053618;
-        q = q * r + 0.0013888888917213717;
-        q = q * r + 0.008333333333330062;
-        q = q * r + 0.04166666666662413;
-        q = q * r + 0.16666666666666669;
-        q = q * r + 0.5000000000000001;
-        memcpy(&bits, &shifted, sizeof bits);
-        bits = (bits + 1023) << 52;
-        memcpy(&scale, &bits, sizeof scale);
-        y[i] = 1.0 - 2.0 / (((q * r + 1.0) * r + 1.0) * scale + 1.0);
-    }
+    const double magic = 6755399441055744.0, ln2 = 0.6931471805599453;
+    double q = 2.510038549551032e-08, scale;
+    uint64_t bits;
+    const double z = 2.0 * y, shifted = z * 1.4426950408889634 + magic;
+    const double r = z - (shifted - magic) * ln2;
+    q = q * r + 2.7620088445409746e-07;
+    q = q * r + 2.7557268459997064e-06;
+    q = q * r + 2.4801521295954376e-05;
+    q = q * r + 0.00019841269863053618;
+    q = q * r + 0.0013888888917213717;
+    q = q * r + 0.008333333333330062;
+    q = q * r + 0.04166666666662413;
+    q = q * r + 0.16666666666666669;
+    q = q * r + 0.5000000000000001;
+    memcpy(&bits, &shifted, sizeof bits);
+    bits = (bits + 1023) << 52;
+    memcpy(&scale, &bits, sizeof scale);
+    return 1.0 - 2.0 / (((q * r + 1.0) * r + 1.0) * scale + 1.0);
 }
 
-@FORWARD@
-/* rows of products behind the inputs, and the polynomials of them */
-#define POLYNOMIALS(name, inputs, count, rows, y)                                             \
-    do {                                                                                      \
-        for (int k = 0; k < name##_PRODUCTS; k++)                                             \
-            rows[inputs + k] = rows[name##_products[k][0]] * rows[name##_products[k][1]];     \
-        for (int j = 0; j < count; j++) {                                                     \
-            y[j] = 0.0;                                                                       \
-            for (int g = name##_begins[j]; g < name##_begins[j + 1]; g++) {                   \
-                double inner = 0.0;                                                           \
-                for (int k = name##_group_begins[g]; k < name##_group_begins[g + 1]; k++)     \
-                    inner += name##_coefficients[k] * rows[name##_rows[k]];                   \
-                y[j] += inner * rows[name##_heads[g]];                                        \
-            }                                                                                 \
-        }                                                                                     \
+/* 1/sqrt(x) from an estimate by the exponent bits and four Newton steps: sqrt may set errno, and a
+ * loop with it is not made of vector instructions. */
+static inline double inverse_root(double x)
+{
+    uint64_t bits;
+    double y;
+    memcpy(&bits, &x, sizeof bits);
+    bits = UINT64_C(0x5FE6EB50C7B537A9) - (bits >> 1);
+    memcpy(&y, &bits, sizeof y);
+    y = y * (1.5 - 0.5 * x * y * y);
+    y = y * (1.5 - 0.5 * x * y * y);
+    y = y * (1.5 - 0.5 * x * y * y);
+    return y + 0.5 * y * (1.0 - x * y * y);
+}
+
+/* target = weight source + bias; for a point alone a column of the matrix at a time */
+#define LAYER_OF_1(weight, bias, columns, rows, source, target)  \
+    do {                                                         \
+        for (int i = 0; i < rows; i++)                           \
+            target[i] = bias[i];                                 \
+        for (int j = 0; j < columns; j++)                        \
+            for (int i = 0; i < rows; i++)                       \
+                target[i] += weight[j][i] * source[j];           \
     } while (0)
 
-/* the slopes of the same, from the rows */
-static void baseline_slopes(const double *rows, double slopes[][LANES], double y[][LANES])
+/* the same for LANES points; four rows of the matrix at a time stay in registers */
+#define LAYER_OF_8(weight, bias, rows, target, terms)            \
+    do {                                                         \
+        for (int i = 0; i < rows; i += 4)                        \
+            for (int l = 0; l < 8; l++) {                        \
+                double a = bias[i], b = bias[i + 1];             \
+                double c = bias[i + 2], d = bias[i + 3];         \
+                terms                                            \
+                target[i * 8 + l] = a;                           \
+                target[(i + 1) * 8 + l] = b;                     \
+                target[(i + 2) * 8 + l] = c;                     \
+                target[(i + 3) * 8 + l] = d;                     \
+            }                                                    \
+    } while (0)
+#define TERM(weight, j, source)                                  \
+    a += weight[j][i] * source[j * 8 + l];                       \
+    b += weight[j][i + 1] * source[j * 8 + l];                   \
+    c += weight[j][i + 2] * source[j * 8 + l];                   \
+    d += weight[j][i + 3] * source[j * 8 + l];
+
+/* tanh 20 is 1 to the last bit; in a loop of its own, since a branch before arithmetic, which may
+ * trap, would leave no vector instructions */
+#define FILL_TANH(units, size)                                   \
+    do {                                                         \
+        for (int m = 0; m < size; m++) {                         \
+            const double y = units[m] > 20.0 ? 20.0 : units[m];  \
+            units[m] = y < -20.0 ? -20.0 : y;                    \
+        }                                                        \
+        for (int m = 0; m < size; m++)                           \
+            units[m] = tanh_of(units[m]);                        \
+    } while (0)
+#define TIMES_TANH_SLOPE(slopes, units, size)                    \
+    do {                                                         \
+        for (int m = 0; m < size; m++)                           \
+            slopes[m] *= 1.0 - units[m] * units[m];              \
+    } while (0)
+@SPLIT@
+/* The answers at @L@ points at once: F, V = F_rate and stress have rows 11, 12, 21, 22 of @L@ numbers,
+ * tangents 16 such rows, 4 a + b by the entry b of F. Where status is not 0 the rest is not to be used. */
+static void answers_of_@L@(const double *RESTRICT F, const double *RESTRICT V, double tolerance,
+                         double *RESTRICT stress, double *RESTRICT bound, int *RESTRICT status,
+                         int with_slopes, double *RESTRICT by_F, double *RESTRICT by_rate)
 {
-    memset(slopes, 0, (ONE + 1) * sizeof *slopes);
+    double cosine[@L@], sine[@L@], U[4 * @L@], A[4 * @L@], x[(INPUTS + 1) * @L@], within[@L@];
+    double height[@L@], y[COMPONENTS * @L@], slopes[INPUTS * COMPONENTS * @L@], finite[@L@];
+    int any = 0;
+
+    for (int l = 0; l < @L@; l++) { /* F = R U, A = R'V */
+        const double xx = F[l], xy = F[@L@ + l], yx = F[2 * @L@ + l], yy = F[3 * @L@ + l];
+        const double p = V[l], q = V[@L@ + l], r = V[2 * @L@ + l], t = V[3 * @L@ + l];
+        const double along = xx + yy, across = yx - xy;
+        const double inverse = inverse_root(along * along + across * across);
+        const double c = along * inverse, s = across * inverse;
+        const double U11 = c * xx + s * yx, U12 = c * xy + s * yy, U22 = c * yy - s * xy;
+        const double A11 = c * p + s * r, A12 = c * q + s * t, A21 = c * r - s * p, A22 = c * t - s * q;
+        cosine[l] = c;
+        sine[l] = s;
+        U[l] = U11;
+        U[@L@ + l] = U12;
+        U[2 * @L@ + l] = U22;
+        A[l] = A11;
+        A[@L@ + l] = A12;
+        A[2 * @L@ + l] = A21;
+        A[3 * @L@ + l] = A22;
+        x[l] = (U11 - 1.0) + (U22 - 1.0);
+        x[@L@ + l] = U11 - U22;
+        x[2 * @L@ + l] = 2.0 * U12;
+        x[3 * @L@ + l] = A11 + A22;
+        x[4 * @L@ + l] = A11 - A22;
+        x[5 * @L@ + l] = A12 + A21;
+        x[6 * @L@ + l] = A21 - A12;
+        within[l] = (range[0] < U11) & (U11 < range[1]) & (range[0] < U22) & (U22 < range[1])
+                    & (fabs(U12) < range[2]) & (fabs(A11) < range[3]) & (fabs(A12) < range[3])
+                    & (fabs(A21) < range[3]) & (fabs(A22) < range[3])
+                    & (xx * yy - xy * yx > 0.0) ? 1.0 : 0.0;
+    }
+    bound_of_@L@(x, height, bound);
+    for (int l = 0; l < @L@; l++) {
+        status[l] = SURROFE2_OK;
+        if (!(within[l] > 0.0 && height[l] <= 0.0)) {
+            status[l] = SURROFE2_OUT_OF_RANGE;
+            bound[l] = HUGE_VAL;
+        } else if (!(bound[l] <= tolerance)) {
+            status[l] = SURROFE2_NOT_TRUSTED;
+        }
+        any |= status[l] == SURROFE2_OK;
+    }
+    if (!any)
+        return;
+
     for (int k = 0; k < INPUTS; k++)
-        slopes[k][k] = 1.0;
-    for (int m = 0; m < baseline_PRODUCTS; m++) {
-        const int i = baseline_products[m][0], j = baseline_products[m][1];
-        for (int k = 0; k < LANES; k++)
-            slopes[ONE + 1 + m][k] = slopes[i][k] * rows[j];
-        slopes[ONE + 1 + m][j] += rows[i];
+        for (int l = 0; l < @L@; l++)
+            x[k * @L@ + l] *= input_factor[k];
+    network_of_@L@(x, y, with_slopes, slopes);
+    for (int l = 0; l < @L@; l++) { /* P = R P_hat, stress = P F'/det F */
+        const double xx = F[l], xy = F[@L@ + l], yx = F[2 * @L@ + l], yy = F[3 * @L@ + l];
+        const double c = cosine[l], s = sine[l], over_J = 1.0 / (xx * yy - xy * yx);
+        const double a = 0.5 * (y[l] + y[@L@ + l]), b = 0.5 * (y[2 * @L@ + l] - y[3 * @L@ + l]);
+        const double d = 0.5 * (y[2 * @L@ + l] + y[3 * @L@ + l]), e = 0.5 * (y[l] - y[@L@ + l]);
+        const double P11 = c * a - s * d, P12 = c * b - s * e, P21 = s * a + c * d, P22 = s * b + c * e;
+        const double s11 = (P11 * xx + P12 * xy) * over_J, s12 = (P11 * yx + P12 * yy) * over_J;
+        const double s21 = (P21 * xx + P22 * xy) * over_J, s22 = (P21 * yx + P22 * yy) * over_J;
+        stress[l] = s11;
+        stress[@L@ + l] = s12;
+        stress[2 * @L@ + l] = s21;
+        stress[3 * @L@ + l] = s22;
+        finite[l] = (s11 - s11) + (s12 - s12) + (s21 - s21) + (s22 - s22);
     }
-    memset(y, 0, COMPONENTS * sizeof *y);
-    for (int c = 0; c < COMPONENTS; c++)
-        for (int g = baseline_begins[c]; g < baseline_begins[c + 1]; g++) {
-            const int head = baseline_heads[g];
-            double inner[LANES] = {0.0}, value = 0.0;
-            for (int n = baseline_group_begins[g]; n < baseline_group_begins[g + 1]; n++) {
-                const double *slope = slopes[baseline_rows[n]];
-                for (int k = 0; k < LANES; k++)
-                    inner[k] += baseline_coefficients[n] * slope[k];
-                value += baseline_coefficients[n] * rows[baseline_rows[n]];
-            }
-            for (int k = 0; k < LANES; k++)
-                y[c][k] += inner[k] * rows[head];
-            y[c][head] += value;
+    for (int l = 0; l < @L@; l++)
+        if (status[l] == SURROFE2_OK && !(finite[l] == 0.0)) {
+            status[l] = SURROFE2_NOT_FINITE;
+            bound[l] = HUGE_VAL;
         }
-}
+    if (!with_slopes)
+        return;
 
-/* Components of R'P at the scaled inputs rows[0] to rows[6], and their slopes if these are wanted. */
-static void network(double *rows, double *y, double slopes[][LANES])
-{
-    double units[READ], factors[TERMS], row_slopes[ONE + 1 + baseline_PRODUCTS][LANES];
-    double unit_slopes[READ][LANES], factor_slopes[TERMS][LANES];
-    POLYNOMIALS(baseline, (ONE + 1), COMPONENTS, rows, y);
-    for (int i = 0; i < INVARIANTS; i++)
-        units[i] = rows[kept[TERMS + i]];
-    if (slopes) {
-        baseline_slopes(rows, row_slopes, slopes);
-        for (int i = 0; i < INVARIANTS; i++)
-            memcpy(unit_slopes[i], row_slopes[kept[TERMS + i]], sizeof unit_slopes[i]);
-        memset(unit_slopes[INVARIANTS], 0, STRETCH * sizeof unit_slopes[0]);
-    }
-    for (int k = 0; k < STRETCH; k++) { /* x^p / sqrt(BEND^2 + x^2) tells states near rest apart */
-        const double x = rows[k], square = BEND * BEND + x * x, inverse = 1.0 / sqrt(square);
-        const double raised = powers[k] == 2 ? x : 1.0, value = raised * x * inverse;
-        units[INVARIANTS + k] = value;
-        if (slopes)
-            unit_slopes[INVARIANTS + k][k] =
-                raised * powers[k] * inverse - value * x * inverse * inverse;
-    }
-    if (slopes)
-        factors_and_slopes(units, unit_slopes, factors, factor_slopes);
-    else
-        factors_of(units, factors);
-    for (int t = 0; t < TERMS; t++) {
-        const int c = components_of[t];
-        const double scale = output_factor[c], product = rows[kept[t]] * scale;
-        const double factor = (factors[t] - at_rest[t]) * scale;
-        y[c] += factor * rows[kept[t]];
-        for (int k = 0; slopes && k < LANES; k++)
-            slopes[c][k] += factor_slopes[t][k] * product + factor * row_slopes[kept[t]][k];
-    }
-}
-
-/* Whether a point is short of the failure boundary, and the bound of the error, in uN/um. */
-static int domain_and_bound(const double *inputs, double tolerance, double *bound)
-{
-    double x[ALL_INPUTS + bound_PRODUCTS], y[3], mean = 0.0, size = 0.0;
-    for (int k = 0; k < INPUTS; k++) {
-        const double scaled = inputs[k] * domain_factor[k], square = scaled * scaled;
-        x[k] = scaled;
-        x[SQUARES + k] = square;
-        mean += square / INPUTS;
-        size += near[k] * square;
-    }
-    const double low = x[0] < 0.0 ? x[0] : 0.0;
-    x[ONE] = 1.0;
-    x[COMPRESSION] = low * low;
-    x[NORM] = mean;
-    x[NEAR] = size / (size + REACH);
-    POLYNOMIALS(bound, ALL_INPUTS, 3, x, y);
-    if (!(y[0] <= 0.0))
-        return SURROFE2_OUT_OF_RANGE;
-    *bound = y[1];
-    return *bound <= tolerance ? SURROFE2_OK : SURROFE2_NOT_TRUSTED;
-}
-
-static void components(const double *T, double *c)
-{
-    c[0] = T[0] + T[3];
-    c[1] = T[0] - T[3];
-    c[2] = T[1] + T[2];
-    c[3] = T[2] - T[1];
-}
-
-static void from_components(const double *c, double *T)
-{
-    T[0] = 0.5 * (c[0] + c[1]);
-    T[1] = 0.5 * (c[2] - c[3]);
-    T[2] = 0.5 * (c[2] + c[3]);
-    T[3] = 0.5 * (c[0] - c[1]);
-}
-
-/* E T, E the turn by 90 degrees, times a */
-static void turned(double a, const double *T, double *ET)
-{
-    ET[0] = -a * T[2];
-    ET[1] = -a * T[3];
-    ET[2] = a * T[0];
-    ET[3] = a * T[1];
-}
-
-/* R T of the rotation with this cosine and sine */
-static void rotated(double c, double s, const double *T, double *RT)
-{
-    const double a = T[0], b = T[1];
-    RT[0] = c * a - s * T[2];
-    RT[1] = c * b - s * T[3];
-    RT[2] = s * a + c * T[2];
-    RT[3] = s * b + c * T[3];
-}
-
-/* dP/dF and dP/dF' from the components of R'P and their slopes by the inputs */
-static void tangents(double c, double s, const double *U, const double *A, const double *P_hat,
-                     double slopes[][LANES], double *by_F, double *by_rate)
-{
-    double P[4];
-    from_components(P_hat, P);
+    for (int k = 0; k < INPUTS; k++)
+        for (int m = 0; m < COMPONENTS * @L@; m++)
+            slopes[k * COMPONENTS * @L@ + m] *= input_factor[k];
+    /* Along B = R'dF the rotation turns by an angle: dU = B - angle E U, dA = -angle E A and
+     * R'dP = dP_hat + angle E P_hat, with E the turn by 90 degrees. */
     for (int k = 0; k < 4; k++) {
-        double unit[4] = {0.0}, B[4], EU[4], EA[4], EP[4], change[8], sum[4], all[4], along[4];
-        unit[k] = 1.0;
-        rotated(c, -s, unit, B);
-        const double angle = (B[2] - B[1]) / (U[0] + U[3]);
-        turned(-angle, U, EU);
-        turned(-angle, A, EA);
-        turned(angle, P, EP);
-        for (int i = 0; i < 4; i++)
-            EU[i] += B[i];
-        components(EU, change);
-        components(EA, change + 3);
-        for (int i = 0; i < 4; i++) {
-            sum[i] = 0.0;
-            for (int j = 0; j < INPUTS; j++)
-                sum[i] += slopes[i][j] * change[j];
+        const double by_first = k % 2 == 0, by_second = k % 2, upper = k < 2, lower = k >= 2;
+        for (int l = 0; l < @L@; l++) {
+            const double c = cosine[l], s = sine[l], U11 = U[l], U12 = U[@L@ + l], U22 = U[2 * @L@ + l];
+            const double A11 = A[l], A12 = A[@L@ + l], A21 = A[2 * @L@ + l], A22 = A[3 * @L@ + l];
+            const double first = upper * c + lower * s, second = lower * c - upper * s;
+            const double B11 = by_first * first, B12 = by_second * first;
+            const double B21 = by_first * second, B22 = by_second * second;
+            const double angle = (B21 - B12) / (U11 + U22);
+            const double d[7] = {
+                B11 + B22, B11 - B22 + 2.0 * angle * U12, B12 + B21 + angle * (U22 - U11),
+                angle * (A21 - A12), angle * (A12 + A21), angle * (A22 - A11), -angle * (A11 + A22),
+            };
+            const double e[4] = {B11 + B22, B11 - B22, B12 + B21, B21 - B12};
+            double u[4], v[4];
+            @SUMS@
+            const double turn = 0.5 * angle;
+            const double a = 0.5 * (u[0] + u[1]) - turn * (y[2 * @L@ + l] + y[3 * @L@ + l]);
+            const double b = 0.5 * (u[2] - u[3]) - turn * (y[l] - y[@L@ + l]);
+            const double f = 0.5 * (u[2] + u[3]) + turn * (y[l] + y[@L@ + l]);
+            const double g = 0.5 * (u[0] - u[1]) + turn * (y[2 * @L@ + l] - y[3 * @L@ + l]);
+            by_F[k * @L@ + l] = c * a - s * f;
+            by_F[(4 + k) * @L@ + l] = c * b - s * g;
+            by_F[(8 + k) * @L@ + l] = s * a + c * f;
+            by_F[(12 + k) * @L@ + l] = s * b + c * g;
+            const double p = 0.5 * (v[0] + v[1]), q = 0.5 * (v[2] - v[3]);
+            const double r = 0.5 * (v[2] + v[3]), t = 0.5 * (v[0] - v[1]);
+            by_rate[k * @L@ + l] = c * p - s * r;
+            by_rate[(4 + k) * @L@ + l] = c * q - s * t;
+            by_rate[(8 + k) * @L@ + l] = s * p + c * r;
+            by_rate[(12 + k) * @L@ + l] = s * q + c * t;
         }
-        from_components(sum, all);
-        for (int i = 0; i < 4; i++)
-            all[i] += EP[i];
-        rotated(c, s, all, along);
-        for (int i = 0; i < 4; i++)
-            by_F[4 * i + k] = along[i];
-        components(B, change);
-        for (int i = 0; i < 4; i++) {
-            sum[i] = 0.0;
-            for (int j = 0; j < 4; j++)
-                sum[i] += slopes[i][3 + j] * change[j];
-        }
-        from_components(sum, all);
-        rotated(c, s, all, along);
-        for (int i = 0; i < 4; i++)
-            by_rate[4 * i + k] = along[i];
     }
 }
+@SPLIT@
+#ifdef __cplusplus
+extern "C" {
+#endif
 
 int @NAME@_stress(const double *F, const double *F_rate, double tolerance, double *stress,
     double *bound, double *P_by_F, double *P_by_F_rate)
 {
     const int with_slopes = P_by_F && P_by_F_rate;
-    const double cosine = F[0] + F[3], sine = F[2] - F[1];
-    const double length = sqrt(cosine * cosine + sine * sine);
-    const double c = cosine / length, s = sine / length, J = F[0] * F[3] - F[1] * F[2];
-    double U[4], A[4], inputs[INPUTS + 1], P_hat[4], P[4], slopes[COMPONENTS][LANES];
-    double rows[ONE + 1 + baseline_PRODUCTS];
-
-    *bound = HUGE_VAL;
-    for (int k = 0; k < 4; k++)
-        stress[k] = NAN;
-    rotated(c, -s, F, U);
-    rotated(c, -s, F_rate, A);
-    int within = range[0] < U[0] && U[0] < range[1] && range[0] < U[3] && U[3] < range[1]
-                 && fabs(U[1]) < range[2];
-    for (int k = 0; k < 4; k++)
-        within = within && fabs(A[k]) < range[3];
-    if (!within || !(J > 0.0))
-        return SURROFE2_OUT_OF_RANGE;
-    components(U, inputs);
-    inputs[0] = (U[0] - 1.0) + (U[3] - 1.0);
-    components(A, inputs + 3);
-    const int status = domain_and_bound(inputs, tolerance, bound);
-    if (status != SURROFE2_OK)
-        return status;
-
-    for (int k = 0; k < INPUTS; k++)
-        rows[k] = inputs[k] * input_factor[k];
-    rows[ONE] = 1.0;
-    network(rows, P_hat, with_slopes ? slopes : NULL);
-    from_components(P_hat, P);
-    rotated(c, s, P, P);
-    const double sigma[4] = {
-        (P[0] * F[0] + P[1] * F[1]) / J, (P[0] * F[2] + P[1] * F[3]) / J,
-        (P[2] * F[0] + P[3] * F[1]) / J, (P[2] * F[2] + P[3] * F[3]) / J,
-    };
-    for (int k = 0; k < 4; k++)
-        if (!isfinite(sigma[k])) {
-            *bound = HUGE_VAL;
-            return SURROFE2_NOT_FINITE;
-        }
-    memcpy(stress, sigma, sizeof sigma);
-    if (with_slopes) {
-        for (int i = 0; i < COMPONENTS; i++)
-            for (int k = 0; k < INPUTS; k++)
-                slopes[i][k] *= input_factor[k];
-        tangents(c, s, U, A, P_hat, slopes, P_by_F, P_by_F_rate);
+    int status;
+    double sigma[4], by_F[16], by_rate[16];
+    answers_of_1(F, F_rate, tolerance, sigma, bound, &status, with_slopes, by_F, by_rate);
+    for (int i = 0; i < 4; i++)
+        stress[i] = status == SURROFE2_OK ? sigma[i] : NAN;
+    if (with_slopes && status == SURROFE2_OK) {
+        memcpy(P_by_F, by_F, sizeof by_F);
+        memcpy(P_by_F_rate, by_rate, sizeof by_rate);
     }
-    return SURROFE2_OK;
+    return status;
 }
 
 size_t @NAME@_stress_of(size_t count, const double *F, const double *F_rate, double tolerance,
     double *stress, double *bound, double *P_by_F, double *P_by_F_rate, int *status)
 {
-    size_t lost = 0;
     const int with_slopes = P_by_F && P_by_F_rate;
-    for (size_t n = 0; n < count; n++) {
-        status[n] = @NAME@_stress(F + 4 * n, F_rate + 4 * n, tolerance, stress + 4 * n, bound + n,
-                                  with_slopes ? P_by_F + 16 * n : NULL,
-                                  with_slopes ? P_by_F_rate + 16 * n : NULL);
-        lost += status[n] != SURROFE2_OK;
+    double f[4 * 8], v[4 * 8], sigma[4 * 8], bounds[8], by_F[16 * 8], by_rate[16 * 8];
+    int statuses[8];
+    size_t lost = 0;
+    for (size_t n = 0; n < count; n += 8) {
+        const size_t here = count - n < 8 ? count - n : 8; /* behind the last point it is repeated */
+        for (size_t l = 0; l < 8; l++)
+            for (size_t i = 0; i < 4; i++) {
+                f[i * 8 + l] = F[4 * (n + (l < here ? l : here - 1)) + i];
+                v[i * 8 + l] = F_rate[4 * (n + (l < here ? l : here - 1)) + i];
+            }
+        answers_of_8(f, v, tolerance, sigma, bounds, statuses, with_slopes, by_F, by_rate);
+        for (size_t l = 0; l < here; l++) {
+            const int is_known = statuses[l] == SURROFE2_OK;
+            for (size_t i = 0; i < 4; i++)
+                stress[4 * (n + l) + i] = is_known ? sigma[i * 8 + l] : NAN;
+            for (size_t i = 0; with_slopes && is_known && i < 16; i++) {
+                P_by_F[16 * (n + l) + i] = by_F[i * 8 + l];
+                P_by_F_rate[16 * (n + l) + i] = by_rate[i * 8 + l];
+            }
+            bound[n + l] = bounds[l];
+            status[n + l] = statuses[l];
+            lost += !is_known;
+        }
     }
     return lost;
 }
+
+#ifdef __cplusplus
+}
+#endif
