@@ -37,8 +37,10 @@ def compiled(law, folder):
     subprocess.run(
         [COMPILER, *strict, "-shared", "-fPIC", "-o", str(library), str(source), "-lm"], check=True
     )
-    call = ctypes.CDLL(str(library)).surrofe2_stress
+    call, batch = (getattr(ctypes.CDLL(str(library)), f"surrofe2_stress{of}") for of in ("", "_of"))
     call.argtypes = [DOUBLES, DOUBLES, ctypes.c_double, *[DOUBLES] * 4]
+    batch.argtypes = [ctypes.c_size_t, *call.argtypes, ctypes.POINTER(ctypes.c_int32)]
+    batch.restype = ctypes.c_size_t
 
     def respond(F, F_dot, tolerance=np.inf, tangents=True):
         n = len(F)
@@ -52,6 +54,20 @@ def compiled(law, folder):
             if not tangents:
                 written[2:] = [None, None]
             status[k] = call(*pointers, tolerance, *written)
+        # a batch has the same answers, and leaves the slopes alone where a point has none
+        together = [np.empty((n, 4)), np.empty(n), *np.full((2, n, 16), np.nan)]
+        statuses = np.empty(n, dtype=np.int32)
+        given = [np.ascontiguousarray(each).ctypes.data_as(DOUBLES) for each in (F, F_dot)]
+        written = [each.ctypes.data_as(DOUBLES) for each in together]
+        if not tangents:
+            written[2:] = [None, None]
+        whose = statuses.ctypes.data_as(ctypes.POINTER(ctypes.c_int32))
+        lost = batch(n, *given, tolerance, *written, whose)
+        assert np.array_equal(statuses, status)
+        assert lost == np.count_nonzero(status)
+        for found, wanted in zip(together, (stress, bound, *slopes), strict=True):
+            amplitude = np.abs(wanted[np.isfinite(wanted)]).max(initial=0.0)
+            np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-12 * amplitude)
         return stress.reshape(-1, 2, 2), status, bound, slopes.reshape(2, -1, 2, 2, 2, 2)
 
     return respond
@@ -68,7 +84,7 @@ def test_text_of_a_file_does_not_become_code(tmp_path, name):
         read_surrogate(tmp_path / "law.h5")
 
 
-def states(law, count=400, beyond=1.15):
+def states(law, count=403, beyond=1.15):
     """Within the range of a law, at its edge and beyond, all of them turned."""
     rng = np.random.default_rng(3)
     low, high = law.range.stretch
