@@ -137,7 +137,7 @@ class RunRecord:
     @property
     def spent(self) -> Mapping[str, int]:
         """Counts of what stands and of what was rolled back together; those above 0."""
-        return Counter(self.counts) + Counter(self.rolled_back)
+        return dict(Counter(self.counts) + Counter(self.rolled_back))
 
     def compared(self) -> dict[str, Any]:
         """Everything the numbers depend on, by the names a recipe uses."""

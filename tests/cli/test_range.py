@@ -28,7 +28,7 @@ def printed_for(path, *options):
     assert done.exit_code == 0, done.output
     said = done.stdout
     start = re.search(r"^\[(cells\..*\.)?range\]$", said, re.MULTILINE).start()
-    return tomllib.loads(said[start : said.index(" points, some")].rpartition("\n")[0]), said
+    return tomllib.loads(said[start : said.index(" points, about")].rpartition("\n")[0]), said
 
 
 def proposed_for(path, *options):
