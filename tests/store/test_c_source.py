@@ -6,6 +6,7 @@ import ctypes
 import shutil
 import subprocess
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,10 @@ import pytest
 
 from surrofe2.base.errors import FileError, InputError
 from surrofe2.law.stress_law import Status
+from surrofe2.macro import MacroSettings, find_rest
+from surrofe2.problem.conditions import Fixed, PrescribedMotion, Traction
+from surrofe2.problem.mesh import rectangle
+from surrofe2.problem.problem import Problem
 from surrofe2.store.c_source import c_header, c_source
 from surrofe2.store.surrogates import read_surrogate, write_surrogate
 from tests.surrogate.networks import make_law, with_bound
@@ -146,22 +151,22 @@ def test_the_source_says_whose_it_is():
     assert max(len(line) for line in text.split("static const")[0].splitlines()) <= 100
 
 
-@pytest.mark.skipif(shutil.which("gfortran") is None, reason="no Fortran compiler is here")
-def test_the_example_of_an_abaqus_umat(tmp_path):
-    """A strip that is stretched, turned and free across: solved by UMAT as by the law itself."""
-    law, dt = make_law(), 2.0
-    (tmp_path / "law.c").write_text(c_source(law), encoding="utf-8")
+FORTRAN = pytest.mark.skipif(shutil.which("gfortran") is None, reason="no Fortran compiler is here")
+
+
+def umat_of(law, folder):
+    """The example of a UMAT for a law: (σ (3,) xx, yy, xy, its slope (3, 3), pnewdt) of a step."""
+    (folder / "law.c").write_text(c_source(law), encoding="utf-8")
     example = Path(__file__).parents[2] / "examples" / "umat.f90"
     strict = ["-O1", "-Wall", "-Wno-unused-dummy-argument", "-fcheck=all", "-shared", "-fPIC"]
     for command in (
         [COMPILER, "-O2", "-fPIC", "-c", "-o", "law.o", "law.c"],
         ["gfortran", *strict, "-o", "umat.so", str(example), "law.o"],
     ):
-        subprocess.run(command, check=True, cwd=tmp_path)
-    call = ctypes.CDLL(str(tmp_path / "umat.so")).umat_
+        subprocess.run(command, check=True, cwd=folder)
+    call = ctypes.CDLL(str(folder / "umat.so")).umat_
 
-    def umat(F0, F1):
-        """(σ (3,) xx, yy, xy, its slope (3, 3), pnewdt)."""
+    def umat(F0, F1, dt):
         numbers = {name: np.zeros(size) for name, size in (("stress", 4), ("slope", 16))}
         new_dt = ctypes.c_double(1.0)
         three = [np.eye(3) for _ in range(2)]
@@ -179,6 +184,40 @@ def test_the_example_of_an_abaqus_umat(tmp_path):
         call(*given.values(), ctypes.c_size_t(80))
         at = [0, 1, 3]
         return numbers["stress"][at], numbers["slope"].reshape(4, 4).T[np.ix_(at, at)], new_dt.value
+
+    return umat
+
+
+@FORTRAN
+def test_the_umat_finds_the_element_at_rest_of_our_implicit_solver(tmp_path):
+    """One element, stretched along x and pulled across; a step so long that no rate is left."""
+    law, stretch, wanted, dt = make_law(), 1.005, 1.001, 1e12
+    umat, F = umat_of(law, tmp_path), np.diag([stretch, wanted])[None]
+    pull = float(law.respond(F, 0.0 * F).first_piola(F)[0, 1, 1])
+    held = (
+        Fixed(on="left", components="x"),
+        Fixed(on="bottom", components="y"),
+        PrescribedMotion(on="right", displacement=(10.0 * (stretch - 1.0), None)),
+        Traction(on="top", traction=(0.0, pull)),
+    )
+    problem = Problem(mesh=rectangle(10.0, 10.0, (1, 1)), conditions=held)
+    rest = find_rest(problem, law, MacroSettings(newton_tolerance=1e-11))
+    width = 1.0
+    for _ in range(12):
+        stress, slope, _ = umat(np.eye(2), np.diag([stretch, width]), dt)
+        rise = stretch * (slope[1, 1] - stress[1]) / width
+        width -= (stretch * stress[1] - pull) / rise
+    assert np.abs(rest.F - np.diag([stretch, width])).max() < 1e-8
+    exact = law.respond(rest.F[:1], 0.0 * rest.F[:1]).stress[0]
+    stress = umat(np.eye(2), rest.F[0], dt)[0]
+    assert np.abs(stress - exact[[0, 1, 0], [0, 1, 1]]).max() < 1e-8 * np.abs(exact).max()
+
+
+@FORTRAN
+def test_the_example_of_an_abaqus_umat(tmp_path):
+    """A strip that is stretched, turned and free across: solved by UMAT as by the law itself."""
+    law, dt = make_law(), 2.0
+    umat = partial(umat_of(law, tmp_path), dt=dt)
 
     def by_law(F0, F1):
         return law.respond(F1[None], (F1 - F0)[None] / dt, tangents=True)
