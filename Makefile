@@ -65,7 +65,7 @@ clean:
 	touch $@
 
 .venv/.development: .venv/.package
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[dev]"
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[cluster,docs,mpi,dev]"
 	$(BIN)/python -m pip install --quiet -c constraints.txt --no-deps \
 	    micro-manager-precice precice-adapter-schema # tests stand in for preCICE, which has no wheel
 	touch $@
