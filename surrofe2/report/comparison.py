@@ -329,7 +329,7 @@ def comparison_title(runs: Sequence[StoredRun]) -> str:
         label = "" if name == "point" else f" “{name}”"
         point = f"Watched point{label} ({at[0]:g}, {at[1]:g}) µm"
     details = ", ".join(filter(None, [_cells_of(recipe), usual.replace("none", "")]))
-    return f"{point}: {_problem_of(recipe)}" + (details and f",\n{details}")
+    return "\n".join(filter(None, [point, _problem_of(recipe), details]))
 
 
 def _problem_of(recipe: Mapping[str, Any]) -> str:
@@ -354,10 +354,11 @@ def _cells_of(recipe: Mapping[str, Any]) -> str:
     for name, cell in cells.items():
         preset = str(cell.get("preset", "none"))
         known = PRESETS[preset].to_dict() if preset in PRESETS else {}
-        changed = [f"{key} {cell[key]}" for key in known if cell.get(key, known[key]) != known[key]]
+        other = {key: cell[key] for key in known if cell.get(key, known[key]) != known[key]}
+        changed = [f"{key.replace('_', ' ')} {value}" for key, value in other.items()]
         if len(changed) > _MOST_NAMED:
             changed = [*changed[:_MOST_NAMED], f"{len(changed) - _MOST_NAMED} more constants"]
-        but = f" but {', '.join(changed)}" if changed else ""
+        but = f" with {', '.join(changed)}" if changed else ""
         titles.append(f"cell {name and name + ' '}by preset “{preset}”{but}")
     return ", ".join(titles)
 

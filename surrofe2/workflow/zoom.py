@@ -15,7 +15,6 @@ from surrofe2.law.stress_law import describe
 from surrofe2.macro.elements import find_element
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe.recipe import Recipe, make_recipe
-from surrofe2.report.figures import cell_figure
 from surrofe2.run.charts import encoded
 from surrofe2.run.loop import Report, no_report
 from surrofe2.rve import RveLaw
@@ -101,6 +100,8 @@ def write_zoom(found: Zoom, out: str | Path, report: Report = no_report) -> None
     Args:
         report: called with the share that is done and what is made.
     """
+    from surrofe2.report.figures import cell_figure  # here, since runs need no matplotlib
+
     out = Path(out)
     clock = "load factor {:.4g}" if found.is_rest else "t = {:.4g} µs"
     x, y = found.point
