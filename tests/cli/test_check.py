@@ -216,11 +216,14 @@ sys.exit(os.waitstatus_to_exitcode(code))
 """By a process between: a child's peak of memory begins with what its parent has."""
 
 
-def checked(path, *options):
+def checked(path, *options, **environment):
     """The command in a process: (what it prints, processor seconds, memory in MB)."""
     command = [sys.executable, "-m", "surrofe2", "check", str(path), *options]
     watched = [sys.executable, "-c", WATCH, *command]
-    printed = subprocess.run(watched, stdout=subprocess.PIPE, text=True, check=True).stdout
+    done = subprocess.run(
+        watched, stdout=subprocess.PIPE, text=True, check=True, env={**os.environ, **environment}
+    )
+    printed = done.stdout
     seconds, memory = map(float, printed.splitlines()[-1].split())
     return printed, seconds, memory
 
