@@ -13,6 +13,7 @@ from benchmarks.measured import (
     TABLES,
     Bench,
     merge,
+    number,
     read,
     substitutions,
     table_of,
@@ -40,6 +41,14 @@ def test_pages_name_figures_that_were_measured_and_type_none():
 
 def test_the_picture_of_the_trust_page_is_of_the_stored_figures():
     assert picture_digest() == digest(shown(read())), "run make accept-cache"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0"), (208880, "208,880"), (42.31, "42.3"), (5.254, "5.25"), (0.00732, "0.0073")],
+)
+def test_numbers_are_for_people(value, text):
+    assert number(value) == text
 
 
 def test_figures_are_merged_and_told_by_name(tmp_path):

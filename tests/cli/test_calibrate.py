@@ -128,6 +128,21 @@ def test_interrupted_while_calibrating(invoke, recipe_path, surrogate_path, monk
     assert read_surrogate(surrogate_path).is_calibrated
 
 
+def test_a_true_law_that_fails_everywhere_leaves_no_bound(
+    invoke, recipe_path, surrogate_path, monkeypatch
+):
+    def failing(paths, law, progress=None):
+        shape = (len(paths.states[0]), 2, 2)
+        return np.full(shape, np.nan), np.ones(shape[0], dtype=np.int8)
+
+    monkeypatch.setattr(calibrating, "true_stress", failing)
+    monkeypatch.setattr("surrofe2.surrogate.calibration._failures", lambda shaping: None)
+    done = invoke("train", recipe_path)
+    assert done.exit_code == 0, done.output
+    assert "Error bound: none, because the RVE has no stress on too many paths" in done.stdout
+    assert np.isinf(read_surrogate(surrogate_path).error_bound(*AT_REST)).all()
+
+
 def test_runs_whose_load_is_too_much_end_where_they_leave_the_range(recipe, invoke, recipe_path):
     assert invoke("train", recipe_path).exit_code == 0
     surrogate = read_surrogate(recipe.training_path())

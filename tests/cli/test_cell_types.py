@@ -236,6 +236,24 @@ def displacement(folder):
     return read_curve(folder).displacement
 
 
+@pytest.mark.parametrize("law", ["rve", "cached"])
+def test_two_regions_of_one_cell_move_as_one_cell_does(invoke, written, tmp_path, law):
+    two = BAR.replace('"water"', '"printed"').replace("8000.0", "4000.0")
+    two = two.replace(", seed = 2", "").replace("rate = 0.02", "rate = 0.01")
+    one = ONE.replace('"water"', '"printed"').replace("count = 40", 'count = 40\nfile = "one.h5"')
+    one = one.replace("[training]", '[training]\nfile = "one-surrogate.h5"')
+    folders = []
+    for name, text in (("one", one), ("two", two)):
+        path = written(text, f"{name}.toml")
+        for command in ("generate", "train") if law == "cached" else ():
+            assert invoke(command, path).exit_code == 0
+        folders.append(tmp_path / name)
+        done = invoke("run", path, "--law", law, "--out", folders[-1])
+        assert done.exit_code == 0, done.output
+    alone, both = map(displacement, folders)
+    np.testing.assert_allclose(both, alone, rtol=0, atol=1e-6 * abs(alone).max())
+
+
 def test_cached_runs_learn_audit_and_go_on_by_cell(invoke, written, tmp_path, monkeypatch):
     path = written()
     for command in ("generate", "train"):

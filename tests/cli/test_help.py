@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import runpy
+from importlib.metadata import version
 
 import pytest
 from typer.testing import CliRunner
@@ -39,6 +40,11 @@ def test_help_of_each_command_fits_with_its_example_and_the_options_of_all(name)
 def test_sections_of_a_recipe_are_no_markup(command, section):
     shown = CliRunner().invoke(app, [command, "--help"], env={"COLUMNS": "100"})
     assert section in shown.output
+
+
+def test_version():
+    shown = CliRunner().invoke(app, ["--version"])
+    assert shown.output == f"surrofe2 {version('surrofe2')}\n"
 
 
 @pytest.mark.parametrize("script", ["data/generate.py", "training/train.py"])

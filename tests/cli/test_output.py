@@ -31,7 +31,7 @@ def test_one_command_does_not_quieten_the_next(invoke, recipe_path):
     assert "40 samples" in invoke("generate", recipe_path).stdout
 
 
-@pytest.mark.parametrize("width", [40, 120])
+@pytest.mark.parametrize("width", [40, 80, 120])
 def test_tables_are_no_wider_than_the_terminal(monkeypatch, capsys, width):
     monkeypatch.setenv("COLUMNS", str(width))
     shown.begin("compare", quiet=False)
@@ -43,7 +43,7 @@ def test_tables_are_no_wider_than_the_terminal(monkeypatch, capsys, width):
 
 
 def test_progress_in_a_terminal_says_what_how_far_rate_and_time_left(monkeypatch):
-    for width in (60, 120):
+    for width in (60, 80, 120):
         file = io.StringIO()
         terminal = Console(file=file, force_terminal=True, width=width, no_color=True)
         monkeypatch.setattr(shown, "Console", lambda stderr, terminal=terminal: terminal)
@@ -57,7 +57,7 @@ def test_progress_in_a_terminal_says_what_how_far_rate_and_time_left(monkeypatch
         drawn = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", file.getvalue())
         last = [line for line in re.split(r"[\r\n]+", drawn) if "2,048" in line][-1]
         told = ["50 % 2,048 of 4,096 samples", r"[\d.]+ s left", r"[\d,]+ samples/s", "3 failed"]
-        seen = {60: 1, 120: 4}[width]  # the least needed go first
+        seen = {60: 1, 80: 3, 120: 4}[width]  # the least needed go first
         assert re.search(", ".join(told[:seen]) + "$", last.rstrip()), last
         assert len(last.rstrip()) <= width
         assert "…" not in drawn
@@ -78,6 +78,19 @@ def test_progress_elsewhere_is_a_line_now_and_then(monkeypatch, capsys):
         "generate: 75 %, 10.0 s left, 2.5 samples/s, 0 failed",
         "generate: 100 %, 0.0 s left, 2.5 samples/s, 0 failed",
     ]
+
+
+def test_no_colours_where_none_are_wanted(monkeypatch):
+    text = io.StringIO()
+    monkeypatch.setattr("sys.stderr", text)
+    for wanted, coloured in (({"NO_COLOR": "1"}, False), ({}, True)):
+        monkeypatch.delenv("NO_COLOR", raising=False)
+        monkeypatch.setenv("FORCE_COLOR", "1")
+        for name, value in wanted.items():
+            monkeypatch.setenv(name, value)
+        text.truncate(0)
+        shown.print_warning("error: x")
+        assert ("\x1b[31m" in text.getvalue()) == coloured
 
 
 def test_completion_knows_commands_and_their_options():

@@ -58,6 +58,8 @@ def test_without_torch_runs_go_on_and_training_says_what_it_needs(changed_recipe
 
     ran = done("run", recipe, "--law", "rve", "--out", tmp_path / "run")
     assert (ran.returncode, ran.stderr) == (0, "")
+    for command in ("check", "study"):
+        assert done(command, "--help").returncode == 0
     told = done("train", recipe)
     assert told.returncode == 1
     assert told.stderr == (
@@ -65,13 +67,34 @@ def test_without_torch_runs_go_on_and_training_says_what_it_needs(changed_recipe
     )
 
 
+def test_comparing_runs_only_reads_files():
+    code = "import sys, surrofe2.cli.compare; print({'numba', 'skfem', 'torch'} & {*sys.modules})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "told"),
+    [
+        (["run"], 2, "Missing argument"),
+        (["check", "none.toml"], 1, "none.toml"),
+    ],
+)
+def test_the_exit_code_is_that_of_the_command(arguments, code, told):
+    command = [sys.executable, "-m", "surrofe2", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == code
+    assert told in done.stdout + done.stderr
+
+
 FULL = Path("/dev/full")
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="needs /dev/full")
-def test_output_that_cannot_be_written_is_no_success():
+@pytest.mark.parametrize("argument", ["--version", "--help"])
+def test_output_that_cannot_be_written_is_no_success(argument):
     with FULL.open("w") as full:
-        command = [sys.executable, "-m", "surrofe2", "--version"]
+        command = [sys.executable, "-m", "surrofe2", argument]
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert done.returncode == 1
     assert done.stderr == "error: stdout: No space left on device\n"

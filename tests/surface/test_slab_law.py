@@ -15,7 +15,7 @@ from surrofe2.rve.particle_state import stored_energy
 from surrofe2.surface import SlabLaw
 from surrofe2.surface.slab import GAP, TURN, bend, make_slab
 from surrofe2.surface.slab_law import rows_across, side_free
-from surrofe2.tissue import TissueDynamics, make_tissue
+from surrofe2.tissue import TissueDynamics, make_tissue, relax
 from tests.surface.slab_twin import SlabTwin
 
 SLOW = "slow-manifold"
@@ -218,6 +218,50 @@ def test_a_strip_pulled_between_grips_has_the_force_of_slab_and_surface(preset, 
         assert resultant == pytest.approx(force, rel=6e-4)
         by_law = across * law.cell.cell_side * bulk + 2.0 * surface
         assert by_law == pytest.approx(force, rel=1e-3)
+
+
+def test_outer_rows_of_a_relaxed_tissue_shrink_as_those_of_the_slab():
+    law, n, m = slab(rows=4), 14, 4
+    stretch = np.array([0.98, 1.0])
+    low, high = law.point(stretch, 0.0 * stretch).resultant
+    for _ in range(40):  # at rest: the resultant vanishes, by bisection
+        middle = stretch.mean()
+        force = law.point(np.array([middle]), np.zeros(1)).resultant[0]
+        stretch[int(force > 0.0)] = middle
+    assert low < 0.0 < high
+    x, start = moving(law, stretch[0], 0.0)[0], starts(law)
+    side = law.cell.cell_side
+    along = np.abs((start[:, 0] + 1.0) % side - 1.0)  # corners may lie in the next column
+    rows = [np.abs(along + np.abs(start[:, 1] - k * side)).argmin() for k in (0, 1)]
+    tissue = make_tissue(law.cell, law.law.reference, (n, m))
+    relaxed = relax(TissueDynamics(tissue), 1e-3)
+    grid = [np.array([n // 2 * side, k * side]) for k in (0, 1)]
+    at = [np.abs(tissue.outline - place).sum(axis=1).argmin() for place in grid]
+    shrinks = side - np.diff(relaxed[at, 1])[0]
+    assert side - np.diff(x[rows, 1])[0] == pytest.approx(shrinks, rel=0.1)
+
+
+def missing_cells(law, across):
+    """By how many plant cells a strip at rest is softer than as much bulk at stretch 1."""
+    side = law.cell.cell_side
+    stiff = side_free(law.law, np.ones(1), np.zeros(1)).by_stretch
+    _, surface, bulk = law.rest(across)
+    slope = across * side * bulk.by_stretch + 2.0 * surface.tangent
+    return float(across - slope[0] / (side * stiff[0]))
+
+
+@pytest.mark.parametrize(
+    ("preset", "missing"), [("water", 0.48), pytest.param("printed", 0.21, marks=pytest.mark.slow)]
+)
+def test_plant_cells_that_a_strip_of_four_lacks_are_those_of_its_period(preset, missing):
+    """c = n (1 − FE²/tissue) of strips of four plant cells, from squared ratios of periods."""
+    assert missing_cells(slab(preset, rows=8), 4) == pytest.approx(missing, rel=0.05)
+
+
+def test_the_sides_of_two_plant_cells_feel_each_other():
+    """c of strips of two plant cells from squared ratios of periods: 0.47 and 0.22."""
+    assert missing_cells(slab(rows=rows_across(2.0)), 2) == pytest.approx(0.47, rel=0.05)
+    assert missing_cells(slab(rows=8), 2) > 0.6
 
 
 def test_thin_tissue_has_the_law_of_its_own_thickness():

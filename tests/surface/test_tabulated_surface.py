@@ -17,7 +17,7 @@ RANGE, RATE = (0.97, 1.03), 0.01
 
 @cache
 def law():
-    return SlabLaw(CellParameters.preset("water"), initialisation="slow-manifold", rows=2)
+    return SlabLaw(CellParameters.preset("water"), initialisation="slow-manifold", rows=4)
 
 
 @cache

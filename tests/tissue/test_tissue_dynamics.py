@@ -34,6 +34,7 @@ def run(reference, preset, micro_step, **changes):
     ("preset", "changes", "order"),
     [
         ("printed", {}, 1),
+        ("water", {}, 1),
         (
             "printed",
             {"wall_damping_ratio": 0.0, "contact_damping_ratio": 0.0, "viscosity": 0.0},

@@ -103,9 +103,9 @@ def test_contact_force_is_the_gradient_of_its_energy(reference, body):
 
 @pytest.mark.parametrize(
     "rough",
-    [{}, {"friction": 0.4, "damping": 3.0,
-          "shape": Corner(axis=(0.2, 1.0), angle=150.0, radius=4.0)}],
-    ids=["smooth plate", "rough corner"],
+    [{}, {"friction": 0.4, "damping": 3.0},
+     {"friction": 0.4, "shape": Corner(axis=(0.2, 1.0), angle=150.0, radius=4.0)}],
+    ids=["smooth plate", "rough plate", "rough corner"],
 )  # fmt: skip
 def test_free_body_and_tissue_keep_their_momentum_and_energy(reference, rough):
     """A heavy body is thrown on a tissue that nothing holds, aslant where it is rough."""
