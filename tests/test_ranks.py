@@ -158,7 +158,7 @@ def test_a_rank_that_dies_ends_the_run_with_a_sentence_and_a_checkpoint(long_run
     assert process.returncode != 0
     told = next(line for line in said.splitlines() if line.startswith("error: a rank died"))
     assert f"{tmp_path / 'out'} keeps the run" in told
-    assert "any number of ranks goes on with: surrofe2 run" in told
+    assert "any number of ranks resumes with: surrofe2 run" in told
     assert "Traceback" not in said
     record = read_record(tmp_path / "out")
     assert record.status == "running"

@@ -24,7 +24,7 @@ from surrofe2.plant_cell.tiles import pack
 from surrofe2.questions.memory import steady_shear
 from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
-from surrofe2.run.charts import Curve, Panel, told_once
+from surrofe2.run.charts import Curve, Panel, merged_curves
 from surrofe2.rve import INITIALISATIONS, RveLaw, RveSettings
 from surrofe2.rve.constrained_runs import Stepping, iterate
 from surrofe2.rve.micro_integration import integrate_rve
@@ -140,7 +140,7 @@ def describe_shear(runs: Sequence[ShearSteps]) -> Study:
             title=rf"$\dot F_{{xy}}$ = {run.rate:g} µs$^{{-1}}$",
             x_label="shear $F_{xy}$",
             y_label=rf"$\sigma_{{{label}}}$ (µN/µm)",
-            curves=told_once([Curve(k, run.shear, s[:, a, b]) for k, s in run.stress.items()]),
+            curves=merged_curves([Curve(k, run.shear, s[:, a, b]) for k, s in run.stress.items()]),
         )
         for label, (a, b) in _COMPONENTS.items()
         for run in runs

@@ -23,7 +23,7 @@ ENTRY = re.compile(r"(\*{0,2}\w[\w, *]*): (.*)")
 
 
 def numpy_sections(lines: list[str]) -> list[str]:
-    """Docstring lines with underlined sections in the place of indented ones."""
+    """Docstring lines with underlined sections instead of indented ones."""
     made: list[str] = []
     at = 0
     while at < len(lines):

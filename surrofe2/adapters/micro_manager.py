@@ -130,7 +130,7 @@ class PointSimulation(MicroSimulationInterface):
         return arrays
 
     def set_state(self, state: Mapping[str, NDArray[Any]] | None) -> None:
-        """Go on from what `get_state` gave."""
+        """Continue from what `get_state` gave."""
         self._solved = None
         self._state = None
         if state is not None:

@@ -35,7 +35,7 @@ class Balance:
 
     @property
     def gain(self) -> float | None:
-        """How many times faster than the true run with everything counted."""
+        """How many times faster than the full run with everything counted."""
         return None if self.made is None else self.true / (self.made + self.run)
 
     @property

@@ -1,4 +1,4 @@
-"""Stress from a surrogate or a table where it may be trusted, from the true law elsewhere.
+"""Stress from a surrogate or a table where it may be trusted, from RVEs elsewhere.
 
 In reading order: `protocols` is what a cache asks of others, `settings` of its user; `branches`
 says which part answers which point, `audit` finds how wrong the answers were, `trust` draws the

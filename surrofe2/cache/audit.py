@@ -43,7 +43,7 @@ class ErrorRecord:
     Attributes:
         tolerance: allowed error, µN/µm; inf: none is.
         audited: answers that were audited; rolled_back: more, at steps that do not stand.
-        unsolved: of these, those for which the true law has no stress.
+        unsolved: of these, those for which the RVE has no stress.
         violations: errors above the tolerance, and the unsolved.
         bins: (b,) errors by size, in logarithmic bins; a list is taken too.
         stress_squares: sum of the squares of what stresses come to, as often as errors count.
@@ -295,7 +295,7 @@ class Audit:
         }
 
     def restore(self, arrays: Mapping[str, NDArray], values: Mapping[str, Any]) -> None:
-        """Go on where another audit gave these by `to_arrays` and `to_values`."""
+        """Continue where another audit gave these by `to_arrays` and `to_values`."""
         waiting, spare = part_of(arrays, "waiting"), part_of(arrays, "spare")
         self._waiting = [Question(**waiting)] if waiting else []
         self._spare = [Question(**spare)] if spare else []
@@ -308,7 +308,7 @@ class Audit:
         self._random.bit_generator.state = values["random"]
 
     def _solve(self, asked: Question) -> StressResponse:
-        """The true law, from the last batch: of the same points, or else of nearest (F, Ḟ)."""
+        """The RVE, from the last batch: of the same points, or else of nearest (F, Ḟ)."""
         at, start = together(asked.F, asked.F_dot), None
         if self._last is not None:
             points, known, state = self._last

@@ -1,4 +1,4 @@
-"""`CachedLaw`: the surrogate where it may be trusted, the true law elsewhere, point by point."""
+"""`CachedLaw`: the surrogate where it may be trusted, RVEs elsewhere, point by point."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class CachedLaw(Viewed):
     """σ(F, Ḟ) from `surrogate` where its risk is within the limit, else from `fallback`.
 
     Within a step a point may move from the surrogate to the fallback, not back; the answer that
-    finds one says so (`StressResponse.switched`) and the step is begun anew, see
+    finds one says so (`StressResponse.switched`) and the step begins again, see
     `stress_law.SwitchingLaw`. `respond` is pure: counts, audits, trust, harvest and learning change
     in `accept`, and only when no point objects, and in `verdict`.
 

@@ -96,7 +96,7 @@ class Surrogate(Protocol):
 
 
 class Fallback(StressLaw, Protocol):
-    """The true law of the same plant cell; its states are `PointStates`, or None."""
+    """The law of RVEs of the same plant cell; its states are `PointStates`, or None."""
 
     @property
     def cell(self) -> CellParameters:

@@ -137,7 +137,7 @@ class Commands(TyperGroup):
         except console.InterruptedWork as work:
             arguments = ctx.meta["arguments"]
             kept = [each for each in arguments if each != "--fresh" or not work.has_begun]
-            message = f"interrupted: {work}; go on with: {shlex.join(['surrofe2', *kept])}"
+            message = f"interrupted: {work}; resume with: {shlex.join(['surrofe2', *kept])}"
             raise _ended(message, exit_code()) from None
         except KeyboardInterrupt:
             message = "interrupted: nothing was changed"

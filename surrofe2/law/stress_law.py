@@ -28,7 +28,7 @@ class Status(IntEnum):
     UNSTABLE = 2
     OUT_OF_RANGE = 3
     NOT_FINITE = 4
-    NOT_TRUSTED = 6  # 5 stood for what no law says any more; files keep their numbers
+    NOT_TRUSTED = 6  # 5 is no longer used; stored files keep these numbers
 
 
 _SENTENCES = {

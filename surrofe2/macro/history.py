@@ -376,7 +376,7 @@ class Recorder:
         """From here on an audited law is asked after every step whether what was recorded stands.
 
         Args:
-            resume: that the run goes on from; its window goes on too where the law knows of it.
+            resume: that the run continues from; its window does so, too, where the law knows of it.
         """
         law = self._equations.law
         self._audited = law if isinstance(law, AuditedLaw) and law.is_audited else None

@@ -248,7 +248,7 @@ class Stepper:
                 f"the load jumps where there is no stress: {failure}"
             ) from failure
         self.memory = NO_MEMORY
-        self.next_length = self._first_length("the run cannot go on at a corner of the load")
+        self.next_length = self._first_length("the run cannot continue at a corner of the load")
 
     def _first_length(self, problem: str) -> float:
         """Length of a first step by the method; `problem` begins the message where it has none."""

@@ -60,7 +60,7 @@ class ReferenceState:
         """
         for name in ("fingerprint", "position", "lattice", "rest_length"):
             if name not in arrays:
-                raise InputError(f"reference: no {name!r}; it is incomplete, have it settled anew")
+                raise InputError(f"reference: no {name!r}; it is incomplete, compute it again")
         letters = np.asarray(arrays["fingerprint"]).astype(np.uint8).tobytes()
         position, lattice, length = (
             np.array(arrays[name], dtype=np.float64, order="C")
@@ -68,7 +68,7 @@ class ReferenceState:
         )
         shapes = position.shape == (len(position), 2) and lattice.shape == (2, 2)
         if not shapes or length.size != 1 or not letters.isalnum():
-            raise InputError("reference: arrays of other shapes; have it settled anew")
+            raise InputError("reference: arrays of other shapes; compute it again")
         if not all(np.isfinite(values).all() for values in (position, lattice, length)):
-            raise InputError("reference: it holds numbers that are not finite; settle it anew")
+            raise InputError("reference: it holds numbers that are not finite; compute it again")
         return cls(letters.decode("ascii"), position, lattice, float(length.item()))

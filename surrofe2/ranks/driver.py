@@ -87,7 +87,7 @@ def watched(what: str, arguments: Sequence[str]) -> Iterator[None]:
         what: is kept; arguments: of the command that resumes.
     """
     again = shlex.join(["surrofe2", *(each for each in arguments if each != "--fresh")])
-    sentence = f"error: a rank died; {what}; any number of ranks goes on with: {again}"
+    sentence = f"error: a rank died; {what}; any number of ranks resumes with: {again}"
     watcher = subprocess.Popen(
         ["/bin/sh", "-c", _WATCH, sentence], stdin=subprocess.PIPE, start_new_session=True
     )

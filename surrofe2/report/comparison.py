@@ -103,7 +103,7 @@ class Comparison:
 
 
 def order_runs(runs: Sequence[StoredRun]) -> list[StoredRun]:
-    """The reference first: the first full tissue, else by true RVEs, else the first of all.
+    """The reference first: the first full tissue, else by RVEs, else the first of all.
 
     Raises:
         InputError: fewer than two runs.

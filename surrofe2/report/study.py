@@ -99,7 +99,7 @@ def keep_study(
 
     Args:
         name: of the study; its files are NAME-CELL.png, .csv, .md and .json in `out`.
-        asked: what the study is told besides the cell.
+        asked: settings of the study besides the cell.
 
     Returns:
         The study, or None where it was there, and its files.

@@ -112,7 +112,7 @@ class Panel:
     height: float = 1.0
 
 
-def told_once(curves: Sequence[Curve], within: float = 0.01) -> tuple[Curve, ...]:
+def merged_curves(curves: Sequence[Curve], within: float = 0.01) -> tuple[Curve, ...]:
     """Curves over the same x, those that nobody could tell apart as one with all their names.
 
     within: how far apart they are at most, relative to the span of all curves.

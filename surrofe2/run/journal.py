@@ -23,7 +23,7 @@ class Journal:
 
     A journal is never changed: `written` makes a longer one in the same memory, so no interrupt
     tears it, and an older one is a mark to go back to. What follows a mark is then written over:
-    whoever keeps a journal while its run goes on takes a `copy`.
+    whoever keeps a journal while its run continues takes a `copy`.
 
     Attributes:
         room: by name, (most, …) rows, the first of which are written.

@@ -74,7 +74,7 @@ def carry_out(
     """Take all `steps`, each of which records itself and gives the time reached in µs.
 
     Args:
-        results: gives those so far, and is told whether the run is finished.
+        results: gives those so far, and learns whether the run is finished.
         progress: called with (t, duration) in µs after every step.
         checkpoint: called with `recorder.checkpoint()` when `interval` seconds have passed since
             it last was, or more where that took long, and upon an interrupt, which then goes its

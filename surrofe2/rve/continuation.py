@@ -82,7 +82,7 @@ def is_far(F: Reals) -> Flags:
 class Path:
     """How far m points have come from F = `start` to F = `end`, (m, 2, 2) each.
 
-    `follow` writes into the arrays as points go on.
+    `follow` writes into the arrays as points move on.
 
     Attributes:
         z: (m, 2, n) their equilibria there.

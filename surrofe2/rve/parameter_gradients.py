@@ -100,7 +100,7 @@ def path_gradients(
             same BDF 2.
 
     Raises:
-        SimulationError: a point of the path has no stress where it is asked anew.
+        SimulationError: a point of the path has no stress where it is computed again.
     """
     found = parameter_gradients(law, path.F, path.F_dot, names)
     failed = np.flatnonzero(found.answer.status)

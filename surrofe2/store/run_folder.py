@@ -491,15 +491,6 @@ def write_curves(
         write_columns(folder / name, {clock: t, **columns})
 
 
-def read_curve(folder: Path) -> DisplacementCurve:
-    """The displacement of the first watched point from curve.csv.
-
-    Raises:
-        FileError: missing or damaged.
-    """
-    return next(iter(_read_curves(folder, {}).values()))
-
-
 def _read_curves(folder: Path, watched: Mapping[str, Any]) -> dict[str, DisplacementCurve]:
     """Those of curve.csv by name, the first one named as that of the `watched` points."""
     path = folder / "curve.csv"

@@ -35,7 +35,7 @@ Layers = tuple[tuple[Array, Array], ...]
 SYMMETRIES = ("D4", "none")
 HIGHEST_DEGREE = 5
 BEND = 0.1
-"""Of the half width of a range: size of U − I up to which states near rest are told apart best."""
+"""Of the half width of a range: size of U − I up to which states near rest differ most."""
 COMPONENTS = 4
 """Of P̂."""
 _COMPONENTS = (SUM, DIFFERENCE, SHEAR, SPIN)

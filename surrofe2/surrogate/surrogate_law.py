@@ -240,7 +240,7 @@ class SurrogateLaw(Viewed):
     def status_and_risk(
         self, F: Array, F_dot: Array, limit: float = np.inf
     ) -> tuple[NDArray[np.int8], Array]:
-        """(status (n,), risk (n,)) of `lookup`, which is several times dearer.
+        """(status (n,), risk (n,)) of `lookup`, which costs several times as much.
 
         That the network's answer is finite is not tested.
         """

@@ -194,7 +194,7 @@ class Recorder:
         self._state = self._with_counts(replace(state, journal=Journal.of(rows)))
 
     def restore(self, state: TissueState) -> None:
-        """Go on from where `state` was taken."""
+        """Continue from where `state` was taken."""
         dynamics = self._dynamics
         dynamics.bodies.x[:], dynamics.bodies.v[:] = state.bodies
         dynamics.place(state.x, state.v, state.listed)

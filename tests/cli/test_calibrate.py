@@ -117,7 +117,7 @@ def test_interrupted_while_calibrating(invoke, recipe_path, surrogate_path, monk
     monkeypatch.setattr(SoftLaw, "respond", interrupt)
     stopped = invoke("train", recipe_path)
     assert stopped.exit_code == 130
-    assert f"go on with: surrofe2 train {recipe_path}\n" in stopped.stderr
+    assert f"resume with: surrofe2 train {recipe_path}\n" in stopped.stderr
     fresh = read_surrogate(surrogate_path)
     assert not fresh.is_calibrated
     trainings = []

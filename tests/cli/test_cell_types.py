@@ -15,7 +15,7 @@ from surrofe2.macro import simulate
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
-from surrofe2.store.run_folder import read_curve, read_record
+from surrofe2.store.run_folder import read_record, read_run
 from surrofe2.store.samples import read_harvest
 from surrofe2.store.tables import read_table
 from surrofe2.workflow import laws
@@ -233,7 +233,7 @@ def test_refine_teaches_each_cell_until_it_knows(invoke, trained, written, tmp_p
 
 
 def displacement(folder):
-    return read_curve(folder).displacement
+    return read_run(folder).curve.displacement
 
 
 @pytest.mark.parametrize("law", ["rve", "cached"])

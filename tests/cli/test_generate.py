@@ -48,7 +48,7 @@ def test_interrupted_and_continued_equals_uninterrupted(invoke, recipe_path, tmp
     stopped = invoke("generate", recipe_path, law=StoppingLaw(calls=1))
     assert stopped.exit_code == 130
     assert stopped.stderr.splitlines()[-1] == (
-        f"interrupted: the samples so far are kept; go on with: surrofe2 generate {recipe_path}"
+        f"interrupted: the samples so far are kept; resume with: surrofe2 generate {recipe_path}"
     )
     path = recipe_path.parent / "cells.h5"
     with h5py.File(path) as file:

@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-from surrofe2.store.run_folder import read_curve, read_history, read_record
+from surrofe2.store.run_folder import read_history, read_record, read_run
 from tests.cli.finished_run import RUN_FILES
 from tests.laws import SoftLaw
 from tests.store.gmsh_files import TRIANGLES
@@ -100,7 +100,7 @@ def test_the_bar_is_the_same_by_load_and_by_conditions(invoke, recipe_path, writ
     done = run(invoke, written("bar.toml", BAR), tmp_path / "stated")
     assert done.exit_code == 0, done.output
     assert done.stdout.startswith(f"{tmp_path / 'stated'}: 4 µs by rve in ")
-    by_load, stated = (read_curve(tmp_path / name) for name in ("load", "stated"))
+    by_load, stated = (read_run(tmp_path / name).curve for name in ("load", "stated"))
     np.testing.assert_array_equal(by_load.t, stated.t)
     np.testing.assert_allclose(stated.displacement, by_load.displacement, rtol=0, atol=1e-12)
     assert abs(by_load.displacement).max() > 0.1

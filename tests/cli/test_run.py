@@ -15,7 +15,8 @@ import pytest
 from surrofe2.base import compilation, interruption
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
-from surrofe2.store.run_folder import read_curve, read_record
+from surrofe2.store.run_folder import read_record, read_run
+from surrofe2.store.store import read_columns
 from surrofe2.workflow import laws
 from surrofe2.workflow.comparison import compare_runs
 from surrofe2.workflow.report import write_report
@@ -50,7 +51,7 @@ def test_run_folder(invoke, recipe_path, folder, recipe):
     assert counts["rve_solves"] >= counts["stress_points"]
     low, high = stored["met"]["stretch"]
     assert 0.9 < low <= 1.0 <= high < 1.1
-    curve = read_curve(folder)
+    curve = read_run(folder).curve
     np.testing.assert_array_equal(curve.t, recipe.problem().output_times())
     assert curve.displacement[-1, 1] < 0.0
     assert done.stdout.startswith(f"{folder}: 4 µs by rve in ")
@@ -156,8 +157,7 @@ def test_failed_run_keeps_what_it_computed(invoke, recipe_path, folder):
     record = read_record(folder)
     assert record.status == "failed"
     assert failed.stderr.splitlines()[-1] == f"error: {record.error}"
-    curve = read_curve(folder)
-    assert 0.0 < curve.t[-1] < 4.0
+    assert 0.0 < read_columns(folder / "curve.csv")["t_us"][-1] < 4.0
     assert (folder / "fields.xdmf").exists()
 
 

@@ -80,10 +80,10 @@ def struck(process, number, instant, folder):
     assert not [*folder.rglob("*.lock"), *folder.rglob("*.partial")]
     for path in folder.rglob("run.json"):
         assert read_record(path.parent).status in ("interrupted", "finished")
-    if "go on with: " not in told:
+    if "resume with: " not in told:
         assert told == "interrupted: nothing was changed"
         return None, took
-    again = shlex.split(told.split("go on with: ")[1])
+    again = shlex.split(told.split("resume with: ")[1])
     assert again[0] == "surrofe2"
     return again[1:], took
 

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from surrofe2.cli import app
 from surrofe2.recipe.recipe import load_recipe
-from surrofe2.store.run_folder import read_curve, read_history, read_record
+from surrofe2.store.run_folder import read_history, read_record, read_run
 from tests.cli.finished_run import TISSUE_FILES
 
 
@@ -40,7 +40,7 @@ def test_run_folder(short, folder):
     assert stored["recipe"]["tissue"]["micro_step"] == 2e-3
     assert stored["counts"]["steps"] == 500
     assert stored["counts"]["particles"] == 4 * 16 + 117
-    curve = read_curve(folder)
+    curve = read_run(folder).curve
     np.testing.assert_array_equal(curve.t, load_recipe(short).problem().output_times())
     assert curve.displacement[-1, 1] < -0.01
     header = (folder / "energies.csv").read_text(encoding="utf-8").splitlines()[0]
@@ -77,7 +77,7 @@ def test_interrupted_and_continued(short, folder, monkeypatch):
     monkeypatch.setattr(simulation, "advance", stopping)
     stopped = invoke(short, "--out", folder)
     assert stopped.exit_code == 130
-    assert "go on with: surrofe2 tissue" in stopped.stderr
+    assert "resume with: surrofe2 tissue" in stopped.stderr
     assert read_record(folder).status == "interrupted"
     monkeypatch.setattr(simulation, "advance", advance)
     other = invoke(short, "--out", folder, "--micro-step", 1e-3)

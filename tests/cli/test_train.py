@@ -80,7 +80,7 @@ def test_interrupted_and_continued(invoke, recipe_path, surrogate_path, monkeypa
     stopped = invoke("train", recipe_path)
     assert stopped.exit_code == 130
     assert stopped.stderr.splitlines()[-1] == (
-        f"interrupted: the iterations so far are kept; go on with: surrofe2 train {recipe_path}"
+        f"interrupted: the iterations so far are kept; resume with: surrofe2 train {recipe_path}"
     )
     unfinished = surrogate_path.with_suffix(".unfinished.h5")
     assert unfinished.exists()
@@ -109,7 +109,7 @@ def test_a_new_training_that_ends_at_once_goes_on(
         stopped = invoke("train", recipe_path, "--fresh")
     assert stopped.exit_code == 130
     assert surrogate_path.read_bytes() == before
-    told = stopped.stderr.splitlines()[-1].split("go on with: surrofe2 ")[1]
+    told = stopped.stderr.splitlines()[-1].split("resume with: surrofe2 ")[1]
     assert told == f"train {recipe_path} --fresh"
     done = invoke(*shlex.split(told))
     assert done.exit_code == 0, done.output

@@ -11,7 +11,6 @@ from surrofe2.base.errors import FileError, InputError
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.store.run_folder import (
     RunFolder,
-    read_curve,
     read_record,
     read_run,
     write_curves,
@@ -144,9 +143,10 @@ def test_foreign_record(tmp_path):
 @pytest.mark.parametrize(
     "text", ["", "a,b\n1,2\n", "t_us,u_x_um,u_y_um\n1,2\n", "t_us,u_x_um,u_y_um\n1,x,3\n"]
 )
-def test_damaged_curve(tmp_path, text):
+def test_damaged_curve(tmp_path, record, text):
     (tmp_path / "curve.csv").write_text(text)
+    write_record(tmp_path, record)
     with pytest.raises(FileError) as caught:
-        read_curve(tmp_path)
+        read_run(tmp_path)
     path = tmp_path / "curve.csv"
     assert str(caught.value) == f"{path}: not a table of t_us,u_x_um,u_y_um"

@@ -45,7 +45,7 @@ class StressTable:
     `lookup` is pure; the table changes in `learn` alone.
 
     Args:
-        law: the true law, whose `respond(…, tangents=True)` gives records.
+        law: that of the RVEs, whose `respond(…, tangents=True)` gives records.
         tolerance: largest error of a stress that is given, µN/µm.
         range: whose half widths say how far neighbours lie from a record (a tenth) and how far
             an ellipsoid may reach at first; the table answers beyond it too.
@@ -140,7 +140,7 @@ class StressTable:
 
     def tangents(self, F: Array, F_dot: Array) -> Tangents:
         """An InputError: each record has its own slope, which jumps from one to the next."""
-        raise InputError("tangents: a table has none; use true RVEs")
+        raise InputError("tangents: a table has none; use RVEs")
 
     def learn(self, F: Array, F_dot: Array, stress: Array, state: Any = None) -> None:
         """Take true answers in: grow or shrink ellipsoids, and add records where none holds.
@@ -173,7 +173,7 @@ class StressTable:
 
     def learn_rest(self) -> None:
         """Make the undeformed state a record, at which all points of a tissue begin: else each of
-        them would be a true RVE first."""
+        them would be an RVE first."""
         F, F_dot = np.eye(2)[None], np.zeros((1, 2, 2))
         answer = self.law.respond(F, F_dot)
         accepted = self.law.accept(F, F_dot, answer)
