@@ -425,7 +425,7 @@ def read_record(folder: Path) -> RunRecord:
     """
     path = folder / "run.json"
     if not path.exists():
-        raise FileError(f"{folder}: no run.json; it is not a run folder")
+        raise FileError(f"{folder}: no run.json, so not a run; make one with `surrofe2 run`")
     stored = read_json(path)
     if stored.pop("schema", None) != SCHEMA:
         raise FileError(f"{path}: not the record of a surrofe2 run")

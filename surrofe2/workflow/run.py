@@ -522,19 +522,19 @@ def run_summary(record: RunRecord) -> str:
 def costs(counts: Mapping[str, int]) -> str:
     """Stress points, RVE solves and, for cached laws, hits and fallbacks by reason."""
     asked = counts["stress_points"] + counts.get("dissipation_points", 0)
-    text = f"{asked} stresses, {counts.get('rve_solves', 0)} RVE solves"
+    text = f"{asked:,} stresses, {counts.get('rve_solves', 0):,} RVE solves"
     if "hits" not in counts:
         return text
     parts = {"audits": counts.get("audits", 0), "for the table": counts.get("table_rve_solves", 0)}
-    of_these = [f"{n} {name}" for name, n in parts.items() if n]
+    of_these = [f"{n:,} {name}" for name, n in parts.items() if n]
     text += f" ({', '.join(of_these)})" if of_these else ""
     reasons = [
-        f"{n} {name.removeprefix('fallbacks_').replace('_', ' ')}"
+        f"{n:,} {name.removeprefix('fallbacks_').replace('_', ' ')}"
         for name, n in counts.items()
         if name.startswith("fallbacks_") and n
     ]
-    fallbacks = f"{counts.get('fallbacks', 0)} fallbacks"
-    text += f", {counts['hits']} hits, {fallbacks}" + (
+    fallbacks = f"{counts.get('fallbacks', 0):,} fallbacks"
+    text += f", {counts['hits']:,} hits, {fallbacks}" + (
         f" ({', '.join(reasons)})" if reasons else ""
     )
     records = counts.get("table_records")
@@ -561,7 +561,7 @@ def cache_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
     untrusted = counts.get("fallbacks_not_trusted", 0)
     if record.law == "cached" and untrusted > MANY_UNTRUSTED * counts.get("hits", 0):
         yield (
-            f"not trusted: at {untrusted} points the surrogate's error bound is above the "
+            f"not trusted: at {untrusted:,} points the surrogate's error bound is above the "
             "tolerance; state more samples ([samples] count) and train again, let `surrofe2 "
             "refine` sample what the run meets, or allow a larger [cache] tolerance",
             True,

@@ -42,7 +42,8 @@ def test_fallbacks_are_counted_by_reason(invoke, recipe_path, changed_recipe, tm
     counts = read_record(tmp_path / "cached").counts
     assert counts["fallbacks"] == counts["fallbacks_out_of_range"] > 0
     assert counts["rve_solves"] == counts["fallbacks"] + counts["audits"]
-    assert f"{counts['fallbacks']} fallbacks ({counts['fallbacks']} out of range)" in done.stdout
+    number = f"{counts['fallbacks']:,}"
+    assert f"{number} fallbacks ({number} out of range)" in done.stdout
     assert re.search(
         r"out of range: \d+ of \d+ fallbacks by .* = .* of at (most|least)", done.stdout
     )

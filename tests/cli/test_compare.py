@@ -57,4 +57,7 @@ def test_a_comparison_is_kept_and_one_of_other_runs_refused(invoke, runs, tmp_pa
 def test_not_a_run(invoke, runs, tmp_path):
     refused = invoke("compare", runs[0], tmp_path / "none", "--out", tmp_path / "comparison")
     assert refused.exit_code == 1
-    assert refused.stderr == f"error: {tmp_path / 'none'}: no run.json; it is not a run folder\n"
+    assert (
+        refused.stderr
+        == f"error: {tmp_path / 'none'}: no run.json, so not a run; make one with `surrofe2 run`\n"
+    )

@@ -186,7 +186,7 @@ def test_points_that_are_none(study, point, sentence):
 def test_folders_without_a_run_or_its_fields(study, tmp_path):
     refused = call("zoom", tmp_path, "--point", "1,1")
     assert refused.exit_code == 1
-    assert f"{tmp_path}: no run.json; it is not a run folder" in refused.stderr
+    assert f"{tmp_path}: no run.json, so not a run; make one with `surrofe2 run`" in refused.stderr
     shutil.copy(study[1] / "run.json", tmp_path)
     record = read_record(tmp_path)
     without = {name: part for name, part in record.recipe.items() if name != "cell"}
