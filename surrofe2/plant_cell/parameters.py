@@ -22,8 +22,10 @@ FEWEST_VORONOI = 4
 _ARRANGEMENT = ("arrangement", "cells", "arrangement_seed")
 
 
-def _constant(default: Any, unit: str, about: str, source: str = "", **bounds: Any) -> Any:
-    return setting(default, about, unit, source=source or about, **(bounds or {"above": 0.0}))
+def _constant(default: Any, unit: str, about: str, section: str = "6", **bounds: Any) -> Any:
+    """A field whose source is a section of the paper, and after a colon what stands there."""
+    source = f"{_PAPER}, section {section}" if section else about
+    return setting(default, about, unit, source=source, **(bounds or {"above": 0.0}))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,85 +36,74 @@ class CellParameters:
     them: it follows from zero stress at F = I.
     """
 
-    cell_side: float = _constant(
-        25.0, LENGTH, "side of a square of a plant cell's area", f"{_PAPER}, section 6"
-    )
+    cell_side: float = _constant(25.0, LENGTH, "side of a square of a plant cell's area")
     wall_springs_per_side: int = _constant(
-        10, NONE, "wall springs on a side", f"{_PAPER}, section 6: 11 particles a side", least=4
+        10, NONE, "wall springs on a side", "6: 11 particles a side", least=4
     )
     fluid_particles_per_side: int = _constant(
-        4,
-        NONE,
-        "its square is the fluid particles of a plant cell",
-        f"{_PAPER}, section 6: 16 SPH particles",
-        least=1,
+        4, NONE, "its square is the fluid particles of a plant cell", "6: 16 SPH particles", least=1
     )
     fluid_particle_mass: float = _constant(
         2.7,
         MASS,
         "mass of a fluid particle",
-        f"{_PAPER}, section 6, as printed; water fills 0.27 (preset `water`)",
+        "6, as printed; water fills 0.27 (preset `water`)",
     )
-    wall_particle_mass: float = _constant(
-        0.5, MASS, "mass of a wall particle", f"{_PAPER}, section 6"
-    )
-    wall_stiffness: float = _constant(
-        4000.0, STIFFNESS, "of a wall spring", f"{_PAPER}, section 6 (eq. 1)"
-    )
+    wall_particle_mass: float = _constant(0.5, MASS, "mass of a wall particle")
+    wall_stiffness: float = _constant(4000.0, STIFFNESS, "of a wall spring", "6 (eq. 1)")
     repulsion_strength: float = _constant(
-        5e5,
-        f"{FORCE} {LENGTH}⁶",
-        "of contacts between walls, and of walls with fluid",
-        f"{_PAPER}, section 6 (eq. 2)",
+        5e5, f"{FORCE} {LENGTH}⁶", "of contacts between walls, and of walls with fluid", "6 (eq. 2)"
     )
-    repulsion_cutoff: float = _constant(
-        10.0, LENGTH, "contacts reach so far", f"{_PAPER}, section 6 (eq. 2)"
-    )
+    repulsion_cutoff: float = _constant(10.0, LENGTH, "contacts reach so far", "6 (eq. 2)")
     smoothing_length: float = _constant(
-        5.5, LENGTH, "h of the SPH kernel, whose support is 2 h", f"{_PAPER}, section 6 (eq. 5)"
+        5.5, LENGTH, "h of the SPH kernel, whose support is 2 h", "6 (eq. 5)"
     )
     sound_speed: float = _constant(
-        50.0,
-        VELOCITY,
-        "of the fluid",
-        f"{_PAPER}, section 6 (eq. 9), where it is printed in µm/s",
+        50.0, VELOCITY, "of the fluid", "6 (eq. 9), where it is printed in µm/s"
     )
     viscosity: float = _constant(
         0.1,
         f"{MASS}/{TIME}",
         "of the fluid in the plane, dynamic",
-        f"{_PAPER}, section 6: 1e-2 Pa s times 10 µm (eq. 8)",
+        "6: 1e-2 Pa s times 10 µm (eq. 8)",
         least=0.0,
     )
     wall_damping_ratio: float = _constant(
-        1.0,
-        NONE,
-        "of the wall's dashpots, over critical damping",
-        f"{_PAPER}, section 6: critical (eq. 1)",
-        least=0.0,
+        1.0, NONE, "of the wall's dashpots, over critical damping", "6: critical (eq. 1)", least=0.0
     )
     contact_damping_ratio: float = _constant(
         1.0,
         NONE,
         "of the contacts' dashpots, over critical damping",
-        f"{_PAPER}, section 2.1: critical (eq. 2)",
+        "2.1: critical (eq. 2)",
         least=0.0,
     )
     outer_wall: float = _constant(
-        1.0, NONE, "of a tissue's outer walls (stiffness, damping, mass), over half an inner wall"
+        1.0,
+        NONE,
+        "of a tissue's outer walls (stiffness, damping, mass), over half an inner wall",
+        "",
     )
-    tissue_thickness: float = _constant(
-        10.0, LENGTH, "turns 2D stress into MPa", f"{_PAPER}, section 6"
-    )
+    tissue_thickness: float = _constant(10.0, LENGTH, "turns 2D stress into MPa")
     arrangement: str = _constant(
-        "square", NONE, "of an RVE's plant cells", one_of=tuple(SYMMETRIES)
+        "square", NONE, "of an RVE's plant cells", "", one_of=tuple(SYMMETRIES)
     )
-    cells: int = _constant(1, NONE, "plant cells of an RVE, of cell_side² µm² on average", least=1)
-    arrangement_seed: int = _constant(1, NONE, "of Voronoi plant cells", least=0)
+    cells: int = _constant(
+        1, NONE, "plant cells of an RVE, of cell_side² µm² on average", "", least=1
+    )
+    arrangement_seed: int = _constant(1, NONE, "of Voronoi plant cells", "", least=0)
 
     def __post_init__(self) -> None:
         check_settings(self, "cell")
-        _check_arrangement(self.arrangement, self.cells)
+        if self.arrangement == "voronoi":
+            is_allowed, allowed = self.cells >= FEWEST_VORONOI, f"at least {FEWEST_VORONOI}"
+        else:
+            is_allowed, allowed = isqrt(self.cells) ** 2 == self.cells, "a square number"
+        if not is_allowed:
+            raise InputError(
+                "cell.cells",
+                f"{self.cells}; with arrangement {self.arrangement} it must be {allowed}",
+            )
 
     @classmethod
     def preset(cls, name: str, **changes: Any) -> CellParameters:
@@ -202,17 +193,6 @@ class CellParameters:
     def to_dict(self) -> dict[str, Any]:
         """All fields by name, for files."""
         return asdict(self)
-
-
-def _check_arrangement(arrangement: str, cells: int) -> None:
-    if arrangement == "voronoi" and cells < FEWEST_VORONOI:
-        raise InputError(
-            "cell.cells", f"{cells}; with arrangement voronoi it must be at least {FEWEST_VORONOI}"
-        )
-    if arrangement != "voronoi" and isqrt(cells) ** 2 != cells:
-        raise InputError(
-            "cell.cells", f"{cells}; with arrangement {arrangement} it must be a square number"
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

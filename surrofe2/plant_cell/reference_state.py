@@ -6,7 +6,7 @@ It is costly to find for irregular cells, so it can be kept and handed to a law 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -58,17 +58,13 @@ class ReferenceState:
         Raises:
             InputError: an array is missing, has another shape or is not finite.
         """
-        for name in ("fingerprint", "position", "lattice", "rest_length"):
-            if name not in arrays:
-                raise InputError(f"reference: no {name!r}; it is incomplete, compute it again")
-        letters = np.asarray(arrays["fingerprint"]).astype(np.uint8).tobytes()
-        position, lattice, length = (
-            np.array(arrays[name], dtype=np.float64, order="C")
-            for name in ("position", "lattice", "rest_length")
-        )
+        letters, *values = (arrays.get(item.name, np.empty(0)) for item in fields(cls))
+        position, lattice, length = (np.array(each, np.float64, order="C") for each in values)
         shapes = position.shape == (len(position), 2) and lattice.shape == (2, 2)
-        if not shapes or length.size != 1 or not letters.isalnum():
-            raise InputError("reference: arrays of other shapes; compute it again")
-        if not all(np.isfinite(values).all() for values in (position, lattice, length)):
-            raise InputError("reference: it holds numbers that are not finite; compute it again")
-        return cls(letters.decode("ascii"), position, lattice, float(length.item()))
+        finite = all(np.isfinite(each).all() for each in (position, lattice, length))
+        if not (shapes and finite and len(letters) == 16 and length.size == 1):
+            raise InputError(
+                "reference: arrays are missing, not finite or of other shapes; compute it again"
+            )
+        name = np.asarray(letters).astype(np.uint8).tobytes().decode("ascii", "replace")
+        return cls(name, position, lattice, float(length.item()))

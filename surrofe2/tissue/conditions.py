@@ -209,9 +209,9 @@ class Conditions:
     def contact_law(self, body: RigidBody) -> tuple[float, float, float, float, float]:
         """Stiffness, smoothing, damping, friction and slip speed of a body's contact."""
         cell = self.tissue.cell
-        walls = max(each.wall_stiffness for each in self.tissue.types)
+        walls = max(each.wall_stiffness for each in self.tissue.constants)
         # Waves in tissue: walls in a row, and what they enclose.
-        sound = max(each.sound_speed_squared for each in self.tissue.types)
+        sound = max(each.sound_speed_squared for each in self.tissue.constants)
         wave = np.sqrt(walls * cell.spring_length / cell.cell_side / cell.density + sound)
         usual = STIFFNESS * walls / cell.spring_length
         return (

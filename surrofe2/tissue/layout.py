@@ -50,10 +50,8 @@ class Tissue:
     """n × m square plant cells with single walls at the boundary.
 
     Attributes:
-        cell: the first type of plant cell; types: the constants of each; wall_masses: of a wall
-            particle of each, ng.
+        types: of plant cells; references: their reference states; constants: of their pair laws.
         kind: (n, m) type of each plant cell.
-        cells: (n, m) plant cells in x and y.
         column, row: (places,) of the plant cell in each lane, −1 for an empty place.
         fluid_tiles: how many tiles, the first ones, hold plant cells with fluid.
         place: (n + 1, m + 1) the place of each column and row.
@@ -63,11 +61,10 @@ class Tissue:
         where: (particles,) flat index into (tiles, own, TILE), walls of all cells, then fluid.
     """
 
-    cell: CellParameters
-    types: tuple[Constants, ...]
-    wall_masses: tuple[float, ...]
+    types: tuple[CellParameters, ...]
+    references: tuple[ReferenceState, ...]
+    constants: tuple[Constants, ...]
     kind: Ints
-    cells: tuple[int, int]
     column: Ints
     row: Ints
     fluid_tiles: int
@@ -76,6 +73,17 @@ class Tissue:
     mass: Array
     walls: int
     where: Ints
+
+    @property
+    def cell(self) -> CellParameters:
+        """The first type of plant cell, which has what all must share."""
+        return self.types[0]
+
+    @property
+    def cells(self) -> tuple[int, int]:
+        """(n, m) plant cells in x and y."""
+        n, m = self.kind.shape
+        return n, m
 
     @property
     def tiles(self) -> int:
@@ -105,16 +113,10 @@ class Tissue:
     @property
     def outline(self) -> Array:
         """(particles, 2) places of wall particles on the grid of walls; infinite for fluid, µm."""
-        row, lane = np.divmod(self.where, TILE)
-        tile, own = np.divmod(row, self.own)
-        per_side = self.cell.wall_springs_per_side
-        place = tile * TILE + lane
-        corner = per_side * np.stack([self.column[place], self.row[place]], axis=1)
-        along = np.stack([np.where(own < per_side, own, 0), np.where(own < per_side, 0, own)], 1)
-        along[own >= per_side, 1] -= per_side - 1
-        grid = self.cell.cell_side * (corner + along) / per_side
-        grid[own >= self.walls] = np.inf
-        return grid
+        at = _wall_grid(self.cell, self.column, self.row)
+        places = np.full((len(self.column), self.own, 2), np.inf)
+        places[:, : self.walls] = self.cell.cell_side * at / self.cell.wall_springs_per_side
+        return self.to_particles(np.moveaxis(tiled(places), 2, 1))
 
     def each(self, tiles: Array) -> Array:
         """(tiles, own, TILE) → (particles,)."""
@@ -184,7 +186,8 @@ def make_mixed_tissue(
     for k, each in enumerate(types):
         share = shares(cell, kind == k, column, row)
         mass += share * np.where(is_wall, each.wall_particle_mass, each.fluid_mass)
-    mass[_outer(cell, (n, m), column, row)] *= cell.outer_wall
+    at, ends = _wall_grid(cell, column, row), cell.wall_springs_per_side * np.array([n, m])
+    mass[:, :walls][((at == 0) | (at == ends)).any(axis=2)] *= cell.outer_wall
     exists = mass > 0.0
     place = np.full((column.max() + 1, row.max() + 1), -1)
     there = column >= 0
@@ -195,16 +198,14 @@ def make_mixed_tissue(
     missing = np.arange(int((~exists).sum()))  # far from one another, too
     start[~exists] = np.stack([-NOWHERE - 100.0 * missing, np.full(len(missing), -NOWHERE)], axis=1)
     start = np.moveaxis(tiled(start), 2, 1)
-    constants = tuple(
-        make_constants(each, reference.rest_length)
-        for each, reference in zip(types, references, strict=True)
-    )
     return Tissue(
-        cell=cell,
-        types=constants,
-        wall_masses=tuple(each.wall_particle_mass for each in types),
+        types=tuple(types),
+        references=tuple(references),
+        constants=tuple(
+            make_constants(each, reference.rest_length)
+            for each, reference in zip(types, references, strict=True)
+        ),
         kind=kind,
-        cells=(n, m),
         column=column,
         row=row,
         fluid_tiles=tiles_for(n * m),
@@ -226,17 +227,13 @@ def _places(cells: tuple[int, int]) -> tuple[Ints, Ints]:
     return column, row
 
 
-def _outer(
-    cell: CellParameters, cells: tuple[int, int], column: Ints, row: Ints
-) -> NDArray[np.bool_]:
-    """(places, own) whether a particle lies in an outer wall."""
-    (n, m), per_side = cells, cell.wall_springs_per_side
-    walls = 2 * per_side - 1
-    lower, left = (row == 0) | (row == m), (column == 0) | (column == n)
-    outer = np.zeros((len(column), walls + cell.fluid_particles), dtype=np.bool_)
-    outer[:, 0] = lower | left
-    outer[:, 1:per_side], outer[:, per_side:walls] = lower[:, None], left[:, None]
-    return outer
+def _wall_grid(cell: CellParameters, column: Ints, row: Ints) -> Ints:
+    """(places, walls, 2) where own wall particles lie on the grid of springs."""
+    per_side = cell.wall_springs_per_side
+    along = np.arange(1, per_side)
+    own = np.zeros((2 * per_side - 1, 2), dtype=np.int64)
+    own[1:per_side, 0], own[per_side:, 1] = along, along
+    return per_side * np.stack([column, row], axis=1)[:, None] + own
 
 
 def shares(cell: CellParameters, filled: NDArray[np.bool_], column: Ints, row: Ints) -> Array:

@@ -18,6 +18,7 @@ it. FE² knows no walls of two types: there each type begins where the other end
 
 from __future__ import annotations
 
+from collections import namedtuple
 from itertools import product
 from typing import NamedTuple
 
@@ -37,6 +38,7 @@ RINGS = 2
 """Walls of plant cells up to this many columns or rows apart are looked at."""
 _BOND, _ON_LINE, _ELSEWHERE = 0, 1, 2
 _ALONG_X, _ALONG_Y, _NO_LINE = 0, 1, -1
+_REPULSION, _DAMPING = map(Constants._fields.index, ("repulsion", "contact_damping"))
 
 
 class PairKinds(NamedTuple):
@@ -129,29 +131,12 @@ class PairConstants(NamedTuple):
         )
 
 
-class Bond(NamedTuple):
-    """Constants of a bond, as `pair_laws` takes them; lanes."""
-
-    wall_stiffness: float
-    rest_length: float
-    wall_damping: float
-
-
-class Contact(NamedTuple):
-    """Those of a contact; lanes."""
-
-    repulsion: float
-    contact_damping: float
-    cutoff: float
-
-
-class FluidConstants(NamedTuple):
-    """Those of the fluid in a tile; lanes."""
-
-    smoothing_length: float
-    fluid_mass: float
-    sound_speed_squared: float
-    viscosity: float
+# of a bond, a contact and the fluid in a tile, as `pair_laws` takes them; lanes
+Bond = namedtuple("Bond", "wall_stiffness rest_length wall_damping")
+Contact = namedtuple("Contact", "repulsion contact_damping cutoff")
+FluidConstants = namedtuple(
+    "FluidConstants", "smoothing_length fluid_mass sound_speed_squared viscosity"
+)
 
 
 @pair_law
@@ -176,41 +161,45 @@ class ConstantsMaker:
     """Makes the `PairConstants` of a tissue for any of its pair lists.
 
     Args:
-        place: (places, shifts) of the plant cell at each of `PairKinds.shifts`, or −1.
-        weight: (tiles, bonds + lines, TILE) of the pairs along a wall line.
+        place: (tiles, shifts, TILE) of the plant cell at each of `PairKinds.shifts`, or −1.
     """
 
-    def __init__(self, tissue: Tissue, kinds: PairKinds, place: Ints, weight: Array) -> None:
-        self._tissue, self._kinds, self._place, self._weight = tissue, kinds, place, weight
+    def __init__(self, tissue: Tissue, kinds: PairKinds, place: Ints) -> None:
+        self._tissue, self._kinds, self._place = tissue, kinds, place
         # one more type, the last, for plant cells that are not there
-        table = np.array([*tissue.types, np.zeros(len(tissue.types[0]))])
+        table = np.array([*tissue.constants, np.zeros(len(Constants._fields))])
         of = dict(zip(Constants._fields, table.T, strict=True))
-        here = np.pad(tissue.kind, 1, constant_values=-1)
-        bonds = _bond_constants(tissue, kinds, here, of)
-        bonds[:, :, ::2] *= weight[:, : kinds.bonds, None]
+        here, column, row = np.pad(tissue.kind, 1, constant_values=-1), tissue.column, tissue.row
+        own = here[column + 1, row + 1]
+        # the plant cells on both sides of the wall along x, and of the one along y
+        both = np.array([[own, here[column + 1, row]], [own, here[column, row + 1]]])
+        half = 0.5 * np.where((both >= 0).all(axis=1), 1.0, tissue.cell.outer_wall)
+        stiffness = of["wall_stiffness"][both]
+        total = stiffness.sum(axis=1)
+        rest = (stiffness * of["rest_length"][both]).sum(axis=1) / np.maximum(total, 1e-60)
+        damping = of["wall_damping"][both].sum(axis=1)
+        walls = np.stack([half * total, rest, half * damping], axis=2)
+        bonds = tiled(np.stack([walls[axis] for axis in kinds.axis[: kinds.bonds]], axis=1))
         self._bonds = bonds.reshape(-1, 3, TILE)
+        # by axis, of pairs along such a wall: ½ `outer_wall` on the boundary
+        self._weight = np.where((both >= 0).all(axis=1), 1.0, half).reshape(2, -1, TILE)
         # places without fluid have some, so that kernels may divide
-        own = np.maximum(here[tissue.column + 1, tissue.row + 1], 0)
-        fluid = tiled(np.stack([of[name][own] for name in FluidConstants._fields], axis=1))
-        self._fluid = fluid if len(tissue.types) > 1 else fluid[:1]
+        fluid = np.stack([of[name][np.maximum(own, 0)] for name in FluidConstants._fields], axis=1)
+        self._fluid = tiled(fluid if len(tissue.types) > 1 else fluid[:TILE])
         part = np.stack(
-            [
-                shares(tissue.cell, tissue.kind == k, tissue.column, tissue.row)
-                for k in range(len(tissue.types))
-            ],
+            [shares(tissue.cell, tissue.kind == k, column, row) for k in range(len(tissue.types))],
             axis=2,
         )
         part /= np.maximum(part.sum(axis=2, keepdims=True), 1e-3)
-        both = np.stack([of["repulsion"][:-1], of["contact_damping"][:-1]], axis=1)
-        self._particles = part @ both  # (places, own, 2)
+        self._particles = part @ table[:-1, [_REPULSION, _DAMPING]]  # (places, own, 2)
 
     def make(self, tile: Ints, kind: Ints) -> PairConstants:
         """For listed contacts, which follow the bonds: the kind of each in its tile, in order."""
-        is_line = kind < self._kinds.bonds + self._kinds.lines
+        is_line, axis = kind < self._kinds.bonds + self._kinds.lines, self._kinds.axis[kind]
         lines = self._contacts(tile[is_line], kind[is_line])
         return PairConstants(
             bonds=self._bonds,
-            lines=lines * self._weight[tile[is_line], kind[is_line], None],
+            lines=lines * self._weight[axis[is_line], tile[is_line], None],
             contacts=self._contacts(tile[~is_line], kind[~is_line]),
             fluid=self._fluid,
             cutoff=self._tissue.cell.repulsion_cutoff,
@@ -219,32 +208,12 @@ class ConstantsMaker:
     def _contacts(self, tile: Ints, kind: Ints) -> Array:
         """(n, 2, TILE) means of the two particles of each contact; (1, 2, TILE) of one type."""
         if len(self._tissue.types) == 1:
-            (only,) = self._tissue.types
-            row = np.array([only.repulsion, only.contact_damping])
-            return np.tile(row[None, :, None], (1, 1, TILE))
-        kinds, here = self._kinds, tile[:, None] * TILE + np.arange(TILE)
-        there = self._place[here, kinds.shift[kind, None]]
-        sums = self._particles[here, kinds.i[kind, None]]
-        sums = sums + self._particles[there, kinds.j[kind, None]]
+            (only,) = self._tissue.constants
+            return np.tile([[[only.repulsion], [only.contact_damping]]], TILE)
+        here, there = (
+            tile[:, None] * TILE + np.arange(TILE),
+            self._place[tile, self._kinds.shift[kind]],
+        )
+        sums = self._particles[here, self._kinds.i[kind, None]]
+        sums = sums + self._particles[there, self._kinds.j[kind, None]]
         return np.ascontiguousarray(np.moveaxis(0.5 * sums, 1, 2))
-
-
-def _bond_constants(tissue: Tissue, kinds: PairKinds, here: Ints, of: dict[str, Array]) -> Array:
-    """(tiles, bonds, 3, TILE) of the walls that the plant cells present make.
-
-    Args:
-        here: (n + 2, m + 2) type of each plant cell, −1 all around.
-    """
-    first = here[tissue.column + 1, tissue.row + 1]
-    below, left = here[tissue.column + 1, tissue.row], here[tissue.column, tissue.row + 1]
-    walls = []
-    for second in (below, left):  # walls along x, then along y
-        both = np.stack([first, second])
-        count = np.maximum((both >= 0).sum(axis=0), 1)
-        stiffness = of["wall_stiffness"][both]
-        rest = (stiffness * of["rest_length"][both]).sum(axis=0)
-        total = stiffness.sum(axis=0)
-        rest /= np.where(total > 0.0, total, 1.0)
-        damping = of["wall_damping"][both].sum(axis=0) / count
-        walls.append(np.stack([total / count, rest, damping], axis=1))
-    return tiled(np.stack([walls[axis] for axis in kinds.axis[: kinds.bonds]], axis=1))

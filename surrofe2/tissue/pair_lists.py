@@ -90,10 +90,7 @@ class PairLister:
         rings = abs(self._kinds.shifts).max(axis=1)[self._kinds.shift]
         self._reach = tissue.cell.repulsion_cutoff + skin * np.maximum(rings, 1)
         self.grid = make_grid(tissue, self._kinds)
-        self._constants = ConstantsMaker(
-            tissue, self._kinds, _by_place(self.grid.place),
-            pair_weights(tissue, self._kinds, self.grid),
-        )  # fmt: skip
+        self._constants = ConstantsMaker(tissue, self._kinds, self.grid.place)
 
     def make(self, x: Array) -> tuple[PairLists, PairConstants]:
         """Lists at positions x (tiles, 2, own, TILE), µm, and the constants of their pairs.
@@ -188,40 +185,15 @@ def make_grid(tissue: Tissue, kinds: PairKinds) -> Grid:
     )
 
 
-def pair_weights(tissue: Tissue, kinds: PairKinds, grid: Grid) -> Array:
-    """(tiles, bonds + lines, TILE): 1, ½ `outer_wall` on the boundary, 0 where a particle lacks."""
-    (n, m), count = tissue.cells, kinds.bonds + kinds.lines
-    exists, place = _by_place(tissue.exists), _by_place(grid.place)
-    weight = np.zeros((len(tissue.column), count))
-    for k in range(count):
-        there = place[:, kinds.shift[k]]
-        weight[:, k] = exists[:, kinds.i[k]] & (there >= 0) & exists[there, kinds.j[k]]
-        across, most = (tissue.row, m) if kinds.axis[k] == 0 else (tissue.column, n)
-        weight[(across == 0) | (across == most), k] *= 0.5 * tissue.cell.outer_wall
-    return tiled(weight)
-
-
 def bonded_particles(tissue: Tissue) -> Ints:
-    """(b, 2) numbers of the particles that wall springs join."""
-    kinds = make_pair_kinds(tissue.cell)
-    place = make_grid(tissue, kinds).place
-    number = np.full(tissue.mass.size, -1)
-    number[tissue.where] = np.arange(tissue.particles)
-    tile, lane = np.indices((tissue.tiles, TILE))
-    pairs = []
-    for k in range(kinds.bonds):
-        there = place[:, kinds.shift[k]]
-        first = number[(tile * tissue.own + kinds.i[k]) * TILE + lane]
-        flat = (there // TILE * tissue.own + kinds.j[k]) * TILE + there % TILE
-        second = np.where(there >= 0, number[np.where(there >= 0, flat, 0)], -1)
-        both = (first >= 0) & (second >= 0)
-        pairs.append(np.stack([first[both], second[both]], axis=1))
-    return np.concatenate(pairs)
-
-
-def _by_place(tiles: NDArray) -> NDArray:
-    """(tiles, n, TILE) → (places, n)."""
-    return np.moveaxis(tiles, 1, 2).reshape(-1, tiles.shape[1])
+    """(b, 2) numbers of the particles that wall springs join: neighbours on the grid of springs."""
+    walls = tissue.outline[: tissue.wall_particles]
+    at = np.rint(walls / tissue.cell.spring_length).astype(np.int64)
+    number = np.full(at.max(axis=0) + 2, -1)
+    number[tuple(at.T)] = np.arange(len(at))
+    ahead = np.concatenate([number[tuple(at.T + step)] for step in ([[1], [0]], [[0], [1]])])
+    pairs = np.stack([np.tile(np.arange(len(at)), 2), ahead], axis=1)
+    return pairs[ahead >= 0]
 
 
 def _starts(tissue: Tissue, tile: Ints) -> Ints:

@@ -63,7 +63,7 @@ def relax(dynamics: TissueDynamics, residual: float) -> Array:
     tissue, start = dynamics.tissue, dynamics.x
     stiffest = max(each.wall_stiffness for each in tissue.types)
     # Of wall particles, which are whole inside; a boundary halves springs and masses alike.
-    lightest = min(tissue.wall_masses)
+    lightest = min(each.wall_particle_mass for each in tissue.types)
     frequency = np.sqrt(stiffest / lightest)
     for halvings in range(HALVINGS + 1):
         try:

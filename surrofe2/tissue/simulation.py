@@ -281,7 +281,7 @@ def identity(conditions: Conditions, settings: TissueSettings) -> Array:
     """Numbers that two runs share if one may continue where the other stopped."""
     problem, tissue = conditions.problem, conditions.tissue
     stated = problem.conditions, problem.bodies, problem.duration, problem.output_interval
-    digest = hashlib.sha256(repr((_STATE, stated, tissue.types, settings)).encode())
+    digest = hashlib.sha256(repr((_STATE, stated, tissue.constants, settings)).encode())
     digest.update(repr([*columns_of(conditions), *problem.watched.items()]).encode())
     sides = [conditions.boundary(name) for name in problem.acted_boundaries()]
     acts = conditions.held, conditions.dead_loads(), conditions.velocity()

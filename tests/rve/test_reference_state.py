@@ -58,14 +58,10 @@ def test_reference_that_is_no_stable_equilibrium_is_refused(law):
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"lattice": None}, "no 'lattice'"),
-        ({"position": np.zeros((3, 3))}, "of other shapes"),
-        ({"rest_length": np.array([np.nan])}, "not finite"),
-    ],
+    "change",
+    [{"lattice": None}, {"position": np.zeros((3, 3))}, {"rest_length": np.array([np.nan])}],
 )
-def test_incomplete_arrays_are_named(law, change, message):
+def test_incomplete_arrays_are_refused(law, change):
     arrays = {k: v for k, v in (law.reference.to_arrays() | change).items() if v is not None}
-    with pytest.raises(InputError, match=rf"^reference: .*{message}"):
+    with pytest.raises(InputError, match=r"^reference: arrays are missing, not finite or of oth"):
         ReferenceState.from_arrays(arrays)
