@@ -90,8 +90,10 @@ class Case:
     @property
     def run_name(self) -> str:
         """How tables and legends name the run."""
-        mesh = f" {self.elements[0]}x{self.elements[1]}" if self.elements else ""
-        return f"{'full tissue' if self.method == TISSUE else self.method}{mesh}{self.note}"
+        if self.elements is None:
+            return f"full tissue{self.note}"
+        across, up = self.elements
+        return f"{self.method.replace('-', ' ')}, {across} × {up} elements{self.note}"
 
     @property
     def name(self) -> str:
@@ -233,7 +235,9 @@ def curves_panel(runs: Iterable[Run], title: str) -> Panel:
     runs = list(runs)
     case = runs[0].case
     shown = (
-        f"force of {case.force} (µN)" if case.force else f"displacement $u_{'xy'[case.axis]}$ (µm)"
+        f"force at the {case.force} (µN)"
+        if case.force
+        else f"displacement $u_{'xy'[case.axis]}$ (µm)"
     )
     curves = (Curve(run.case.method, run.t, run.u, run.case.run_name, False) for run in runs)
     return Panel("time (µs)", shown, tuple(curves), title)
@@ -262,8 +266,11 @@ def off_panel(
     return Panel(
         title=title,
         x_label="plant cells across",
-        y_label="difference from the full tissue (%)",
-        curves=tuple(Curve(key, *np.array(line).T) for key, line in lines.items()),
+        y_label="FE² / tissue − 1 (%)",
+        curves=tuple(
+            Curve(key, *np.array(line).T, key.replace("-", " "))
+            for key, line in lines.items()
+        ),
         log_x=True,
         x_ticks=tuple(sorted({x for line in lines.values() for x, _ in line})),
         zero=True,

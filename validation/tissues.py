@@ -81,14 +81,14 @@ def block(of: NamedCell, n: int, method: str) -> Case:
     table = {
         "mesh": {"width": n * side, "height": long, "elements": [max(n // 2, 1), ALONG // 2]},
         "bodies": {
-            "lower": {"plane": {"normal": [0, 1]}, "on": "bottom", "position": [0, 0]},
-            "upper": {
+            "support": {"plane": {"normal": [0, 1]}, "on": "bottom", "position": [0, 0]},
+            "plate": {
                 "plane": {"normal": [0, -1]}, "on": "top", "position": [0, long],
                 "displacement": [0.0, -0.02 * long], "amplitude": ramp,
             },
         },
     }  # fmt: skip
-    read = {"measures": ("held force",), "force": "upper", "even": True}
+    read = {"measures": ("held force",), "force": "plate", "even": True}
     return _problem(of, BLOCK, n, method, table=table, **read)
 
 
@@ -127,7 +127,7 @@ def problems(setting: Setting) -> Study:
     runs = setting.runs(problem_cases(setting.of, setting.sizes or SIZES))
     rows = compare(runs)
     largest = {run.case.problem: run.case.across for run in runs}
-    forces = off_panel("force", rows, "held force", lambda row: row.case.problem)
+    forces = off_panel("force of strip and block", rows, "held force", lambda row: row.case.problem)
     return Study(
         title="FE² against the full tissue: strip, plates and skin",
         panels=(forces, *curves_of(runs, largest.items())),
@@ -180,6 +180,6 @@ def thin(setting: Setting) -> Study:
     return Study(
         title="Thin tissue: FE² with and without the surface law of its free sides",
         panels=(periods, *curves_of(runs, drawn)),
-        columns=2,
+        columns=1 + len(drawn),
         table=Table(ROWS, rows),
     )

@@ -52,7 +52,6 @@ from surrofe2.rve.rve_state import Factors, keep_factors, kept_factors
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-Addresses = NDArray[np.intp]
 
 CHORD_LIMIT, NEWTON_LIMIT, SEEK_LIMIT = 10, 40, 16
 CONTRACTION = 0.5
@@ -219,23 +218,12 @@ def chord_loop(work, drive, is_affine, lu, topology, c, stop, answer):
         correct(lu, work.f, step, iterations, drive.F, work.z, topology)
 
 
-def chord(
-    drive: Drive, z: Array, before: Drive, factors: Addresses, topology: Topology, c: Constants,
-    tolerance: float, answer: Answer,
-) -> None:  # fmt: skip
+@parallel_kernel
+def chord(drive, z, before, factors, topology, c, tolerance, answer):
     """Solve in place from z (tiles, 2, n, TILE), known at `before`, where iterations are 0.
 
     factors (tiles,): addresses of the kept factors, which are read only.
     """
-    if len(z) > 1:
-        _chord_tiles(drive, z, before, factors, topology, c, tolerance, answer)
-    else:  # threads take longer to start than a tile takes
-        one = drive_of(drive, 0), z[0], drive_of(before, 0), factors[0]
-        _chord_tile(*one, topology, c, tolerance, answer_of(answer, 0))
-
-
-@parallel_kernel
-def _chord_tiles(drive, z, before, factors, topology, c, tolerance, answer):
     for t in numba.prange(z.shape[0]):
         _chord_tile(
             drive_of(drive, t), z[t], drive_of(before, t), factors[t], topology, c, tolerance,
@@ -257,10 +245,8 @@ def _chord_tile(drive, z, at, factors, topology, c, tolerance, answer):
             keep_lane(work.z, k, z)
 
 
-def newton(
-    drive: Drive, z: Array, factors: Addresses, task: NDArray[np.int8], topology: Topology,
-    c: Constants, tolerance: float, answer: Answer,
-) -> None:  # fmt: skip
+@parallel_kernel
+def newton(drive, z, factors, task, topology, c, tolerance, answer):
     """What `task` (tiles,) says of each tile, in place; the rest of a skipped tile stays.
 
     - SOLVE: Newton with limited steps from z in the lanes with iterations ≤ 0.
@@ -269,15 +255,6 @@ def newton(
     - RENEW: write lu and slopes at z into the blocks whose addresses `factors` (tiles,) holds.
     - CHECK: whether the elastic Hessian at z, dashpots off, is positive definite.
     """
-    if len(z) > 1:
-        _newton_tiles(drive, z, factors, task, topology, c, tolerance, answer)
-    else:  # threads take longer to start than a tile takes
-        one = drive_of(drive, 0), z[0], factors[0], task[0]
-        _newton_tile(*one, topology, c, tolerance, answer_of(answer, 0))
-
-
-@parallel_kernel
-def _newton_tiles(drive, z, factors, task, topology, c, tolerance, answer):
     for t in numba.prange(z.shape[0]):
         _newton_tile(
             drive_of(drive, t), z[t], factors[t], task[t], topology, c, tolerance,
