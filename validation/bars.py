@@ -100,7 +100,7 @@ def scales(setting: Setting) -> Study:
     rows = with_limits(compare(setting.runs(cases)))
     return Study(
         title="FE² against the full tissue as the bar grows\n(strains alike)",
-        panels=tuple(off_panel(f"{FE2}: {name}", rows, name) for name in cases[0].measures),
+        panels=tuple(off_panel(f"slow manifold: {name}", rows, name) for name in cases[0].measures),
         columns=len(cases[0].measures),
         table=Table(ROWS, rows),
     )

@@ -268,8 +268,8 @@ def off_panel(
         x_label="plant cells across",
         y_label="FE² / tissue − 1 (%)",
         curves=tuple(
-            Curve(key, *np.array(line).T, key.replace("-", " "))
-            for key, line in lines.items()
+            Curve(key, x, y, key.replace("-", " "))
+            for key, (x, y) in ((key, np.array(line).T) for key, line in lines.items())
         ),
         log_x=True,
         x_ticks=tuple(sorted({x for line in lines.values() for x, _ in line})),

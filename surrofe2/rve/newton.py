@@ -33,7 +33,6 @@ from surrofe2.rve.block_lu import (
     solved_columns,
 )
 from surrofe2.rve.particle_state import (
-    Answer,
     Drive,
     answer_of,
     copy_particles,
