@@ -103,18 +103,21 @@ def training_points(
 def contains(range: SamplingRange, F: Array, F_dot: Array) -> NDArray[np.bool_]:
     """(n,) whether U and RᵀḞ of each point are within the range; False where anything is NaN."""
     F, F_dot = np.asarray(F, dtype=np.float64), np.asarray(F_dot, dtype=np.float64)
+    (lower, upper), slack = range.ends, SLACK * np.array([1.0, 1.0, 1.0, *[range.rate] * 4])
     with np.errstate(all="ignore"):
-        U, A, _ = unrotated(F, F_dot)
-        low, high = range.stretch
-        inside = np.abs(A).max(axis=(1, 2), initial=0.0) <= range.rate + SLACK * range.rate
-        inside &= np.abs(U[:, 0, 1]) <= range.shear + SLACK
-        for k in (0, 1):
-            inside &= (U[:, k, k] >= low - SLACK) & (U[:, k, k] <= high + SLACK)
-    return inside
+        values = _quantities(F, F_dot)
+        inside = (values >= lower - slack) & (values <= upper + slack)
+    return np.asarray(inside.all(axis=1))
 
 
 QUANTITIES = ("U₁₁", "U₂₂", "U₁₂", "(RᵀḞ)₁₁", "(RᵀḞ)₁₂", "(RᵀḞ)₂₁", "(RᵀḞ)₂₂")
 """What a range bounds."""
+
+
+def _quantities(F: Array, F_dot: Array) -> Array:
+    """(n, 7) `QUANTITIES` of n points."""
+    U, A, _ = unrotated(F, F_dot)
+    return np.concatenate([U.reshape(-1, 4)[:, [0, 3, 1]], A.reshape(-1, 4)], axis=1)
 
 
 def farthest_out(
@@ -125,14 +128,11 @@ def farthest_out(
     Returns:
         its number (n,), −1 where all are within; its value (n,) and the bound that it passed (n,).
     """
-    U, A, _ = unrotated(F, F_dot)
-    values = np.concatenate([U.reshape(-1, 4)[:, [0, 3, 1]], A.reshape(-1, 4)], axis=1)
-    lower, upper = range.ends
+    values, (lower, upper) = _quantities(F, F_dot), range.ends
     bound = np.where(values > 0.5 * (upper + lower), upper, lower)
     half = np.maximum(0.5 * (upper - lower), SLACK)
     beyond = np.abs(values - 0.5 * (upper + lower)) / half
-    which = beyond.argmax(axis=1)
-    rows = np.arange(len(F))
+    which, rows = beyond.argmax(axis=1), np.arange(len(F))
     inside = contains(range, F, F_dot)
     return np.where(inside, -1, which), values[rows, which], bound[rows, which]
 
@@ -150,13 +150,11 @@ def range_holding(range: SamplingRange, F: Array, F_dot: Array) -> SamplingRange
     """The least range that holds another one and these points, (n, 2, 2) each."""
     if contains(range, F, F_dot).all():
         return range
-    U, A, _ = unrotated(F, F_dot)
-    stretches = np.concatenate([U[:, 0, 0], U[:, 1, 1]])
-    low, high = range.stretch
+    values, (low, high) = _quantities(F, F_dot), range.stretch
     return SamplingRange(
-        stretch=(min(low, float(stretches.min())), max(high, float(stretches.max()))),
-        shear=max(range.shear, float(np.abs(U[:, 0, 1]).max())),
-        rate=max(range.rate, float(np.abs(A).max())),
+        stretch=(min(low, float(values[:, :2].min())), max(high, float(values[:, :2].max()))),
+        shear=max(range.shear, float(np.abs(values[:, 2]).max())),
+        rate=max(range.rate, float(np.abs(values[:, 3:]).max())),
     )
 
 
@@ -180,7 +178,7 @@ def neighbours(
 def half_widths(range: SamplingRange) -> Array:
     """(7,) half the width of the range in each input of `tensors`; 1 where the range has none."""
     low, high = range.stretch
-    widest = max(abs(low - 1.0), abs(high - 1.0))
+    widest = max(1.0 - low, high - 1.0)
     widths = 2.0 * np.array([widest, widest, range.shear, *[range.rate] * 4])
     return np.where(widths > 0.0, widths, 1.0)
 

@@ -20,7 +20,7 @@ from surrofe2.store.store import read_text, write_text
 if TYPE_CHECKING:
     from surrofe2.macro.history import Frames
     from surrofe2.rve.particles import Particles
-    from surrofe2.tissue.history import ParticleFrames
+    from surrofe2.tissue.simulation import ParticleFrames
 
 Array = NDArray[np.float64]
 Series = Mapping[str, NDArray[Any]]

@@ -5,7 +5,7 @@ A boundary is the wall particles along the outline whose places on the grid of w
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -85,13 +85,8 @@ class Conditions:
 
     @cached_property
     def supports(self) -> tuple[Support, ...]:
-        """Components of particles that are held or moved, those along x first."""
-        supports = []
-        for support in supports_of(self.problem, self.places):
-            order = np.argsort(support.unknowns % 2, kind="stable")
-            supports.append(
-                replace(support, unknowns=support.unknowns[order], largest=support.largest[order])
-            )
+        """Components of particles that are held or moved."""
+        supports = supports_of(self.problem, self.places)
         return without_overlap(supports, self.tissue.outline, "particle")
 
     @property
@@ -261,8 +256,7 @@ class Conditions:
                 springs.append(np.outer(lengths, both))
                 owners.append(np.full(len(i), n))
         bonded, based = np.concatenate(pairs).ravel(), np.concatenate(points)
-        everyone = np.concatenate([bonded, based])
-        spring = np.concatenate(springs)
+        everyone, spring = np.concatenate([bonded, based]), np.concatenate(springs)
         return OutlineForces(
             at=self._address(everyone),
             load=np.concatenate([*numbers, *owners]),
@@ -295,11 +289,10 @@ class Conditions:
         if not inside.any():
             raise InputError(f"region {name}: it holds the middle of no plant cell")
         mine, whole = (
-            shares(tissue.cell, filled, tissue.column, tissue.row)
-            for filled in (inside, np.ones(tissue.cells, dtype=np.bool_))
+            tissue.each(tiled(shares(tissue.cell, filled, tissue.column, tissue.row)))
+            for filled in (inside, np.ones_like(inside))
         )
-        part = np.divide(mine, whole, out=np.zeros_like(whole), where=whole > 0.0)
-        return tissue.each(tiled(part))
+        return mine / whole
 
     def _address(self, i: Index) -> Index:
         """(k, 3) tile, own particle and lane of particles."""

@@ -21,8 +21,7 @@ from surrofe2.tissue.external_forces import (
 )
 from surrofe2.tissue.kernels import Acting, Body, Fluid, Particles, Watch, elastic_energy, leap
 from surrofe2.tissue.layout import NOWHERE, Tissue
-from surrofe2.tissue.pair_constants import DAMPING, WHOLE, Factors, PairConstants
-from surrofe2.tissue.pair_lists import PairLister
+from surrofe2.tissue.pair_lists import DAMPING, WHOLE, Factors, PairConstants, PairLister
 
 Array = NDArray[np.float64]
 
@@ -72,10 +71,9 @@ class TissueDynamics:
         self.free_mass = np.where(self.free.any(axis=1), self.mass, 0.0)
         n = tissue.particles
         self.loads = np.zeros((1, n, 2)) if load is None else load.reshape(-1, n, 2)
+        exists = tissue.exists
         self._body = Body(
-            per_mass=np.divide(
-                1.0, tissue.mass, out=np.zeros_like(tissue.mass), where=tissue.exists
-            ),
+            per_mass=np.divide(1.0, tissue.mass, out=np.zeros(exists.shape), where=exists),
             free=tissue.to_tiles(self.free.astype(np.float64)),
             loads=np.array([tissue.to_tiles(each) for each in self.loads]),
             work=np.zeros((len(self.loads), tissue.tiles, TILE)),
@@ -120,10 +118,20 @@ class TissueDynamics:
 
         With the `listed` of another run this one continues as that one would, bit by bit.
         """
-        tissue = self.tissue
-        own_x = tissue.to_tiles(x, tissue.start)
-        own_v = tissue.to_tiles(np.zeros_like(x) if v is None else v)
-        self._put(own_x, own_v, own_x if listed is None else tissue.to_tiles(listed, tissue.start))
+        tissue, tiles, own = self.tissue, self.tissue.tiles, self.tissue.own
+        at = tissue.to_tiles(x if listed is None else listed, tissue.start)
+        if self._listed is None or not np.array_equal(at, self._listed):
+            self._lists, constants = self._lister.make(at)
+            self._scaled = {WHOLE: constants}
+            self._listed = at
+            self.counts["list_builds"] += 1
+        shape = (tiles + 1, 2, self._lists.local, TILE)
+        particles = Particles(np.full(shape, NOWHERE), np.zeros(shape), np.zeros(shape))
+        particles.x[:-1, :, :own] = tissue.to_tiles(x, tissue.start)
+        particles.v[:-1, :, :own] = tissue.to_tiles(np.zeros_like(x) if v is None else v)
+        self._particles = particles
+        mean, nothing = np.zeros((tiles, 2, TILE)), np.zeros((tiles, TILE))
+        self._watch = Watch(at, mean, nothing, nothing.copy())
         if listed is not None:
             self.forces()  # so that how far they have moved since is known
 
@@ -168,7 +176,8 @@ class TissueDynamics:
         if with_outline:
             acting = Acting(self.driven, self.bodies, self.outline)
         if speeds is None:
-            speeds = np.zeros((count, self._motions))
+            motions = 1 + max([*self.driven.motion, *self.bodies.motion], default=-1)
+            speeds = np.zeros((count, motions))
         steps = Steps(
             np.stack([kicks, drifts], axis=1),
             np.ascontiguousarray(np.broadcast_to(amplitudes.T, (len(self.loads), count)).T),
@@ -180,7 +189,7 @@ class TissueDynamics:
         try:
             while len(steps.length):
                 if renewed:
-                    self._renew()
+                    self.place(self.x, self.v)
                 taken = leap(
                     self._particles, self._lists, self._constants(factors), self._lister.grid,
                     self._fluid, body, acting, self._watch, steps,
@@ -191,11 +200,6 @@ class TissueDynamics:
                 steps, renewed = Steps(*(each[taken:] for each in steps)), True
         finally:
             numba.set_num_threads(allowed)
-
-    @property
-    def _motions(self) -> int:
-        """How many amplitudes move particles or bodies, one more than the last number."""
-        return 1 + max([*self.driven.motion, *self.bodies.motion], default=-1)
 
     @property
     def f(self) -> Array:
@@ -221,9 +225,7 @@ class TissueDynamics:
 
     def free_forces(self, factors: Factors = WHOLE) -> Array:
         """`forces`, with none on particles that are held."""
-        f = self.forces(factors)
-        f[~self.free] = 0.0
-        return f
+        return np.where(self.free, self.forces(factors), 0.0)
 
     def dissipation_rate(self) -> float:
         """Power that dashpots and viscosity take, pJ/µs: −Σ v·f of those forces alone."""
@@ -246,27 +248,6 @@ class TissueDynamics:
         """½ Σ m v², pJ."""
         v = self._particles.v[:-1, :, : self.tissue.own]
         return 0.5 * float(np.sum(self.tissue.mass * (v * v).sum(axis=1)))
-
-    def _renew(self) -> None:
-        """New lists where the particles are now."""
-        own = self.tissue.own
-        x = np.ascontiguousarray(self._particles.x[:-1, :, :own])
-        self._put(x, self._particles.v[:-1, :, :own], x)
-
-    def _put(self, x: Array, v: Array, listed: Array) -> None:
-        """Own particles (tiles, 2, own, TILE) at x with v, lists made at `listed`."""
-        if self._listed is None or not np.array_equal(listed, self._listed):
-            self._lists, constants = self._lister.make(listed)
-            self._scaled = {WHOLE: constants}
-            self._listed = listed
-            self.counts["list_builds"] += 1
-        tiles, own = self.tissue.tiles, self.tissue.own
-        shape = (tiles + 1, 2, self._lists.local, TILE)
-        particles = Particles(np.full(shape, NOWHERE), np.zeros(shape), np.zeros(shape))
-        particles.x[:-1, :, :own], particles.v[:-1, :, :own] = x, v
-        self._particles = particles
-        mean, nothing = np.zeros((tiles, 2, TILE)), np.zeros((tiles, TILE))
-        self._watch = Watch(listed, mean, nothing, nothing.copy())
 
     def _constants(self, factors: Factors) -> PairConstants:
         """Of the listed pairs, with factors on their elastic and their damping part."""

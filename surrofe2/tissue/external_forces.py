@@ -1,17 +1,12 @@
 """What moves particles besides their own forces: prescribed motion, the outline, rigid bodies.
 
-Driven particles have in each step the mean velocity of their motion, so that they arrive where it
-leads. The work of what drives them is that of the force it takes, at the mean of the velocities
-before and after; at rest it is exact, else second order.
-
-The contact law is that of FE² (`problem.contact_law`), point by point: a particle i that may touch
-a body has the pressure of its gap g times L_i, the unloaded length of its part of the boundary. The
-spring and the dashpot act at the velocities at hand, as all forces do. Friction is that at the end
-of the kick, v₁ = v* − (kick/m) µ p L w₁/√(w₁² + s²), where v* is what all other forces make of v: a
-particle may so stick at any pressure without a shorter step. A body with a mass moves by leapfrog
-as particles do; one that follows a motion has in each step its mean velocity. What dashpots and
-friction dissipate is their force times the mean of the relative velocities before and after a kick,
-which closes the energy balance of the kick.
+Driven particles and bodies have in each step the mean velocity of their motion, so that they arrive
+where it leads; other bodies move by leapfrog. Contact is that of FE² (`problem.contact_law`), point
+by point: a particle has the pressure of its gap times L, the unloaded length of its part of the
+boundary. Friction is that at the end of the kick, v₁ = v* − (kick/m) µ p L w₁/√(w₁² + s²), where v*
+is what all other forces make of v, so that a particle may stick at any pressure without a shorter
+step. Works are forces times the mean of the velocities before and after a kick, which closes its
+energy balance.
 """
 
 from __future__ import annotations
@@ -144,7 +139,7 @@ NO_BODIES = BodyContacts(
 
 @kernel
 def drive_particles(v, drive, speed):
-    """Give driven particles the velocity of a step, in v (tiles + 1, 2, local, TILE)."""
+    """Give driven particles the velocity of a step."""
     for k in range(drive.motion.shape[0]):
         t, axis, i, lane = drive.at[k, 0], drive.at[k, 1], drive.at[k, 2], drive.at[k, 3]
         drive.before[k] = v[t, axis, i, lane]
@@ -153,10 +148,7 @@ def drive_particles(v, drive, speed):
 
 @kernel
 def add_driving_work(particles, loads, drive, kick, amplitude):
-    """Add the work of a step's drive, with the forces that it was taken by.
-
-    loads: (loads, tiles, 2, own, TILE); amplitude: (loads,).
-    """
+    """Add the work of a step's drive: of the force that it takes besides all others."""
     work = 0.0
     for k in range(drive.motion.shape[0]):
         t, axis, i, lane = drive.at[k, 0], drive.at[k, 1], drive.at[k, 2], drive.at[k, 3]
@@ -170,10 +162,7 @@ def add_driving_work(particles, loads, drive, kick, amplitude):
 
 @kernel
 def add_outline_forces(particles, outline, amplitude):
-    """Add forces on the outline to f of own particles; set force, before and total.
-
-    amplitude: (loads,).
-    """
+    """Add forces on the outline to f of own particles; set force, before and total."""
     x, v, f, at = particles.x, particles.v, particles.f, outline.at
     outline.total[:] = 0.0
     bonds = outline.pressure.shape[0]
@@ -263,10 +252,7 @@ def _gap(x, y, kind, outline):
 
 @kernel
 def add_friction(particles, body, bodies, kick, amplitude, speed):
-    """Add friction to f of own particles, which has all other forces, and to that of the bodies.
-
-    body: `kernels.Body`; amplitude: (loads,); speed: (motions,) of the step.
-    """
+    """Add friction to f of own particles, which has all other forces, and to that of the bodies."""
     v, f, loads = particles.v, particles.f, body.loads
     for b in range(bodies.starts.shape[0] - 1):
         law = bodies.law[b, 3], bodies.law[b, 4]

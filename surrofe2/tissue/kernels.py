@@ -51,7 +51,7 @@ from surrofe2.tissue.external_forces import (
     drive_particles,
     move_bodies,
 )
-from surrofe2.tissue.pair_constants import FluidConstants, bond_at, contact_at, fluid_at
+from surrofe2.tissue.pair_lists import FluidConstants, bond_at, contact_at, fluid_at
 
 Array = NDArray[np.float64]
 

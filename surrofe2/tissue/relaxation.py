@@ -1,9 +1,7 @@
 """The tissue at rest without load, `relax`, and the longest step that it bears, `stable_step`.
 
-`relax` is damped dynamics to a stated residual force. Dashpots and viscosity, which do not change
-the equilibrium, are taken out, and a drag −c m v on every particle is put in. Critical drag of the
-slowest mode, c = 2 ω, is the fastest; ω² is estimated on the way from how forces change with
-positions, −Δx·Δf/(Δx·m Δx) (adaptive dynamic relaxation). Leapfrog with implicit drag:
+`relax` is adaptive dynamic relaxation: a drag −c m v in place of dashpots and viscosity, critical
+for the slowest mode, c = 2 ω, with ω² = −Δx·Δf/(Δx·m Δx) on the way. Leapfrog with implicit drag:
 v ← [(1 − c Δt/2) v + Δt f/m]/(1 + c Δt/2), x ← x + Δt v.
 
 With lagged velocities a mode of stiffness κ and damping c by its mass is stable while
@@ -25,7 +23,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.tissue.dynamics import TissueDynamics
 from surrofe2.tissue.layout import make_tissue
-from surrofe2.tissue.pair_constants import ELASTIC
+from surrofe2.tissue.pair_lists import ELASTIC
 
 Array = NDArray[np.float64]
 

@@ -1,15 +1,7 @@
 """The full microscopic tissue under load, from start to end: `simulate_tissue`.
 
-Leapfrog with lagged velocities in the dashpots, one force evaluation a step::
-
-    v_{k+1/2} = v_{k−1/2} + Δt [f(x_k, v_{k−1/2}) + load(t_k)]/m,    x_{k+1} = x_k + Δt v_{k+1/2}
-
-begun and ended with half a kick where positions and velocities are wanted at one time: at every
-sample of the energies. Because v_{k−1/2} stands for v_k in velocity-dependent forces, the method
-is first order in Δt; without damping it is second order. Stable to about 2.4e-3 µs with critical
-damping (docs/theory.md), which limits the step before accuracy does: `stable_step`. On the paper's
-bar the default of 2e-3 µs moves the watched point by less than 1e-4 µm in the first 30 µs, 3e-6 of
-its way, by comparison with steps of 1e-3 and 5e-4.
+Leapfrog with one force evaluation a step (docs/theory.md, full tissue), begun and ended with half a
+kick where positions and velocities are wanted at one time: at every sample of the energies.
 
 Supports are held and bodies are away while the tissue relaxes. Displacements, forces and energies
 count from there. Bodies meet the outline that the problem states: a particle touches one where its
@@ -19,23 +11,38 @@ place on the grid of walls, moved by its displacement, does.
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import ClassVar
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.compilation import clock
 from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.problem.mesh import extent
-from surrofe2.problem.problem import Problem
+from surrofe2.problem.problem import Problem, label
+from surrofe2.run.displacement_curve import DisplacementCurve
+from surrofe2.run.journal import (
+    Journal,
+    RunState,
+    curves_of,
+    frame_series,
+    history_of,
+    named_columns,
+    part_of,
+)
 from surrofe2.run.loop import carry_out
+from surrofe2.run.views import Facts, ViewedRun, course
 from surrofe2.tissue.conditions import Conditions
 from surrofe2.tissue.dynamics import TissueDynamics
-from surrofe2.tissue.history import Recorder, TissueRun, TissueState, columns_of
 from surrofe2.tissue.layout import make_mixed_tissue
+from surrofe2.tissue.pair_lists import bonded_particles
 from surrofe2.tissue.relaxation import LONGEST, relax, rounded_step, safe_step, stable_step
 from surrofe2.tissue.settings import TissueSettings
 
@@ -47,6 +54,299 @@ References = ReferenceState | Sequence[ReferenceState]
 DEFAULTS = TissueSettings()
 _STATE = 2
 """Version of what a state holds."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TissueState(RunState):
+    """A run at an output time: all that is needed to carry it on, bit by bit, and its results.
+
+    Attributes:
+        relaxed, x, v: (particles, 2) the unloaded equilibrium, positions and velocities, µm and
+            µm/µs. listed: (particles, 2) positions at which the pair lists in use were made.
+        elastic: stored energy of the unloaded tissue, pJ; resting: (k, 2) forces there, µN.
+        bodies: (2, b, 2) position and velocity of rigid bodies.
+        journal: ``rows`` (r, c) at the output times passed, the columns of `columns_of`;
+            ``frames.…`` as of `ParticleFrames`.
+        identity: numbers that a run to be resumed must share.
+        seconds: of `relaxation` and `run`. counts: `steps`, `force_evaluations`, `list_builds`.
+    """
+
+    SERIES: ClassVar[tuple[str, ...]] = (
+        "rows", "frames.t", "frames.displacement", "frames.velocity"
+    )  # fmt: skip
+
+    relaxed: Array
+    x: Array
+    v: Array
+    listed: Array
+    elastic: float
+    resting: Array
+    bodies: Array
+    journal: Journal
+    identity: Array
+    seconds: dict[str, float]
+    counts: dict[str, int]
+
+    @property
+    def rows(self) -> int:
+        """Output times passed."""
+        return self.journal.lengths["rows"]
+
+
+@dataclass(frozen=True, slots=True)
+class ParticleFrames:
+    """Particle fields at k times: t (k,) µs; displacement, velocity (k, particles, 2)."""
+
+    t: Array
+    displacement: Array
+    velocity: Array
+
+
+@dataclass(frozen=True, slots=True)
+class TissueRun(ViewedRun):
+    """A run, or with `finished` False the part of it that was computed.
+
+    Attributes:
+        curve: displacement of the first watched particle from the unloaded equilibrium; `curves`
+            by name that of all.
+        energies: by name, (m,) pJ at the output times: `kinetic`; `internal`, the work of the
+            internal forces, and of that `elastic`, stored since the unloaded equilibrium; the work
+            of each load, and `motion`, that of what moves supports and bodies; `contact`, stored,
+            and `contact dissipated`; `dissipated` by dashpots and viscosity; `balance`, what work
+            and first kinetic energy exceed the others by, the error of the time integration.
+        history: by name, (m,), as of a finite-element run: forces on the tissue in µN since the
+            unloaded equilibrium, mean displacement of boundaries, position and penetration of
+            bodies in µm.
+        position: (particles, 2) the unloaded equilibrium, µm; walls first.
+        bonds: (b, 2) bonded wall particles. is_wall: (particles,).
+        frames: particle fields at a few times.
+        wall_time: s, `total`, `relaxation` and `run`.
+        counts: `steps`, `force_evaluations`, `list_builds`, `particles`, `particle_steps`.
+    """
+
+    curve: DisplacementCurve
+    curves: dict[str, DisplacementCurve]
+    energies: dict[str, Array]
+    history: dict[str, Array]
+    position: Array
+    bonds: NDArray[np.int64]
+    is_wall: NDArray[np.bool_]
+    frames: ParticleFrames
+    wall_time: dict[str, float]
+    counts: dict[str, int]
+    threads: int
+    finished: bool
+
+    def facts(self) -> Facts:
+        return {
+            "particles": f"{self.counts['particles']:,}",
+            **course(self.curve, self.wall_time, self.counts),
+            "finished": "yes" if self.finished else "no",
+        }
+
+
+_COUNTS = ("steps", "force_evaluations", "list_builds")
+_WORKS = ("bodies", "motion", "contact dissipated", "dissipated")
+"""What `Recorder.record` takes besides the works of loads."""
+
+
+def columns_of(conditions: Conditions) -> list[str]:
+    """What a row of the history holds: vectors by component, then numbers."""
+    problem = conditions.problem
+    vectors = [f"displacement {name}" for name in problem.watched]
+    vectors += [f"mean displacement {name}" for name in problem.acted_boundaries()]
+    vectors += [f"force {name}" for name in conditions.acting]
+    vectors += [f"position {body.name}" for body in problem.bodies]
+    both = [f"{name} {axis}" for name in vectors for axis in "xy"]
+    depths = [f"penetration {body.name}" for body in problem.bodies]
+    works = [*(label(each) for each in conditions.loads), *_WORKS]
+    energies = ["kinetic", "elastic", "contact", *works]
+    return [*both, *depths, *(f"energy.{name}" for name in energies)]
+
+
+class Recorder:
+    """Takes down what a run finds; its state is replaced as a whole, so no interrupt tears it."""
+
+    def __init__(
+        self,
+        conditions: Conditions,
+        settings: TissueSettings,
+        dynamics: TissueDynamics,
+        identity: Array,
+    ) -> None:
+        self._dynamics = dynamics
+        self._conditions, problem = conditions, conditions.problem
+        self._identity = identity
+        self._t = problem.output_times()
+        frames = np.linspace(0.0, problem.duration, settings.frames)
+        self._frame_rows = np.searchsorted(self._t * (1.0 + 1e-12), frames)
+        tissue = dynamics.tissue
+        start = tissue.to_particles(tissue.start)
+        watched = [*problem.watched.values()]
+        self._watched = np.hypot(*(start[:, None] - np.array(watched)).T).argmin(axis=1)
+        self._means = [
+            (conditions.boundary(name), conditions.lengths(name))
+            for name in problem.acted_boundaries()
+        ]
+        self._created = clock()
+        self._state: TissueState
+
+    def begin(self, velocity: Array, rates: Array) -> None:
+        """Record the tissue at rest and, with the velocities of `TissueDynamics.start`, t = 0."""
+        dynamics = self._dynamics
+        relaxed = dynamics.x
+        self._started = clock()
+        dynamics.counts.clear()
+        elastic = dynamics.elastic_energy()
+        resting = self._forces(0.0, np.zeros(len(self._conditions.loads)))
+        works = np.zeros(len(self._conditions.loads) + len(_WORKS))
+        works[-3] = dynamics.start(velocity, rates)
+        v = dynamics.v
+        state = TissueState(
+            relaxed=relaxed,
+            x=relaxed,
+            v=v,
+            listed=dynamics.listed,
+            elastic=elastic,
+            resting=resting,
+            bodies=np.stack([dynamics.bodies.x, dynamics.bodies.v]),
+            journal=Journal.of({}),
+            identity=self._identity,
+            seconds={"relaxation": self._started - self._created},
+            counts={},
+        )
+        rows = {"rows": self._row(0.0, state, works)[None]}
+        rows |= frame_series(ParticleFrames(np.zeros(1), 0.0 * relaxed[None], v[None]))
+        self._state = self._with_counts(replace(state, journal=Journal.of(rows)))
+
+    def restore(self, state: TissueState) -> None:
+        """Continue from where `state` was taken."""
+        dynamics = self._dynamics
+        dynamics.bodies.x[:], dynamics.bodies.v[:] = state.bodies
+        dynamics.place(state.x, state.v, state.listed)
+        dynamics.counts = Counter(state.counts)
+        self._state = replace(state, journal=state.journal.copy())
+        self._started = clock() - state.seconds["run"]
+
+    def record(self, steps: int, works: Array) -> None:
+        """Record the next output time, `steps` after the last.
+
+        Args:
+            works: (loads + 4,) since then, of the loads, of `acceleration` on bodies, of what moves
+                supports and bodies, lost in contact and in the tissue, pJ.
+        """
+        dynamics, before = self._dynamics, self._state
+        dynamics.counts["steps"] += steps
+        row, t = before.rows, self._t[before.rows]
+        x, v = dynamics.x, dynamics.v
+        works = before.journal["rows"][-1, -len(works) :] + works
+        journal = before.journal.written({"rows": self._row(t, before, works)[None]})
+        if row in self._frame_rows:
+            frame = ParticleFrames(np.array([t]), (x - before.relaxed)[None], v[None])
+            journal = journal.written(frame_series(frame))
+        bodies = np.stack([dynamics.bodies.x, dynamics.bodies.v])
+        self._state = self._with_counts(
+            replace(before, x=x, v=v, listed=dynamics.listed, bodies=bodies, journal=journal)
+        )
+
+    @property
+    def rows(self) -> int:
+        """Output times passed."""
+        return self._state.rows
+
+    @property
+    def may_be_kept(self) -> bool:
+        """Always: what is recorded is replaced as a whole."""
+        return True
+
+    def checkpoint(self) -> TissueState:
+        """The state at the last output time recorded."""
+        return replace(self._state, journal=self._state.journal.copy())
+
+    def _with_counts(self, state: TissueState) -> TissueState:
+        counts = {name: self._dynamics.counts[name] for name in _COUNTS}
+        seconds = state.seconds | {"run": clock() - self._started}
+        return replace(state, counts=counts, seconds=seconds)
+
+    def _row(self, t: float, before: TissueState, works: Array) -> Array:
+        """What `columns_of` lists; works: since t = 0, else as of `record`."""
+        dynamics, bodies = self._dynamics, self._dynamics.bodies
+        u = dynamics.x - before.relaxed
+        factors = self._factors(t)
+        kinetic = dynamics.kinetic_energy()
+        elastic = dynamics.elastic_energy(factors) - before.elastic
+        free = bodies.per_mass > 0.0
+        kinetic += 0.5 * float(((bodies.v[free] ** 2).sum(axis=1) / bodies.per_mass[free]).sum())
+        start = np.array([body.position for body in self._conditions.problem.bodies])
+        vectors = [
+            *u[self._watched],
+            *(length @ u[i] / length.sum() for i, length in self._means),
+            *(self._forces(t, factors) - before.resting),
+            *(bodies.x - start.reshape(-1, 2)),
+        ]
+        return np.array(
+            [*np.ravel(vectors), *bodies.depth, kinetic, elastic, bodies.stored.sum(), *works]
+        )
+
+    def _factors(self, t: float) -> Array:
+        """(loads,) amplitudes."""
+        return np.array([each.at(t, t)[0] for each in self._conditions.load_amplitudes])
+
+    def _forces(self, t: float, factors: Array) -> Array:
+        """(k, 2) resultants on the tissue of supports, loads and bodies at the last forces, µN.
+
+        Supports give what their particles need: M a − forces − loads.
+        """
+        dynamics = self._dynamics
+        needed, pulled = -dynamics.f, dynamics.outline.total.copy()
+        for n, factor in enumerate(factors):
+            pull = factor * dynamics.loads[n]
+            needed -= pull
+            pulled[n] += pull.sum(axis=0)
+        reactions = []
+        for support in self._conditions.supports:
+            i, axis = np.divmod(support.unknowns, 2)
+            second = support.amplitude.at(t, t)[2] * support.largest
+            force = needed[i, axis] + dynamics.mass[i] * second
+            reactions.append(np.bincount(axis, force, 2))
+        return np.array([*reactions, *pulled, *dynamics.bodies.force])
+
+    def run(self, finished: bool) -> TissueRun:
+        """The results so far."""
+        state, tissue = self._state, self._dynamics.tissue
+        problem = self._conditions.problem
+        columns = named_columns(columns_of(self._conditions), state.journal["rows"])
+        curves = curves_of(self._t[: state.rows], columns)
+        energies = part_of(columns, "energy")
+        lost = ("kinetic", "elastic", "contact", "contact dissipated", "dissipated")
+        balance = np.sum([-e if name in lost else e for name, e in energies.items()], axis=0)
+        energies["balance"] = balance - balance[0]
+        internal = energies["elastic"] + energies["dissipated"]
+        energies = {"kinetic": energies["kinetic"], "internal": internal, **energies}
+        if not any(body.mass is not None for body in problem.bodies):
+            del energies["bodies"]
+        if not self._conditions.motions:
+            del energies["motion"]
+        if not problem.bodies:
+            del energies["contact"], energies["contact dissipated"]
+        return TissueRun(
+            curve=next(iter(curves.values())),
+            curves=curves,
+            energies=energies,
+            history=history_of(columns),
+            position=state.relaxed,
+            bonds=bonded_particles(tissue),
+            is_wall=np.arange(tissue.particles) < tissue.wall_particles,
+            frames=ParticleFrames(**state.journal.part("frames")),
+            wall_time={"total": sum(state.seconds.values()), **state.seconds},
+            counts={
+                **state.counts,
+                "particles": tissue.particles,
+                "particle_steps": tissue.particles * state.counts["steps"],
+            },
+            threads=numba.get_num_threads(),
+            finished=finished,
+        )
 
 
 def simulate_tissue(
@@ -86,7 +386,7 @@ def simulate_tissue(
         MismatchError: `resume` is of another run, `reference` of another cell.
     """
     conditions = make_conditions(problem, cell, reference, kind)
-    bears = step_at_rest(conditions, cell, reference)
+    bears = step_at_rest(conditions)
     settings = with_step(settings, bears)
     problem.check_course()
     dynamics = held_and_loaded(conditions, settings)
@@ -150,12 +450,11 @@ def make_conditions(
     return conditions
 
 
-def step_at_rest(conditions: Conditions, cell: Cells, reference: References) -> float:
+def step_at_rest(conditions: Conditions) -> float:
     """The longest step, µs, that each type of plant cell bears, with what acts on the outline."""
-    types = [cell] if isinstance(cell, CellParameters) else cell
-    references = [reference] if isinstance(reference, ReferenceState) else reference
-    outside = conditions.stiffest()
-    return min(stable_step(*each, outside) for each in zip(types, references, strict=True))
+    tissue, outside = conditions.tissue, conditions.stiffest()
+    types = zip(tissue.types, tissue.references, strict=True)
+    return min(stable_step(cell, reference, outside) for cell, reference in types)
 
 
 def with_step(settings: TissueSettings, bears: float) -> TissueSettings:

@@ -68,7 +68,7 @@ def run_tissue(
     problem, cells, kind = tissue_of(recipe)
     references = [kept_reference(part) for part in recipe.parts().values()]
     conditions = make_conditions(problem, cells, references, kind)
-    bears = step_at_rest(conditions, cells, references)
+    bears = step_at_rest(conditions)
     recipe = replace(recipe, tissue=with_step(recipe.tissue, bears))
     before = seconds_compiling()
 

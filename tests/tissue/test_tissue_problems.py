@@ -314,7 +314,7 @@ def test_stiff_plate_shortens_the_step(reference):
     steps = []
     for bodies in ((), (LOWER,), (replace(LOWER, stiffness=1e5),)):
         conditions = make_conditions(replace(PRESSED, bodies=bodies), cell, at_rest)
-        steps.append(step_at_rest(conditions, cell, at_rest))
+        steps.append(step_at_rest(conditions))
     assert steps[0] > steps[1] > 0.9 * steps[0]
     assert steps[2] < 0.6 * steps[0]
     done = run(reference, replace(PRESSED, bodies=(replace(LOWER, stiffness=1e5), UPPER)))
