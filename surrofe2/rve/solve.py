@@ -73,7 +73,13 @@ class Solved:
         """Nothing known yet."""
         answer = empty_answer(len(drive.F))
         state = replace(
-            start, F=drive.F, F_dot=drive.rate, iterations=answer.iterations, is_checked=cold
+            start,
+            z=start.z.copy(),
+            F=drive.F,
+            F_dot=drive.rate,
+            near=near,
+            iterations=answer.iterations,
+            is_checked=cold,
         )
         status = np.zeros(answer.iterations.shape, dtype=np.int8)
         covered = np.ones(status.shape, dtype=np.bool_)
@@ -167,7 +173,8 @@ def solve_rves(
         part.near = unit.neighbours.everywhere(part.drive.F, part.start.z)
         _initialise(part)
         solved.put(index, part)
-    solved.state = replace(solved.state, near=solved.near)
+    if solved.near is not near:
+        solved.state = replace(solved.state, near=solved.near)
     return solved
 
 
@@ -213,8 +220,7 @@ def _iterate(solved: Solved) -> None:
 def _solve(solved: Solved) -> None:
     """With kept factors where they serve, else by Newton's method, else along a path."""
     start, iterations, felt = solved.start, solved.answer.iterations, solved.felt
-    z = start.z.copy()
-    solved.state = replace(solved.state, z=z)
+    z = solved.state.z
     if solved.cold:
         iterations[np.abs(felt.F - start.F).max(axis=(1, 2)) > _NEAR] = OPEN
     at = Drive(start.F, dashpot_rate(solved.settings.initialisation, start.F_dot))
