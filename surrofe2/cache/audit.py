@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from surrofe2.base.simd import TILE
 from surrofe2.base.tensors import stress_error
@@ -28,7 +29,6 @@ Array = NDArray[np.float64]
 
 BATCH = 16
 """Audits that wait for each other: RVEs are solved several at once for little more than one."""
-_AT_ONCE = 32  # points whose distances to all others are at hand
 BINS_A_DECADE = 50
 """A quantile is the upper edge of its bin: at most 4.7 % too large, never too small."""
 _LOWEST, _HIGHEST = -12, 6
@@ -75,9 +75,8 @@ class ErrorRecord:
         self.unsolved += len(error) - len(known)
         self.violations += int(broken.sum())
         self.sum_of_squares += float(known @ known)
-        self.stress_squares += float(
-            (np.broadcast_to(size, error.shape) ** 2)[~np.isnan(error)].sum()
-        )
+        sizes = np.broadcast_to(size, error.shape)[~np.isnan(error)]
+        self.stress_squares += float((sizes**2).sum())
         np.add.at(self.bins, np.searchsorted(_EDGES, known, side="left"), 1)
         return broken
 
@@ -85,10 +84,9 @@ class ErrorRecord:
     def says_little(self) -> bool:
         """Whether errors as large as the stresses themselves would have been let pass, by as many
         audits as a window has: fewer may all have been near rest."""
-        solved, is_known = self.audited - self.unsolved, np.isfinite(self.tolerance)
-        return bool(
-            is_known and solved >= AUDITS and self.stress_squares < solved * self.tolerance**2
-        )
+        solved = self.audited - self.unsolved
+        is_known = np.isfinite(self.tolerance) and solved >= AUDITS
+        return bool(is_known and self.stress_squares < solved * self.tolerance**2)
 
     def quantile(self, share: float) -> float:
         """The error that a share of the solved audits does not exceed, µN/µm; NaN without any."""
@@ -116,9 +114,7 @@ class ErrorRecord:
             "tolerance": self.tolerance,
             "rms": float(np.sqrt(self.sum_of_squares / solved)) if solved else None,
             "largest": self.largest if solved else None,
-            "quantiles": {f"{share:g}": self.quantile(share) for share in QUANTILES}
-            if solved
-            else {},
+            "quantiles": {f"{q:g}": self.quantile(q) for q in QUANTILES if solved},
             "histogram": {
                 "bins_a_decade": BINS_A_DECADE,
                 "smallest_edge": float(_EDGES[0]),
@@ -210,7 +206,7 @@ class Audit:
         if self._fraction == 0.0 or not len(points):
             return False
         draw, fraction = self._random.random(len(points)), min(1.0, more * self._fraction)
-        short = AUDITS - self.record.audited - self._count(self._waiting)
+        short = AUDITS - self.record.audited - _count(self._waiting)
         if short <= 0:
             self._spare = []
         chosen = (draw < (max(fraction, self._below) if short > 0 else fraction)).nonzero()[0]
@@ -224,10 +220,10 @@ class Audit:
             self._waiting.append(asked.only(now))
         if short > 0 and not now.all():
             self._spare.append(asked.only(~now))
-            if self._count(self._spare) > 2 * AUDITS:
+            if _count(self._spare) > 2 * AUDITS:
                 self._spare = [self._smallest(short)]
                 self._below = float(self._spare[0].draw.max())
-        return self._count(self._waiting) >= BATCH
+        return _count(self._waiting) >= BATCH
 
     def begin(self) -> None:
         """A window begins: answers before it stand, and are not remembered any more."""
@@ -235,7 +231,7 @@ class Audit:
 
     def end(self) -> None:
         """The run is over: let as many wait as it is short of `trust.AUDITS` audits."""
-        short = AUDITS - self.record.audited - self._count(self._waiting)
+        short = AUDITS - self.record.audited - _count(self._waiting)
         if short > 0 and self._spare:
             self._waiting.append(self._smallest(short))
         self._spare = []
@@ -244,9 +240,6 @@ class Audit:
         """The remembered answers with the smallest draws, at most so many, in the order of time."""
         spare = _joined(self._spare)
         return spare.only(np.sort(np.argsort(spare.draw, kind="stable")[:count]))
-
-    def _count(self, questions: list[Question]) -> int:
-        return sum(len(each.points) for each in questions)
 
     def run(self, *, whole: bool = True) -> Finding | None:
         """Audit what waits, or of several steps as much as fills tiles of RVEs; None: nothing."""
@@ -257,7 +250,7 @@ class Audit:
         left = 0 if whole or one_step else len(asked.points) % TILE
         if left:
             self._waiting = [asked.only(np.arange(len(asked.points))[-left:])]
-            asked = asked.only(np.arange(len(asked.points))[:-left])
+            asked = asked.only(np.arange(len(asked.points) - left))
         truth = self._solve(asked)
         error = stress_error(asked.stress, truth.stress)
         local = self._surrogate.local_tolerance(asked.F, asked.F_dot)
@@ -343,6 +336,10 @@ class Audit:
         }
 
 
+def _count(questions: list[Question]) -> int:
+    return sum(len(each.points) for each in questions)
+
+
 def _joined(questions: list[Question]) -> Question:
     return Question(*(np.concatenate(part) for part in zip(*questions, strict=True)))
 
@@ -354,8 +351,4 @@ def together(F: Array, F_dot: Array) -> Array:
 
 def nearest(known: Array, asked: Array) -> Indices:
     """(n,) the place in `known` (k, 8), k ≥ 1, that is nearest to each of `asked` (n, 8)."""
-    places = [
-        ((known - asked[k : k + _AT_ONCE, None]) ** 2).sum(axis=2).argmin(axis=1)
-        for k in range(0, len(asked), _AT_ONCE)
-    ]
-    return np.concatenate(places)
+    return np.asarray(cKDTree(known).query(asked)[1], dtype=np.intp)

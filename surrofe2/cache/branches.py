@@ -132,26 +132,17 @@ class Narrowed:
     reach: Array
 
     def lookup(self, F: Array, F_dot: Array, limit: float) -> tuple[Array, NDArray[np.int8], Array]:
-        """As of `Surrogate`."""
         stress, status, risk = self.surrogate.lookup(F, F_dot, limit)
-        beyond = self._refuse(F, F_dot, status, risk)
-        stress[beyond] = np.nan
+        known = np.flatnonzero(status == 0)
+        x, _ = to_inputs(F[known], F_dot[known])
+        beyond = known[(np.abs(x) > self.reach).any(axis=1)]
+        stress[beyond], status[beyond], risk[beyond] = np.nan, Status.NOT_TRUSTED, np.inf
         return stress, status, risk
 
     def status_and_risk(
         self, F: Array, F_dot: Array, limit: float
     ) -> tuple[NDArray[np.int8], Array]:
-        """As of `Surrogate`."""
-        status, risk = self.surrogate.status_and_risk(F, F_dot, limit)
-        self._refuse(F, F_dot, status, risk)
-        return status, risk
-
-    def _refuse(self, F: Array, F_dot: Array, status: NDArray[np.int8], risk: Array) -> Indices:
-        known = np.flatnonzero(status == 0)
-        x, _ = to_inputs(F[known], F_dot[known])
-        beyond: Indices = known[(np.abs(x) > self.reach).any(axis=1)]
-        status[beyond], risk[beyond] = Status.NOT_TRUSTED, np.inf
-        return beyond
+        return self.lookup(F, F_dot, limit)[1:]
 
 
 def trusted(surrogate: Surrogate, reach: Array | None, share: float = 1.0) -> Surrogate | Narrowed:
@@ -253,34 +244,26 @@ def state_of_both(first: Any, count: int, second: Any, more: int) -> Any:
     """The fallback's state for `count` points and then `more` others; None: it keeps none."""
     if first is None or second is None:
         return second if first is None else first
-    places = np.zeros(count + more, dtype=np.intp)  # any will do for those to be put over
-    places[:count] = np.arange(count)
+    places = np.append(np.arange(count), np.zeros(more, dtype=np.intp))  # the rest is put over
     return first.take(places).put(np.arange(count, count + more), second)
 
 
 def beyond_bifurcation(state: Any, count: int) -> NDArray[np.bool_]:
     """(count,) whether the fallback's state says that the stress there is one of several."""
-    left: NDArray[np.bool_]
-    left = np.zeros(count, dtype=np.bool_) if state is None else state.left_points
-    return left
+    return np.zeros(count, dtype=np.bool_) if state is None else np.asarray(state.left_points)
 
 
 def answer_both(
-    law: Fallback,
-    F: Array,
-    F_dot: Array,
-    known: PointSet,
-    new: Indices,
-    *,
-    tangents: bool = False,
+    law: Fallback, F: Array, F_dot: Array, known: PointSet, new: Indices, *, tangents: bool = False
 ) -> StressResponse:
     """The law at the known points, warm, and then at new ones, cold."""
+    at_known = F[known.points], F_dot[known.points]
     if not len(new):
-        return law.respond(F[known.points], F_dot[known.points], known.state, tangents=tangents)
+        return law.respond(*at_known, known.state, tangents=tangents)
     cold = law.respond(F[new], F_dot[new], None, tangents=tangents)
     if not len(known):
         return cold
-    warm = law.respond(F[known.points], F_dot[known.points], known.state, tangents=tangents)
+    warm = law.respond(*at_known, known.state, tangents=tangents)
     return StressResponse(
         np.concatenate([warm.stress, cold.stress]),
         np.concatenate([warm.status, cold.status]),
@@ -291,19 +274,15 @@ def answer_both(
 
 
 def accept_known(
-    law: Fallback,
-    F: Array,
-    F_dot: Array,
-    response: StressResponse,
+    law: Fallback, F: Array, F_dot: Array, response: StressResponse
 ) -> tuple[CachedState, Acceptance]:
     """The state after the fallback has accepted its points, and what it said, for all points."""
     state: CachedState = response.state
     points = state.on_fallback.points
     if not len(points):
         return state, Acceptance(response.status)
-    answer = StressResponse(
-        response.stress[points], response.status[points], state.on_fallback.state
-    )
+    warm = state.on_fallback.state
+    answer = StressResponse(response.stress[points], response.status[points], warm)
     accepted = law.accept(F[points], F_dot[points], answer)
     status = response.status.copy()
     status[points] = accepted.status
@@ -319,10 +298,8 @@ def joined_tangents(first: Tangents | None, second: Tangents | None) -> Tangents
     """Tangents of both, one after the other; of either where the other has none."""
     if first is None or second is None:
         return second if first is None else first
-    return Tangents(
-        np.concatenate([first.P_by_F, second.P_by_F]),
-        np.concatenate([first.P_by_F_dot, second.P_by_F_dot]),
-    )
+    pairs = (first.P_by_F, second.P_by_F), (first.P_by_F_dot, second.P_by_F_dot)
+    return Tangents(*map(np.concatenate, pairs))
 
 
 def tangents_of_both(
@@ -339,7 +316,4 @@ def tangents_of_both(
 
 def added(effort: Mapping[str, int], more: Mapping[str, int]) -> dict[str, int]:
     """Sum by name."""
-    total = dict(effort)
-    for name, value in more.items():
-        total[name] = total.get(name, 0) + value
-    return total
+    return {name: effort.get(name, 0) + more.get(name, 0) for name in {**effort, **more}}

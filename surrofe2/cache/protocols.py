@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,40 +20,36 @@ MOST_SPREAD = 2.0
 _PROBE = 0.1  # of the range: within it moduli are constant enough
 
 
+OnTrueAnswer = Callable[[Array, Array, Array, NDArray[np.int8], NDArray[np.int8]], None]
+"""Takes every RVE answer that a run has paid for, at accepted steps: F, Ḟ and stress (n, 2, 2),
+status (n,), and why (n,): 0 fallback, 1 audit."""
+
+
 class Surrogate(Protocol):
-    """A stress that is quick to look up, and says where it may not be asked."""
+    """A stress that is quick to look up, and says where it may not be used.
+
+    cell, initialisation: of the RVE whose stress was learnt. density: mass per reference area,
+    ng/µm². range: bounds outside which there is no answer; None: not known. stress_spread: µN/µm,
+    the unit of the user's tolerance. is_calibrated: whether the risk is finite anywhere. learns:
+    whether RVE answers change it; one that learns may begin empty.
+    """
 
     @property
-    def cell(self) -> CellParameters:
-        """Parameters of the plant cell whose stress was learnt."""
-
+    def cell(self) -> CellParameters: ...
     @property
-    def initialisation(self) -> str:
-        """How its RVE was initialised."""
-
+    def initialisation(self) -> str: ...
     @property
-    def density(self) -> float | NDArray[np.float64]:
-        """Mass per reference area, ng/µm²."""
-
+    def density(self) -> float | NDArray[np.float64]: ...
     @property
-    def range(self) -> SamplingRange | None:
-        """Bounds outside which there is no answer, to say what left them; None: not known."""
-
+    def range(self) -> SamplingRange | None: ...
     @property
-    def stress_spread(self) -> float:
-        """Spread of the stress, µN/µm: the unit of the user's tolerance."""
-
+    def stress_spread(self) -> float: ...
     @property
-    def is_calibrated(self) -> bool:
-        """Whether the risk of `lookup` is known by now; else it is infinite."""
-
+    def is_calibrated(self) -> bool: ...
     @property
-    def has_tangents(self) -> bool:
-        """Whether `tangents` answers."""
-
+    def has_tangents(self) -> bool: ...
     @property
-    def learns(self) -> bool:
-        """Whether true answers change it; one that learns may begin empty."""
+    def learns(self) -> bool: ...
 
     def with_tolerance(self, tolerance: float, relative: float) -> Surrogate:
         """The same, whose risks are by this tolerance; shares of the spread, and of the local
@@ -65,24 +61,24 @@ class Surrogate(Protocol):
     def lookup(
         self, F: Array, F_dot: Array, limit: float = np.inf
     ) -> tuple[Array, NDArray[np.int8], Array]:
-        """(stress (n, 2, 2) in µN/µm, status (n,), risk (n,)) in one pass.
+        """(stress (n, 2, 2) in µN/µm, status (n,), risk (n,)) in one pass; pure.
 
         The risk is the bound of the error over the error allowed at the point.
 
         Input is contiguous float64 (n, 2, 2), else unchecked: status 0 only where it is finite,
-        det F > 0, the point is in range and the risk is at most `limit`. Pure.
+        det F > 0, the point is in range and the risk is at most `limit`.
         """
 
     def status_and_risk(
         self, F: Array, F_dot: Array, limit: float = np.inf
     ) -> tuple[NDArray[np.int8], Array]:
-        """Those of `lookup`, for less where no stress is needed: asked for a step ahead."""
+        """Those of `lookup`, for less where no stress is needed."""
 
     def tangents(self, F: Array, F_dot: Array) -> Tangents:
         """Of the stress of `lookup`, for implicit macro steps; InputError where it has none."""
 
     def learn(self, F: Array, F_dot: Array, stress: Array, state: Any = None) -> None:
-        """Take in true answers (m, 2, 2), all of status 0; nothing where it does not learn.
+        """Take in RVE answers (m, 2, 2), all of status 0; nothing where it does not learn.
 
         Called from `CachedLaw.accept` only, with what was not answered by the surrogate and what
         an audit found wrong. state: the fallback's at these points, or None.
@@ -96,59 +92,33 @@ class Surrogate(Protocol):
 
 
 class Fallback(StressLaw, Protocol):
-    """The law of RVEs of the same plant cell; its states are `PointStates`, or None."""
+    """The law of RVEs of the same plant cell.
+
+    Its states are values of n points, never changed in place, or None: `take(indices)` and
+    `put(indices, state)` give others, `left_points` (n,) is where the stress is one of several,
+    beyond a bifurcation, and `to_arrays()` gives all of it.
+    """
 
     @property
-    def cell(self) -> CellParameters:
-        """Parameters of the plant cell."""
-
+    def cell(self) -> CellParameters: ...
     @property
-    def initialisation(self) -> str:
-        """How its RVE is initialised."""
+    def initialisation(self) -> str: ...
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> Any:
-        """The state whose `PointStates.to_arrays` gave these arrays."""
-
-
-class PointStates(Protocol):
-    """A warm start of n points that can be taken apart; values, never changed in place."""
-
-    @property
-    def left_points(self) -> NDArray[np.bool_]:
-        """(n,) where the stress is one of several, beyond a bifurcation, and not to be learnt."""
-
-    def take(self, indices: NDArray[np.intp]) -> Any:
-        """The state of these points, in this order; a point may be taken twice."""
-
-    def put(self, indices: NDArray[np.intp], state: Any) -> Any:
-        """This state with that of these points replaced."""
-
-    def to_arrays(self) -> dict[str, NDArray]:
-        """All of it, for a checkpoint."""
-
-
-class OnTrueAnswer(Protocol):
-    """Takes every true answer that a run has paid for, at accepted steps."""
-
-    def __call__(
-        self, F: Array, F_dot: Array, stress: Array, status: NDArray[np.int8], why: NDArray[np.int8]
-    ) -> None:
-        """Points (n, 2, 2) with stress and status of the fallback; why: 0 fallback, 1 audit."""
+        """The state whose `to_arrays` gave these arrays."""
 
 
 def check_match(surrogate: Surrogate, fallback: Fallback) -> None:
     """A MismatchError unless both are of one plant cell and initialisation."""
-    here, there = surrogate.cell.fingerprint, fallback.cell.fingerprint
-    if here != there:
-        raise MismatchError(
-            f"cache: the surrogate is of cell parameters {here}, the fallback of {there}; "
-            "train a surrogate for these parameters"
-        )
-    if surrogate.initialisation != fallback.initialisation:
-        raise MismatchError(
-            f"cache: the surrogate is of initialisation {surrogate.initialisation}, the fallback "
-            f"of {fallback.initialisation}; train a surrogate for this initialisation"
-        )
+    for what, here, there in (
+        ("cell parameters", surrogate.cell.fingerprint, fallback.cell.fingerprint),
+        ("initialisation", surrogate.initialisation, fallback.initialisation),
+    ):
+        if here != there:
+            raise MismatchError(
+                f"cache: the surrogate is of {what} {here}, the fallback of {there}; train a "
+                "surrogate for the fallback's"
+            )
 
 
 def check_scale(surrogate: Surrogate, fallback: Fallback) -> None:
