@@ -1,10 +1,10 @@
-"""Audits: answers of the cache, chosen at random, are compared with RVEs, and the errors recorded.
+"""Audits: answers of the cache, chosen at random, are compared with RVEs, and the errors
+recorded.
 
 Each answer at a kept step draws a number u from [0, 1). It is audited at once where u is below the
 audited fraction. Answers with the next smallest u are remembered, as many as `trust.AUDITS` audits
-are short of, and audited where a run ends with fewer: so a run of any length, which nobody knows
-before, has at least so many audits, or as many as answers, and those of a window are a simple
-random sample of its answers (bottom-k sampling).
+are short of, and audited where a run ends with fewer: so a run of any length has at least so many
+audits, and those of a window are a simple random sample of its answers (bottom-k sampling).
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class ErrorRecord:
     @property
     def says_little(self) -> bool:
         """Whether errors as large as the stresses themselves would have been let pass, by as many
-        audits as a window has: fewer may all have been near rest."""
+        audits as a window has."""
         solved = self.audited - self.unsolved
         is_known = np.isfinite(self.tolerance) and solved >= AUDITS
         return bool(is_known and self.stress_squares < solved * self.tolerance**2)
@@ -126,13 +126,8 @@ class ErrorRecord:
 
 
 class Question(NamedTuple):
-    """Answers of the cache to be audited, all arrays over k points.
-
-    Attributes:
-        step: (k,) accepted steps before them. points: (k,) where.
-        F, F_dot, stress: (k, 2, 2) what was asked and answered. risk: (k,) of the answer.
-        draw: (k,) u by which they were chosen.
-    """
+    """Answers of the cache to be audited: accepted `step`s before, `points`, what was asked and
+    answered (k, 2, 2), risk, and the `draw` u by which they were chosen."""
 
     step: NDArray[np.int64]
     points: Indices
@@ -143,15 +138,12 @@ class Question(NamedTuple):
     draw: Array
 
     def only(self, chosen: NDArray[Any]) -> Question:
-        """Those of the answers."""
         return Question(*(part[chosen] for part in self))
 
 
 class Finding(NamedTuple):
-    """What an audit found: the question, the truth, and where the tolerance was broken.
-
-    state: the fallback's for these points.
-    """
+    """What an audit found, with the fallback's state for these points, and where the tolerance was
+    broken."""
 
     asked: Question
     stress: Array
@@ -162,14 +154,12 @@ class Finding(NamedTuple):
 
 
 class Audit:
-    """Chooses answers at random, by a seed, and compares them batch by batch.
+    """Chooses answers at random, by a seed, and compares them batch by batch; `record` is of all so
+    far.
 
     Args:
         fraction: of the answers that are audited at once; 0: none is, at the end neither.
         tolerance: allowed error, µN/µm.
-
-    Attributes:
-        record: of all audits so far.
     """
 
     def __init__(
@@ -199,10 +189,8 @@ class Audit:
         risk: Array,
         more: float = 1.0,
     ) -> bool:
-        """Choose among the answers at `points` of all (n, …) of a step; whether an audit is due.
-
-        more: times as many are audited as usually.
-        """
+        """Choose among the answers at `points` of all (n, …) of a step, `more` times as many as
+        usually; whether an audit is due."""
         if self._fraction == 0.0 or not len(points):
             return False
         draw, fraction = self._random.random(len(points)), min(1.0, more * self._fraction)
@@ -269,7 +257,6 @@ class Audit:
         self._waiting = [each for each in kept if len(each.step)]
 
     def to_arrays(self) -> dict[str, NDArray]:
-        """What waits, and what the next audit starts from."""
         arrays: dict[str, NDArray] = {}
         for name, questions in (("waiting", self._waiting), ("spare", self._spare)):
             if questions:
@@ -280,7 +267,6 @@ class Audit:
         return arrays
 
     def to_values(self) -> dict[str, Any]:
-        """Plain values: all audits so far, and the random stream."""
         return {
             "record": self.record.to_values(),
             "below": self._below,

@@ -37,7 +37,6 @@ class PointSet:
     """Points in any order, each once.
 
     Attributes:
-        points: (k,) indices.
         why: (k,) int8 `Status` for which the surrogate first did not answer them.
         state: the fallback's state for the k points in this order, or None.
     """
@@ -50,7 +49,6 @@ class PointSet:
         return len(self.points)
 
     def only(self, chosen: NDArray[np.bool_]) -> PointSet:
-        """The points chosen (k,)."""
         if chosen.all():
             return self
         places = chosen.nonzero()[0]
@@ -90,7 +88,7 @@ class CachedState:
     before: tuple[Array, Array] | None = None
 
     def to_arrays(self) -> dict[str, NDArray]:
-        """Of a state that was accepted, which carries no risk; for `from_arrays`."""
+        """Of a state that was accepted, which carries no risk."""
         before = np.empty((0, self.count, 2, 2)) if self.before is None else np.stack(self.before)
         fallback = self.on_fallback.state
         return {
@@ -105,7 +103,6 @@ class CachedState:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray], fallback: Fallback) -> CachedState:
-        """The state whose `to_arrays` gave `arrays`, with the warm start of this fallback."""
         known, before = part_of(arrays, "fallback"), arrays["before"]
         state = fallback.state_from_arrays(known) if known else None
         on_fallback = PointSet(arrays["points"].astype(np.intp), arrays["why"], state)
@@ -178,9 +175,6 @@ def choose_branches(
 ) -> tuple[NDArray[np.int8], Array, NDArray[np.int8], NDArray[np.bool_]]:
     """Which points must leave the surrogate for the next step, and which may return to it.
 
-    Args:
-        limit, reach: of the next step.
-
     Returns:
         (n,) int8: why a free point must leave, 0 where it may stay.
         (k, 2, 2), (k,): the surrogate's stress and status at the k points on the fallback, now.
@@ -249,7 +243,7 @@ def state_of_both(first: Any, count: int, second: Any, more: int) -> Any:
 
 
 def beyond_bifurcation(state: Any, count: int) -> NDArray[np.bool_]:
-    """(count,) whether the fallback's state says that the stress there is one of several."""
+    """(count,) where, by the fallback's state, the stress is one of several."""
     return np.zeros(count, dtype=np.bool_) if state is None else np.asarray(state.left_points)
 
 

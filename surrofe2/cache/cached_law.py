@@ -86,8 +86,7 @@ class CachedLaw(Viewed):
     Args:
         surrogate: e.g. `surrofe2.surrogate.SurrogateLaw`; see `protocols.Surrogate`.
         fallback: the law the surrogate was trained on, e.g. `surrofe2.rve.RveLaw`.
-        settings: tolerance and audit.
-        on_true_answer: is given every true answer at accepted steps, see `OnTrueAnswer`.
+        on_true_answer: is given every RVE answer at accepted steps, see `OnTrueAnswer`.
 
     Raises:
         MismatchError: they are not of the same plant cell and initialisation, or the surrogate's
@@ -125,14 +124,13 @@ class CachedLaw(Viewed):
 
     @property
     def has_tangents(self) -> bool:
-        """Whether both parts give tangents."""
         return self.surrogate.has_tangents and self.fallback.has_tangents
 
     @property
     def counts(self) -> dict[str, int]:
-        """Points at ends of kept steps since the last reset: `hits`, `fallbacks` and, of these,
-        by reason; `in_domain`, those within the range of the surrogate; `steps`; `switched`,
-        solves by which a point began a step on the fallback."""
+        """Points at ends of kept steps since the last reset: `hits`, `fallbacks` and, of these, by
+        reason; `in_domain`, those within the range of the surrogate; `steps`; `switched`, solves by
+        which a point began a step on the fallback."""
         return dict(self._counts)
 
     def reset_counts(self) -> None:
@@ -156,7 +154,6 @@ class CachedLaw(Viewed):
             )
 
     def history(self) -> dict[str, Any]:
-        """How the cache has done so far, as plain values for run.json."""
         return {
             "tolerance": {
                 "share": self.settings.tolerance,
@@ -188,19 +185,15 @@ class CachedLaw(Viewed):
 
     @property
     def is_audited(self) -> bool:
-        """Whether any answer is; see `AuditedLaw`."""
         return self.settings.audit > 0.0
 
     @property
     def decisions(self) -> list[dict[str, Any]]:
-        """On windows of steps, in order: which stand and which were rolled back, and why."""
         return [dict(each) for each in self._decisions]
 
     def mark(self, t: float, state: CachedState) -> None:
-        """What was kept up to t stands; what follows may be rolled back to here.
-
-        Where a window ends before it is full, as others' windows do, the next one carries on its
-        audits, so that the plan holds for each.
+        """What was kept up to t stands; what follows may be rolled back to here. Where a window
+        ends before it is full, the next one carries on its audits, so that the plan holds for each.
         """
         window = self._window
         if window.before is not None and t > window.begin:
@@ -219,7 +212,6 @@ class CachedLaw(Viewed):
         self._marked = state
 
     def verdict(self, *, final: bool = False) -> bool | None:
-        """Whether the steps since the mark stand; None: not known yet."""
         window, trust = self._window, self._trust
         if final:
             self._audit.end()
@@ -254,11 +246,7 @@ class CachedLaw(Viewed):
         self._decisions.append(self._window.decision(t, step, limit, decision))
 
     def state_to_arrays(self, state: CachedState) -> dict[str, NDArray]:
-        """All that decides what comes next, `state` being what `accept` gave last.
-
-        That is its branches with the fallback's warm start, counts, audits with those that wait,
-        trust, the random stream, and what the surrogate has learnt.
-        """
+        """All that decides what comes next, `state` being what `accept` gave last."""
         values = {
             "counts": self._counts,
             "left_range": self._left_range,
@@ -294,11 +282,7 @@ class CachedLaw(Viewed):
     def respond(
         self, F: Array, F_dot: Array, state: CachedState | None = None, *, tangents: bool = False
     ) -> StressResponse:
-        """Stress at n points; a point that neither part can answer has the fallback's status.
-
-        Raises:
-            InputError: tangents are asked for, and surrogate or fallback have none.
-        """
+        """Stress at n points; a point that neither part can answer has the fallback's status."""
         if not (is_ready(F) and is_ready(F_dot) and F.shape == F_dot.shape):
             F, F_dot = check_deformation(F, F_dot)
         if tangents:
@@ -364,7 +348,6 @@ class CachedLaw(Viewed):
     def prepare(
         self, F: Array, F_dot: Array, response: StressResponse
     ) -> tuple[NDArray[np.int8], Callable[[], Acceptance]]:
-        """As of `LearningLaw`: the fallback's check, and the rest."""
         state, accepted = accept_known(self.fallback, F, F_dot, response)
         if accepted.status.any():
             return accepted.status, lambda: Acceptance(accepted.status, state)
@@ -409,7 +392,7 @@ class CachedLaw(Viewed):
             self._run_audit(whole=False)
 
     def _note_what_left(self, F: Array, F_dot: Array) -> None:
-        """Count by quantity the points beyond the range, and keep the farthest value of each."""
+        """Count points beyond the range by quantity, and keep the farthest value of each."""
         if self.surrogate.range is None:
             return
         found = zip(*farthest_out(self.surrogate.range, F, F_dot), strict=True)
@@ -469,7 +452,6 @@ class CachedLaw(Viewed):
     def restart_step(
         self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
     ) -> Acceptance:
-        """The start of a step with the points `switched` on the fallback; see `SwitchingLaw`."""
         state: CachedState = response.state
         new = (state.free() & (switched != 0)).nonzero()[0]
         answer = self._solve_cold(F, F_dot, new)

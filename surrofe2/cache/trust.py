@@ -1,8 +1,8 @@
 """How far the surrogate is trusted: one acceptance plan for windows of audits, and its factor.
 
-Answers of the cache are audited at random, and errors above the tolerance are violations. Audits
-are judged in windows: a window of n audits with k violations stands where the exact upper bound of
-Clopper and Pearson (1934) on the share w of wrong answers, at the confidence C, is at most W,
+Answers of the cache are audited at random, and errors above the tolerance are violations. A window
+of n audits with k violations stands where the exact upper bound of Clopper and Pearson (1934) on
+the share w of wrong answers, at the confidence C, is at most W,
 
     P(Bin(n, W) ≤ k) ≤ 1 − C,
 
@@ -58,10 +58,8 @@ _log = logging.getLogger("surrofe2.cache")
 
 
 def wrong_at_most(violations: int, audits: int, confidence: float = CONFIDENCE) -> float:
-    """Upper confidence bound on the share of wrong answers, of which a random sample was audited.
-
-    The share w by which P(Bin(audits, w) ≤ violations) = 1 − confidence; 1 where all were wrong.
-    """
+    """Upper confidence bound on the share of wrong answers, of which a random sample was audited:
+    the w by which P(Bin(audits, w) ≤ violations) = 1 − confidence; 1 where all were wrong."""
     if violations >= audits:
         return 1.0
     if violations == 0:
@@ -84,7 +82,6 @@ class Window:
         before: what a law has to know that goes back to its begin; None where none can.
         audits: of each the point, whether it is a violation, error in µN/µm (NaN where the RVE has
             no stress), risk, and the sizes of the seven inputs of `tensors`.
-        failed: whether it was found wrong.
     """
 
     begin: float
@@ -107,12 +104,10 @@ class Window:
 
     @property
     def wrong(self) -> list[list[float]]:
-        """The audits that are violations."""
         return [each for each in self.audits if each[1]]
 
     @property
     def is_full(self) -> bool:
-        """Whether it has the audits of the plan."""
         return len(self.audits) >= AUDITS
 
     @property
@@ -153,7 +148,6 @@ class Trust:
         factor: by which risks are multiplied before they are compared with 1.
         reach: of the seven inputs of `tensors`, the sizes up to which they are trusted; none given:
             as far as the surrogate says.
-        is_off: the cache answers nothing any more.
         more_audits: by which the fraction of answers that are audited is multiplied.
         failures: windows that failed; standing: that stood since the factor changed.
         events: what was found and done, in order, each with its step.
@@ -218,7 +212,6 @@ class Trust:
             self._note(step, finding, "none")
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for run.json."""
         return {
             "factor": self.factor,
             "reach": [None if np.isinf(each) else each for each in self.reach],

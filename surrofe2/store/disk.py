@@ -1,8 +1,7 @@
 """The only place that changes what is on disk; a fault put in here is one of all files.
 
-A file is written under a name of its own, brought to the disk and only then given its place, whose
-folder is brought to the disk too: after a fault or a power failure the file is the former or the
-new one, whole.
+A file is written under a name of its own, brought to the disk and only then moved to its place,
+whose folder is brought to the disk too: after a fault the file is the former or the new one.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Fields over time as XDMF + HDF5, which ParaView opens: of elements, particles, or law points.
-
-Of an RVE that is looked into, they are of its particles.
-"""
+"""Fields over time as XDMF + HDF5, which ParaView opens: of elements, particles, or law points."""
 
 from __future__ import annotations
 
@@ -93,8 +90,7 @@ def write_particle_fields(
     """Write fields.xdmf and fields.h5.
 
     Points are particles at `position` (particles, 2) in µm, unloaded; wall springs `bonds` (b, 2)
-    are lines between them. Fluid particles are points without lines, which ParaView shows as
-    Point Gaussian or by Glyph; `wall` is 1 on wall particles, 0 on fluid.
+    are lines between them; `wall` is 1 on wall particles, 0 on fluid.
     """
     wall = np.broadcast_to(np.asarray(is_wall, np.float64), (len(frames.t), len(is_wall)))
     motion = {DISPLACEMENT_NAME: frames.displacement, VELOCITY_NAME: frames.velocity}
@@ -104,13 +100,8 @@ def write_particle_fields(
 def write_point_fields(
     folder: Path, position: Array, t: Array, values: Series, per_element: int
 ) -> None:
-    """Write points.xdmf and points.h5: what the stress law was asked and answered at its points.
-
-    Args:
-        position: (n, 2) reference positions, µm, those of an element one after the other.
-        t: (m,) µs.
-        per_element: points of each element.
-    """
+    """Write points.xdmf and points.h5: what the law was asked and answered at its points (n, 2),
+    µm, those of an element one after the other, at times t (m,) µs."""
     each = np.arange(len(position))
     element = np.broadcast_to((each // per_element).astype(np.float64), (len(t), len(each)))
     values = {**values, **invariants(values[STRESS_NAME]), "element": element}
@@ -126,16 +117,8 @@ def write_series(
     in_cells: Series,
     name: str = FIELDS,
 ) -> None:
-    """Write values of points and cells at times t (m,); an empty series (m, 0) is left out.
-
-    The mesh is stored once; every time is a grid of its own that refers to it, so that a reader
-    sees one mesh which changes, and no second one beside it.
-
-    Args:
-        points: (n, 2) of the mesh, µm.
-        cells: (e, k) the points of each.
-        name: of the two files.
-    """
+    """Write values of points (n, 2), µm, and cells (e, k) at times t (m,); an empty series (m, 0)
+    is left out. The mesh is stored once; every time is a grid of its own that refers to it."""
     with writing(folder / f"{name}.h5", FIELDS_FILE, {}) as file:
 
         def stored(entry: str, values: NDArray[Any]) -> str:
@@ -201,11 +184,7 @@ def _attribute(name: str, centre: str, item: str, rank: int) -> str:
 
 
 def add_to_elements(folder: Path, added: Series) -> None:
-    """Add values (m, e) of the elements, by name, to the fields of a folder, or renew them.
-
-    Raises:
-        FileError: there are none, or they are damaged.
-    """
+    """Add values (m, e) of the elements, by name, to the fields of a folder, or renew them."""
     of_frames = {f"{name}.{k}": at for name, of in added.items() for k, at in enumerate(of)}
     path = folder / f"{FIELDS}.h5"
     with reading(path) as there, writing(path, FIELDS_FILE, {}) as file:
@@ -248,14 +227,8 @@ class StoredFields:
 def read_fields(
     folder: Path, needed: Iterable[str], others: Iterable[str] = (), name: str = FIELDS
 ) -> StoredFields:
-    """The mesh of fields.h5, or of points.h5, and the values of these names.
-
-    Args:
-        needed: names that must be there. others: those that are left out where they are not.
-
-    Raises:
-        FileError: the file is missing, damaged, or without values that are needed.
-    """
+    """The mesh of fields.h5, or of points.h5, the values of the `needed` names, and of the `others`
+    where they are there; FileError where the file is missing or damaged, or values are needed."""
     path = folder / f"{name}.h5"
     with reading(path) as stored:
         file = stored.file
@@ -286,7 +259,7 @@ def write_rve_fields(folder: Path, seen: Particles, t: Array) -> None:
     """Write fields.xdmf and fields.h5 of the RVE of `seen` at times t (n,), µs.
 
     Points are its particles as they are at the first time, with images where wall springs lead
-    across its boundary; lines are the springs. `displacement_um` moves them.
+    across its boundary; lines are the springs.
     """
     particles, walls = seen.position.shape[1], int(seen.is_wall.sum())
     across = seen.bond_shift.any(axis=1)

@@ -1,8 +1,7 @@
 """HDF5 files with one header that are whole or absent and prove themselves.
 
-The header says of which schema a file is, which package wrote it and when, and, of answers of
-RVEs, for which plant cells, initialisation and recipe. Files are made and read in memory, while an
-interruption waits: HDF5 calls Python, and takes one for an error of its own.
+Files are made and read in memory, while an interruption waits: HDF5 calls Python, and takes one
+for an error of its own.
 """
 
 from __future__ import annotations
@@ -60,7 +59,7 @@ class Column:
     shape: Shape = (None,)
     kind: type = np.float64
     unit: str = NONE
-    meaning: Mapping[int, str] | str | None = None
+    meaning: str = ""
     optional: bool = False
 
 
@@ -78,12 +77,10 @@ class Kind:
 
     @property
     def schema(self) -> str:
-        """The name of its schema in a file."""
         return f"surrofe2-{self.name.replace(' ', '-')}"
 
     @property
     def title(self) -> str:
-        """What error messages call a file."""
         return f"surrofe2 {self.name}"
 
 
@@ -98,37 +95,38 @@ def origin(cell: CellParameters, initialisation: str, **more: Any) -> dict[str, 
 
 
 def write(path: Path, kind: Kind, header: Mapping[str, Any], arrays: Arrays) -> None:
-    """Write a file of a kind, whole or not at all.
-
-    Args:
-        header: texts and numbers, and what is stored as JSON.
-        arrays: by name; a/b is b in the group a.
-    """
+    """Write a file of a kind, whole or not at all: header, and arrays by name; a/b is b in the
+    group a."""
     with writing(path, kind, header) as file:
         for name, values in arrays.items():
             store_array(file, name, values)
-            column = kind.columns.get(name)
-            if column is not None:
-                file[name].attrs["unit"] = column.unit
-            if column is not None and column.meaning is not None:
-                text = column.meaning
-                file[name].attrs["meaning"] = text if isinstance(text, str) else json.dumps(text)
+        for name in kind.columns.keys() & arrays.keys():
+            file[name].attrs["unit"] = kind.columns[name].unit
+            meaning = kind.columns[name].meaning
+            if meaning:
+                file[name].attrs["meaning"] = meaning
 
 
 @contextmanager
 def writing(path: Path, kind: Kind, header: Mapping[str, Any]) -> Iterator[h5py.File]:
-    """As `writing_hdf5`, with the header of a file of a kind."""
+    """A file of a kind with its header, in memory; it is written when the block ends well."""
     known = {
         "schema": kind.schema,
         "schema_version": kind.version,
         "package_version": version("surrofe2"),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
-    with writing_hdf5(path) as file:
-        for name, value in (known | dict(header)).items():
+    # A name of its own: one whose making was interrupted stays open, and HDF5 makes no second one.
+    name = f"{next(_numbers)} {path.name}"
+    with held(), h5py.File(name, "w", driver="core", backing_store=False) as file:
+        for entry, value in (known | dict(header)).items():
             is_plain = isinstance(value, str | int | float | np.generic)
-            file.attrs[name] = value if is_plain else json.dumps(plain(value))
+            file.attrs[entry] = value if is_plain else json.dumps(plain(value))
         yield file
+        file.attrs["sha256"] = f"{SEAL}: {NO_DIGEST}"
+        file.flush()
+        image = file.id.get_file_image()
+    write_bytes(path, sealed(image))
 
 
 def store_array(file: h5py.File, name: str, values: NDArray[Any]) -> None:
@@ -149,19 +147,6 @@ def store_array(file: h5py.File, name: str, values: NDArray[Any]) -> None:
 
 
 @contextmanager
-def writing_hdf5(path: Path) -> Iterator[h5py.File]:
-    """A file in memory, which is written when the block ends well."""
-    # A name of its own: one whose making was interrupted stays open, and HDF5 makes no second one.
-    name = f"{next(_numbers)} {path.name}"
-    with held(), h5py.File(name, "w", driver="core", backing_store=False) as file:
-        yield file
-        file.attrs["sha256"] = f"{SEAL}: {NO_DIGEST}"
-        file.flush()
-        image = file.id.get_file_image()
-    write_bytes(path, sealed(image))
-
-
-@contextmanager
 def reading(path: Path, kind: Kind | None = None) -> Iterator[Stored]:
     """What is in a file of a kind, default: of any; the block takes from it what it needs.
 
@@ -171,7 +156,8 @@ def reading(path: Path, kind: Kind | None = None) -> Iterator[Stored]:
     """
     of = kind or ANY
     advice = f"; {of.advice}" if of.advice else ""
-    content = read_bytes(path, _memory() // 2, _SIGNATURE)
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    content = read_bytes(path, memory // 2, _SIGNATURE)
     try:
         if not content.startswith(_SIGNATURE):
             raise FileError(f"{path}: not an HDF5 file")
@@ -202,11 +188,6 @@ def _check_link(name: str, link: object) -> None:
 def _check_place(name: str, item: object) -> None:
     if isinstance(item, h5py.Dataset) and (item.is_virtual or item.external):
         raise ValueError(f"{name}: its numbers are in other files; they must be in this one")
-
-
-def _memory() -> int:
-    """Bytes of this machine."""
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
 def _check_schema(path: Path, stored: Stored) -> None:
@@ -268,7 +249,6 @@ class Stored:
 
     @property
     def range(self) -> SamplingRange:
-        """The range in the header."""
         return SamplingRange(**self.table("range"))
 
     def array(self, name: str, shape: Shape, kind: type = np.float64) -> NDArray[Any]:
@@ -285,19 +265,14 @@ class Stored:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The arrays of its kind by name, those with rows of one length."""
-        columns = {
-            name: column
-            for name, column in self.kind.columns.items()
-            if name in self.file or not column.optional
-        }
-        arrays = {name: self.array(name, each.shape, each.kind) for name, each in columns.items()}
-        for name, column in columns.items():
-            check_units(name, self.file[name].attrs.get("unit"), column.unit)
-        rows = {name: len(arrays[name]) for name, each in columns.items() if each.shape[0] is None}
-        for name, n in rows.items():
-            first = next(iter(rows.values()))
-            if n != first:
-                raise ValueError(f"{name}: {n} rows; it must have {first}")
+        arrays: dict[str, NDArray[Any]] = {}
+        rows: int | None = None
+        for name, column in self.kind.columns.items():
+            if name in self.file or not column.optional:
+                shape = (rows, *column.shape[1:]) if column.shape[0] is None else column.shape
+                arrays[name] = self.array(name, shape, column.kind)
+                check_units(name, self.file[name].attrs.get("unit"), column.unit)
+                rows = len(arrays[name]) if column.shape[0] is None else rows
         return arrays
 
     def all_arrays(self, group: str = "/") -> dict[str, NDArray[Any]]:
@@ -313,6 +288,12 @@ class Stored:
         if group in self.file:
             self.file[group].visititems(collect)
         return found
+
+
+def check_finite(name: str, values: NDArray[Any]) -> None:
+    """Refuse numbers that are none."""
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name}: not finite")
 
 
 def check_units(name: str, units: Any, wanted: Any) -> None:
@@ -355,27 +336,22 @@ def check_same_rve(
     *,
     wall: bool = False,
 ) -> None:
-    """Refuse answers of other cell parameters or another initialisation.
+    """A MismatchError at answers of other cell parameters or another initialisation.
 
     Args:
         made: the message between the path and what the answers are for.
         there: answers that were read, with their `cell` and `initialisation`.
         advice: the message's end; "{}" stands for "these parameters" or "this initialisation".
-        cell, initialisation: wanted.
         wall: whether the outer wall, which is not of the RVE, counts too.
-
-    Raises:
-        MismatchError: naming the first parameter that differs.
     """
     known = there.cell.to_dict()
-    for name, value in cell.to_dict().items():
-        if (name != "outer_wall" or wall) and known.get(name) != value:
-            raise MismatchError(
-                f"{path}: {made} for cell.{name} = {known.get(name)}, not {value}; "
-                + advice.format("these parameters")
-            )
-    if there.initialisation != initialisation:
-        raise MismatchError(
-            f"{path}: {made} for initialisation {there.initialisation}, not {initialisation}; "
-            + advice.format("this initialisation")
-        )
+    pairs = {
+        f"cell.{name} =": (known.get(name), value, "these parameters")
+        for name, value in cell.to_dict().items()
+        if name != "outer_wall" or wall
+    }
+    pairs["initialisation"] = (there.initialisation, initialisation, "this initialisation")
+    for name, (old, new, which) in pairs.items():
+        if old != new:
+            end = advice.format(which)
+            raise MismatchError(f"{path}: {made} for {name} {old}, not {new}; {end}")

@@ -2,12 +2,10 @@
 
     python -P mesh_reader.py FORMAT FILE MEMORY SECONDS
 
-writes the mesh to standard output as NumPy archive; one line to standard error where it cannot,
-with exit code 1 where meshio does not read the file and 2 where it is no mesh for us. It imports
-nothing of the package, so that it starts soon.
-
-Physical groups of Gmsh, and named sets of elements of other formats, become subdomains (surfaces)
-and boundaries (lines).
+writes the mesh to standard output as NumPy archive, or one line to standard error, with exit code
+1 where meshio does not read the file and 2 where it is no mesh for us. It imports nothing of the
+package, so that it starts soon. Physical groups of Gmsh, and named sets of elements of other
+formats, become subdomains (surfaces) and boundaries (lines).
 """
 
 from __future__ import annotations
@@ -39,12 +37,7 @@ class MeshError(Exception):
 
 
 def converted(stored: meshio.Mesh) -> skfem.Mesh:
-    """The mesh in the plane, with named boundaries and subdomains.
-
-    Raises:
-        MeshError: it is no mesh of quadrilaterals or triangles in a plane, or a group has no name
-            or no place in it.
-    """
+    """The mesh in the plane, with named boundaries and subdomains, or a MeshError."""
     _check(stored)
     blocks = [(block.type, np.asarray(block.data, np.int64)) for block in stored.cells]
     kind = _kind_of_elements([name for name, _ in blocks], [len(cells) for _, cells in blocks])

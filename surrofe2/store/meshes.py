@@ -33,8 +33,7 @@ def read_mesh(path: Path, length_unit: str = "µm") -> skfem.Mesh:
 
     Raises:
         FileError: it is not there, or meshio cannot read it.
-        InputError: it is no mesh of quadrilaterals or triangles in a plane, or a group has no name
-            or no place in it.
+        InputError: it is no mesh for us, see `mesh_reader`.
     """
     if length_unit not in UNITS:
         raise InputError(f"length_unit: {length_unit!r}; it must be one of {', '.join(UNITS)}")
@@ -76,7 +75,6 @@ def read_mesh(path: Path, length_unit: str = "µm") -> skfem.Mesh:
 
 
 def _mesh(content: bytes, unit: float) -> skfem.Mesh:
-    """The mesh that the reader wrote."""
     with np.load(io.BytesIO(content)) as archive:
         named = [
             {name: archive[f"{group}.{k}"] for k, name in enumerate(archive[group].tolist())}

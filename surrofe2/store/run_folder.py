@@ -1,7 +1,4 @@
-"""Run folders: run.json, tables of curves, history and energies, fields, checkpoint.h5.
-
-`RunFolder` is the one life of a run in its folder.
-"""
+"""Run folders: run.json, tables of curves, history and energies, fields, checkpoint.h5."""
 
 from __future__ import annotations
 
@@ -83,19 +80,15 @@ class RunRecord:
     """What run.json says: what was computed, by what, how it ended and what it cost.
 
     Attributes:
-        status: "running", "finished", "interrupted" or "failed".
-        error: the error message of a failed run, else None.
+        status: "running", "finished", "interrupted" or "failed"; error: of a failed run, else None.
         recipe: the whole recipe, defaults filled in.
-        law: "rve", "surrogate", "cached", "table", or "tissue" for the full microscopic one; with
-            `initialisation` and `solver`.
+        law: "rve", "surrogate", "cached", "table", or "tissue" for the full microscopic one.
         surrogate: file name, fingerprint and held-out errors of the surrogate, or None.
         wall_time: seconds: total = law + macro, cpu of all threads; compilation came before.
         counts: steps, stress calls and what the law's answers cost: RVE solves (of these the
             `audits` and those for a table, `table_rve_solves`), hits, fallbacks by reason, …
         rolled_back: the same of steps that audits took back, which do not count among `counts`.
-        cache: of a cached law, what `CachedLaw.report` says: tolerance, hits at accepted steps,
-            audit with the errors found, trust with what became of it; of
-            several cells, that of each by name under `cells`.
+        cache: of a cached law, `CachedLaw.report`; of several cells, that of each under `cells`.
         met: extremes of F, Ḟ, U and RᵀḞ at all points; `stretch`, `shear`, `rate` as in a
             recipe's range that would hold the run. Of a rest, also where the `watched` point
             came to.
@@ -131,7 +124,6 @@ class RunRecord:
 
     @property
     def duration(self) -> float:
-        """Length of the run, µs."""
         return float(self.recipe["time"]["duration"])
 
     @property
@@ -194,12 +186,8 @@ class StoredRun(ViewedRun):
 
 
 def earlier_run(folder: Path, record: RunRecord) -> RunRecord | None:
-    """The record of this very run that an earlier call left in a folder, if there is one.
-
-    Raises:
-        FileError: the folder cannot be read, or has files but no run.
-        MismatchError: it has a run of other settings.
-    """
+    """The record of this very run that an earlier call left in a folder, if there is one; FileError
+    where the folder has files but no run, MismatchError where it has a run of other settings."""
     path = folder / "run.json"
     if not path.exists():
         with reported(folder, "read"):
@@ -285,11 +273,8 @@ class RunFolder:
             yield run
 
     def _begin(self) -> None:
-        """Record that the run is running; at its beginning it finds nothing of another one.
-
-        Its record is there before that is removed: a process that is killed in between leaves one
-        run or the other.
-        """
+        """Record that the run is running; at its beginning it finds nothing of another one, which
+        is removed afterwards, so that a kill in between leaves one run or the other."""
         if not self.resumes:
             remove(self.folder / CHECKPOINT)
         write_record(self.folder, self.record)
@@ -318,13 +303,8 @@ class RunFolder:
             raise
 
     def restored(self, restore: Callable[[dict[str, np.ndarray]], State]) -> State | None:
-        """What `restore` makes of the last checkpoint; None where the run starts at its beginning.
-
-        What fails in it is the fault of the checkpoint.
-
-        Raises:
-            FileError: it has no state of this run.
-        """
+        """What `restore` makes of the last checkpoint, whose fault it is if that fails; None where
+        the run starts at its beginning."""
         if not self.resumes:
             return None
         path = self.folder / CHECKPOINT
@@ -418,11 +398,7 @@ def write_record(folder: Path, record: RunRecord) -> None:
 
 
 def read_record(folder: Path) -> RunRecord:
-    """Read run.json.
-
-    Raises:
-        FileError: missing, damaged, or of another schema.
-    """
+    """The record in run.json; FileError: missing, damaged, or of another schema."""
     path = folder / "run.json"
     if not path.exists():
         raise FileError(f"{folder}: no run.json, so not a run; make one with `surrofe2 run`")
@@ -446,7 +422,6 @@ def read_record(folder: Path) -> RunRecord:
 
 
 def _check_entries(record: RunRecord) -> None:
-    """Types of all entries, and that sections and cells of the recipe are tables."""
     for name, hint in hints_of(RunRecord).items():
         check_value(name, attrgetter(name)(record), hint, {})
     for name in (*_SECTIONS, "cache"):
@@ -506,11 +481,7 @@ def _read_curves(folder: Path, watched: Mapping[str, Any]) -> dict[str, Displace
 
 
 def read_history(folder: Path, file: str = "history.csv") -> dict[str, np.ndarray]:
-    """Read history.csv, or energies.csv; the names are without units.
-
-    Raises:
-        FileError: missing or damaged.
-    """
+    """Columns of history.csv, or energies.csv, by name without unit."""
     columns = [*read_columns(folder / file).items()][1:]
     return {name.rpartition("_")[0]: column for name, column in columns}
 

@@ -2,14 +2,13 @@
 
 A data set is continued after a kill at any moment: while samples are computed, it is written again
 every few seconds, whole, with all rows that there are. A harvest has the answers of RVEs that a run
-has paid for, and is written when the run ends.
-
-A data set carries the settled reference state of its RVEs along, as surrogates do; alone it is kept
-in the cache folder. Nine Voronoi plant cells take ten seconds to settle, and are a few kilobytes.
+has paid for. A data set carries the settled reference state of its RVEs along, as surrogates do;
+alone it is kept in the cache folder.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -29,7 +28,7 @@ from surrofe2.law.stress_law import Status, StressResponse, describe
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.run.loop import CheckpointClock
-from surrofe2.store.hdf5 import Column, Kind, check_same_rve, origin, reading, write
+from surrofe2.store.hdf5 import Column, Kind, check_finite, check_same_rve, origin, reading, write
 from surrofe2.store.store import check_replaceable, check_same, file_lock, flat, locked_file
 
 Array = NDArray[np.float64]
@@ -44,7 +43,7 @@ WHY = {
     2: "neighbour of such a state",
     3: "sample of the range widened to hold such states",
 }
-_CODES = {int(code): describe(code) for code in Status}
+_CODES = json.dumps({int(code): describe(code) for code in Status})
 _COLUMNS = {
     "F": Column((None, 2, 2)),
     "F_dot": Column((None, 2, 2), unit=RATE),
@@ -57,7 +56,7 @@ _OF_TANGENTS = {
     for name, unit in zip(TANGENTS, (STRESS, VISCOSITY), strict=True)
 }
 DATA_SET = Kind("data set", 2, _COLUMNS | {LEFT: _MARK} | _OF_TANGENTS)
-HARVEST = Kind("harvest", 2, _COLUMNS | {"why": Column(kind=np.int8, meaning=WHY)})
+HARVEST = Kind("harvest", 2, _COLUMNS | {"why": Column(kind=np.int8, meaning=json.dumps(WHY))})
 REFERENCE = Kind("reference state", 1)
 
 
@@ -80,8 +79,7 @@ class DataSetHeader(Origin):
     """What a data set is made from; two data sets with equal headers hold equal numbers.
 
     `tangents`: whether it holds ∂P/∂F and ∂P/∂Ḟ as well. `is_open`: whether it may get more than
-    `count` samples later. `recipe` and the `reference` state of the RVEs are carried along and
-    not compared.
+    `count` samples later. `recipe` and `reference` are carried along and not compared.
     """
 
     range: SamplingRange
@@ -131,7 +129,6 @@ class SampleWriter:
 
     @property
     def completed(self) -> int:
-        """How many rows there are."""
         return sum(len(part["F"]) for part in self._parts)
 
     def take(self, **rows: Any) -> None:
@@ -278,11 +275,7 @@ class StoredCount(NamedTuple):
 
 
 def stored_count(path: Path) -> StoredCount:
-    """What a data set says of its samples.
-
-    Raises:
-        FileError: not a data set of this schema, or damaged.
-    """
+    """What a data set says of its samples."""
     with reading(path, DATA_SET) as stored:
         return StoredCount(
             rows=int(stored.number("completed")),
@@ -322,8 +315,7 @@ def _samples(rows: Arrays, **whose: Any) -> StressSamples:
     return StressSamples(**arrays, **whose)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Harvest:
+class Harvest(NamedTuple):
     """A harvest read back; arrays as in `StressSamples`, and `why` (n,) as in `WHY`."""
 
     F: Array
@@ -360,16 +352,10 @@ class HarvestWriter(SampleWriter):
 
 
 def read_harvest(path: str | Path) -> Harvest:
-    """The answers in a harvest, each state once, also of a run that was interrupted.
-
-    Raises:
-        FileError: not a harvest of this schema, or damaged.
-    """
-    path = Path(path)
-    with reading(path, HARVEST) as stored:
+    """The answers in a harvest, each state once, also of a run that was interrupted."""
+    with reading(Path(path), HARVEST) as stored:
         arrays, whose = stored.arrays(), stored.whose
-    if not np.isfinite(arrays["stress"][arrays["status"] == 0]).all():
-        raise FileError(f"{path}: stress: not finite where the status is 0; it is damaged")
+        check_finite("stress where the status is 0", arrays["stress"][arrays["status"] == 0])
     states = np.concatenate([arrays["F"], arrays["F_dot"]], axis=1).reshape(-1, 8)
     _, first = np.unique(states, axis=0, return_index=True)
     first.sort()
@@ -388,10 +374,8 @@ def write_reference(path: Path, reference: ReferenceState) -> None:
 
 
 def read_reference(path: Path, cell: CellParameters) -> ReferenceState | None:
-    """The reference state of a cell in a file of its own, of a data set or of a surrogate.
-
-    None where the file is missing or damaged, or has that of another cell or none.
-    """
+    """The reference state of a cell in a file of its own, of a data set or of a surrogate; None
+    where there is none of it, or the file is damaged."""
     try:
         with reading(path) as stored:
             reference = ReferenceState.from_arrays(stored.all_arrays("reference"))

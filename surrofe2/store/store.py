@@ -1,8 +1,7 @@
 """Files that are whole or absent and prove themselves, and the locks of their writers.
 
-Somewhere in a file stands the SHA-256 of the whole file, computed with zeros where the digest
-stands. It follows the word `SEAL`, in an attribute of HDF5 or an entry of JSON. Any changed byte is
-seen.
+In a file, behind the word `SEAL`, stands the SHA-256 of the whole file, computed with zeros where
+the digest stands. Any changed byte is seen.
 
 One process at a time writes an output. It holds a lock file beside or in it by `flock`, which the
 kernel drops when the process ends, however it ends. What stands in the lock is for people: who
@@ -164,11 +163,7 @@ def sealed(content: bytes) -> bytes:
 
 
 def check_seal(path: Path, content: bytes) -> None:
-    """Refuse content that is not what was sealed.
-
-    Raises:
-        FileError: there is no digest, or it is that of other content.
-    """
+    """A FileError at content that has no digest, or that of other content."""
     try:
         begin, end = _place(content)
     except ValueError:
@@ -248,11 +243,7 @@ def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
 
 
 def read_columns(path: Path) -> dict[str, np.ndarray]:
-    """Columns (m,) by their headings.
-
-    Raises:
-        FileError: missing or damaged.
-    """
+    """Columns (m,) by their headings; a FileError where it is no such table."""
     content = read_bytes(path)
     names: list[str] = []
     try:
@@ -274,15 +265,8 @@ def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def check_same(place: Path, here: Mapping[str, Any], there: Mapping[str, Any]) -> None:
-    """Refuse to keep or resume what was made by other settings.
-
-    Args:
-        place: what was made.
-        here, there: settings now and then, nested by section; what only `there` has is ignored.
-
-    Raises:
-        MismatchError: naming the first that differs.
-    """
+    """A MismatchError that names the first setting `here`, nested by section, that differs from
+    those `there`, by which `place` was made; what only `there` has is ignored."""
     known = flat(there)
     for name, value in flat(here).items():
         if known.get(name) != value:
@@ -293,11 +277,8 @@ def check_same(place: Path, here: Mapping[str, Any], there: Mapping[str, Any]) -
 
 
 def check_replaceable(path: Path, kind: str, *marks: str) -> None:
-    """Refuse to start over where a file is not of this kind, or has not all these texts in it.
-
-    Raises:
-        FileError: it is another file, which nobody meant to lose.
-    """
+    """A FileError, before starting over, at a file that is not of this kind or lacks one of these
+    texts."""
     if path.exists():
         content = read_bytes(path)
         if content and not all(mark.encode() in content for mark in marks):
@@ -320,8 +301,7 @@ def keep(
     Args:
         identity: the settings, which are entries of the file.
         make: gives the other entries, after it has written what belongs to them.
-        folder: whose lock it is made under, default: its own. Where a lock is there, the process
-            before was killed, or is at work.
+        folder: whose lock it is made under, default: its own.
         fresh: make it, whatever of this kind is there.
 
     Returns:

@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base import units
@@ -18,6 +17,7 @@ from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.store.hdf5 import (
     Kind,
     Stored,
+    check_finite,
     check_same_rve,
     check_units,
     origin,
@@ -66,15 +66,10 @@ def write_surrogate(law: SurrogateLaw, path: str | Path) -> None:
 
 
 def read_surrogate(path: str | Path) -> SurrogateLaw:
-    """Read a surrogate.
-
-    Raises:
-        FileError: missing, truncated, foreign, altered, or of an older version.
-    """
+    """Read a surrogate; a FileError where it is missing, foreign, altered or older."""
     with reading(Path(path), SURROGATE) as stored:
         for name, values in stored.all_arrays().items():
-            if not np.isfinite(values).all():
-                raise ValueError(f"{name}: not finite")
+            check_finite(name, values)
         check_units("stress, rate, rest_length", stored.table("units"), _UNITS)
         errors = stored.table("errors")  # figures by component; none of one without training
         for figure in ("spread", "rms", "worst") if errors else ():
@@ -109,11 +104,7 @@ def _calibration(stored: Stored) -> Calibration:
 
 
 def content_fingerprint(path: Path) -> str:
-    """16 hexadecimal digits of all in a file that its answers depend on.
-
-    Raises:
-        FileError: it cannot be read.
-    """
+    """16 hexadecimal digits of all in a file that its answers depend on."""
     with reading(path, SURROGATE) as stored:
         header = {k: str(v) for k, v in stored.file.attrs.items() if k not in _OF_MAKING}
         content = hashlib.sha256(json.dumps(header, sort_keys=True).encode())

@@ -16,7 +16,7 @@ from surrofe2.base.units import STRESS
 from surrofe2.cache.table.records import OUTPUTS, Records
 from surrofe2.cache.table.stress_table import StressTable
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.store.hdf5 import Column, Kind, check_same_rve, origin, reading, write
+from surrofe2.store.hdf5 import Column, Kind, check_finite, check_same_rve, origin, reading, write
 from surrofe2.surface.tabulated import TabulatedSurface
 
 TABLE = Kind(
@@ -40,14 +40,7 @@ _NUMBERS = ("rate", "mass", "depth", "width", "error", "spread")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredTable:
-    """A table read back.
-
-    Attributes:
-        records: see `Records`.
-        tolerance, stress_spread: largest error for which it was grown, and spread of stress, µN/µm.
-        range: by which neighbours of records were placed.
-        recipe: of the run that wrote it.
-    """
+    """A table read back, as `StressTable` has it."""
 
     records: Records
     cell: CellParameters
@@ -55,7 +48,6 @@ class StoredTable:
     range: SamplingRange
     tolerance: float
     stress_spread: float
-    recipe: Mapping[str, Any]
 
 
 def write_table(
@@ -64,7 +56,10 @@ def write_table(
     recipe: Mapping[str, Any],
     seconds: float = 0.0,
 ) -> None:
-    """Write a table, whole or not at all; `seconds`: of all runs that it learnt from."""
+    """Write a table, whole or not at all.
+
+    recipe: of the run that wrote it. seconds: of all runs that it learnt from.
+    """
     header = {
         **origin(table.cell, table.initialisation, recipe=recipe),
         "range": asdict(table.range),
@@ -77,11 +72,7 @@ def write_table(
 
 
 def read_table(path: str | Path) -> StoredTable:
-    """Read a table.
-
-    Raises:
-        FileError: not a table of this schema, truncated or damaged.
-    """
+    """Read a table; a FileError where it is none of this schema, or damaged."""
     with reading(Path(path), TABLE) as file:
         table = StoredTable(
             records=Records(**file.arrays()),
@@ -89,11 +80,9 @@ def read_table(path: str | Path) -> StoredTable:
             range=file.range,
             tolerance=file.number("tolerance"),
             stress_spread=file.number("stress_spread"),
-            recipe=file.table("recipe"),
         )
         for name, values in table.records._asdict().items():
-            if not np.isfinite(values).all():
-                raise ValueError(f"{name} is damaged")
+            check_finite(name, values)
         if not (table.tolerance > 0.0 and table.stress_spread > 0.0):
             raise ValueError("tolerance and stress_spread must be positive")
     return table
@@ -111,24 +100,16 @@ def write_surface(path: Path, table: TabulatedSurface, recipe: Mapping[str, Any]
 
 
 def read_surface(path: str | Path) -> TabulatedSurface:
-    """Read the table of a surface law.
-
-    Raises:
-        FileError: not a table of this schema, truncated or damaged.
-    """
+    """Read the table of a surface law; a FileError where it is none of this schema, or damaged."""
     with reading(Path(path), SURFACE) as file:
         coefficients, stretch = file.arrays().values()
         low, high = stretch.tolist()
         numbers: dict[str, Any] = {name: file.number(name) for name in _NUMBERS}
-        if not (np.isfinite(coefficients).all() and min(coefficients.shape) >= 2):
-            raise ValueError("coefficients are damaged")
-        if not (0.0 < low < high and numbers["rate"] > 0.0):
-            raise ValueError("stretch and rate: no range")
+        check_finite("coefficients", coefficients)
+        if min(coefficients.shape) < 2 or not (0.0 < low < high and numbers["rate"] > 0.0):
+            raise ValueError("coefficients, stretch and rate: no table over a range")
         return TabulatedSurface(
-            coefficients=coefficients,
-            stretch=(low, high),
-            **file.whose,
-            **numbers,
+            coefficients=coefficients, stretch=(low, high), **file.whose, **numbers
         )
 
 

@@ -7,22 +7,12 @@ score or a larger one, the largest over the kinds,
 
     error_bound = 1.5 q s(F, Ḟ).
 
-**Guaranteed.** Let a new path come from the distribution of one of the kinds, drawn independently
-of surrogate, domain and s. With probability at most α, over calibration paths and the new one
-together, the error exceeds q s at any of the states at which such a path is looked at, within the
-domain. Given the calibration paths, that probability is at most α for 95 % of the sets of them
-where n ≥ 299 (at α = 1 %), and for 1 − (1 − α)ⁿ of them where n is less. Nothing is assumed of the
-surrogate.
-
-**Margin.** A path is looked at in a few of its states. The factor 1.5 (`settings.MARGIN`) stands
-for the others. It was found by a search for the worst state and is no part of the guarantee.
-
-**Not promised:** anything conditional on a place, so the paths that break the bound may be alike
-and in one corner; anything for paths of another kind (a run of another shape or load than those
-drawn, which is what audits are for); anything once the weights are others than those calibrated.
-
-Vovk, Gammerman, Shafer, *Algorithmic learning in a random world*, 2005; Lei et al.,
-*Distribution-free predictive inference for regression*, 2018.
+For a new path of one of the kinds, drawn independently, the probability that the error exceeds q s
+at its states within the domain is at most α (Vovk, Gammerman, Shafer, *Algorithmic learning in a
+random world*, 2005; Lei et al., *Distribution-free predictive inference for regression*, 2018).
+Given the calibration paths, it is at most α for 95 % of the sets of them where n ≥ 299 (α = 1 %).
+The factor 1.5 (`settings.MARGIN`) stands for the states in between and is no part of the guarantee.
+docs/theory.md says what is not promised.
 """
 
 from __future__ import annotations
@@ -72,11 +62,8 @@ class Truth:
 
     @property
     def reached(self) -> NDArray[np.bool_]:
-        """(n,) whether no earlier state of the same history is without a stress.
-
-        What follows says nothing: a run has ended there, or its RVE, beyond a bifurcation, answers
-        from there on.
-        """
+        """(n,) whether no earlier state of the same history is without a stress; what follows
+        says nothing: a run has ended there, or its RVE answers from beyond a bifurcation."""
         lost = self.status.reshape(len(self.paths.F), -1) != 0
         before = np.logical_or.accumulate(lost, axis=0)
         reached: NDArray[np.bool_] = ~np.concatenate([np.zeros_like(lost[:1]), before[:-1]])
@@ -94,7 +81,6 @@ def calibrate(
     """The surrogate with the domain of its data and a calibrated bound.
 
     Args:
-        samples: that it was trained on.
         shaping: stresses that shape the domain (where they fail) and the local scale.
         testing: stresses along other paths, drawn independently, each kind once.
         alpha: probability that a new path breaks the bound, at most.
@@ -156,8 +142,7 @@ def conformal_quantile(scores: Array, alpha: float) -> float:
 
 def confidence(count: int, alpha: float) -> float:
     """Share of sets of so many scores whose `conformal_quantile` new ones exceed with a probability
-    of at most alpha: `CONFIDENCE`, or 1 − (1 − alpha)ⁿ where n scores are too few for it.
-    """
+    of at most alpha."""
     return min(CONFIDENCE, 1.0 - (1.0 - alpha) ** count)
 
 
@@ -204,9 +189,9 @@ def _fit_scale(law: SurrogateLaw, near: Array, shaping: Sequence[Truth], spread:
     """Coefficients of a small scale that covers all errors.
 
     Linear programs: minimise the mean of s/s₀ over all kinds, subject to s ≥ error at every state,
-    coefficients ≥ 0. s₀ is the size of a state at first, then the s found before, so that its
-    geometric mean falls: a few large errors in one corner do not widen the bound elsewhere. The
-    third program would find what the second does.
+    coefficients ≥ 0. s₀ is the size of a state at first, then the s found before, so that a few
+    large errors in one corner do not widen the bound elsewhere. A third program would find the
+    same.
     """
     assert law.domain is not None
     products = scale_products()

@@ -1,8 +1,7 @@
-"""Paths of deformation in (F, Ḟ): what calibration exchanges, and the RVE's stress along them.
+"""Paths of deformation in (F, Ḟ), along which a bound is calibrated, and the RVE's stress there.
 
-A bound is believed on histories like those of a run, where neighbouring states share their error;
-so a whole path counts once. There are two kinds: random walks through a sampling range, and short
-runs of a problem, of which a few points together are one path.
+Neighbouring states share their error, so a whole path counts once. There are random walks through
+a sampling range, and short runs of a problem, of which a few points together are one path.
 """
 
 from __future__ import annotations
@@ -109,11 +108,8 @@ def random_walks(range: SamplingRange, count: int, length: int, seed: int) -> De
 
 
 class WatchedLaw:
-    """A stress law that reports the (F, Ḟ) of every time step that a run accepts.
-
-    Attributes:
-        note: called with F and F_dot, (n, 2, 2) each, at the end of a step.
-    """
+    """A stress law that calls `note` with F and F_dot (n, 2, 2) at the end of every accepted
+    step."""
 
     def __init__(self, law: StressLaw, note: Callable[[Array, Array], None]) -> None:
         self.law, self.density, self.has_tangents = law, law.density, law.has_tangents
@@ -122,11 +118,9 @@ class WatchedLaw:
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
     ) -> StressResponse:
-        """The law's answer."""
         return self.law.respond(F, F_dot, state, tangents=tangents)
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
-        """The law's acceptance, and a note of where it was."""
         self.note(F, F_dot)
         return self.law.accept(F, F_dot, response)
 
@@ -195,11 +189,8 @@ def _left(answer: StressResponse | Acceptance) -> NDArray[np.bool_]:
 def _settled(
     stress: Array, known: NDArray[np.bool_], again: StressResponse
 ) -> tuple[Array, NDArray[np.int8]]:
-    """Stress (n, 2, 2) and status (n,) by a second answer from a cold start.
-
-    Args:
-        stress: (n, 2, 2) that histories led to; known: (n,) where there is one.
-    """
+    """Stress (n, 2, 2) and status (n,) by a second answer from a cold start, where histories led to
+    `stress` (n, 2, 2) or, where it is not `known` (n,), to none."""
     status = again.status.copy()
     size = np.sqrt((again.stress**2).sum(axis=(1, 2)))
     with np.errstate(invalid="ignore"):

@@ -1,14 +1,12 @@
-"""Where a surrogate may be asked, and the bound of its error there.
+"""Where a surrogate may be used, and the bound of its error there.
 
-Samples fill the box of the range, which the lookup tests. Where some have no stress (no
-convergence, no stable equilibrium, beyond a bifurcation), a failure boundary keeps every one of
-them outside: a surface in products of the scaled inputs to degree 4, by logistic regression of
-failure, moved in until every failed sample is outside, and further by what it fell short of at
-failures left out in cross-validation.
+Samples fill the box of the range, which the lookup tests. Where some have no stress, a failure
+boundary keeps every one of them outside: a surface in products of the scaled inputs to degree 4,
+by logistic regression of failure, moved in until every failed sample is outside, and further by
+what it fell short of at failures left out in cross-validation.
 
 The bound is quantile × local scale. The local scale s(F, Ḟ) > 0 is a sum of products of inputs that
-never fall on the way out from rest, with coefficients ≥ 0; it does not change under rotations nor
-under the square cell's group D4. `calibration` finds it, and says what the bound promises.
+never fall on the way out from rest, with coefficients ≥ 0. `calibration` finds it.
 
 The risk at a point is the bound over the local tolerance, in µN/µm,
 
@@ -16,7 +14,6 @@ The risk at a point is the bound over the local tolerance, in µN/µm,
 
 where b is the bound of the error at rest, and L the size of the stress that the moduli at rest
 give, each of the seven inputs of `tensors` counted by itself, so that it vanishes at rest alone.
-A surrogate with the exact tangents at rest has errors of second order there, which stay below.
 """
 
 from __future__ import annotations
@@ -62,8 +59,8 @@ class Domain:
     Attributes:
         scale: (7,) of the inputs, 1 and 1/µs.
         square: whether the boundary is invariant under D4.
-        boundary: (k,) coefficients of `boundary_products`; failure lies where their sum is
-            positive. Empty where no sample failed.
+        boundary: (k,) coefficients of `boundary_products`, whose sum is positive beyond it. Empty
+            where no sample failed.
     """
 
     scale: Array
@@ -120,11 +117,9 @@ def scaled_inputs(F: Array, F_dot: Array, scale: Array) -> Array:
 
 def all_inputs(x: Array, near: Array) -> Array:
     """(n, 18) what products are made of: scaled inputs x (n, 7), 1, and what never falls on the way
-    out from (I, 0).
-
-    That is the square of s where it is negative (`COMPRESSION`), the mean square of all inputs
-    (`NORM`), with their mean m by the shares `near`, m/(m + `REACH`) (`NEAR`), and the squares.
-    """
+    out from (I, 0): the square of s where it is negative (`COMPRESSION`), the mean square of all
+    inputs (`NORM`), with their mean m by the shares `near`, m/(m + `REACH`) (`NEAR`), and the
+    squares."""
     squares = x**2
     norm, size = squares.mean(axis=1), squares @ near
     low = np.minimum(x[:, 0], 0.0) ** 2
@@ -132,10 +127,8 @@ def all_inputs(x: Array, near: Array) -> Array:
 
 
 def boundary_products(square: bool) -> list[Product]:
-    """Products of inputs that tell where equilibrium is lost: 1, to degree 4 in U, 2 with A.
-
-    Under D4 only those that it leaves alone.
-    """
+    """Products of inputs that tell where equilibrium is lost: 1, to degree 4 in U, 2 with A; under
+    D4 only those that it leaves alone."""
     return [()] + [
         product
         for product in monomials(_LARGEST)
@@ -193,11 +186,8 @@ def local_tolerance(x: Array, coefficients: Array) -> Array:
 
 
 def fit_domain(samples: StressSamples, failed: tuple[Array, Array] | None = None) -> Domain:
-    """The domain that keeps out samples that failed and those beyond a bifurcation.
-
-    Args:
-        failed: F and F_dot (n, 2, 2) of more points that have no stress.
-    """
+    """The domain that keeps out samples that failed, those beyond a bifurcation, and the points of
+    `failed`, F and F_dot (n, 2, 2)."""
     square = samples.cell.symmetry == "D4"
     scale = half_widths(samples.range)
     x = scaled_inputs(samples.F, samples.F_dot, scale)
@@ -232,10 +222,8 @@ def _fit_boundary(good: Array, bad: Array, square: bool) -> Array:
 
 
 def _logistic(good: Array, bad: Array) -> Array:
-    """Ridge logistic regression of failure, both classes with the same weight.
-
-    good, bad: (n, k) basis functions. Returns their coefficients (k,).
-    """
+    """Coefficients (k,) by ridge logistic regression of failure, both classes (n, k) with one
+    weight."""
     basis = np.concatenate([good, bad])
     failed = np.repeat([0, 1], [len(good), len(bad)])
     if not len(good):

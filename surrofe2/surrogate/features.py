@@ -1,16 +1,13 @@
 """What a network is: the products that it reads and multiplies, and its weights.
 
-The products are such that symmetry is exact. A network gives factors from invariants; a term is
-factor × product of inputs and belongs to one component. Under D4 an invariant has no sign and a
-term has the sign of its component, see `square_symmetry`, so whatever the weights, the symmetry
-holds. Without symmetry every input is an invariant and every component has every term.
+A network gives factors from invariants; a term is factor × product of inputs and belongs to one
+component. Under D4 an invariant has no sign and a term has the sign of its component, see
+`square_symmetry`, so the symmetry holds whatever the weights. Without symmetry every input is an
+invariant and every component has every term.
 
 Besides, a network reads u = x^p/√(δ² + x²) of the scaled sum, difference and shear x of U − I, with
-δ = `BEND` and p such that u has no sign. Near rest u changes ten times as fast as x. Squares, which
-D4 asks for, hardly tell small states apart, and a plant cell's stress bends within half a per cent
-of strain, where pairs of particles come to act.
-
-With D4, P̂(I, 0) = 0 by what is subtracted from the factors, see `network`.
+δ = `BEND` and p such that u has no sign. Near rest u changes ten times as fast as x: a plant cell's
+stress bends within half a per cent of strain, where pairs of particles come to act.
 """
 
 from __future__ import annotations
@@ -74,7 +71,6 @@ class Features:
 
     @property
     def read(self) -> int:
-        """How many numbers the network reads."""
         return len(self.invariants) + len(self.powers)
 
 
@@ -109,10 +105,9 @@ class NetworkParameters:
 
     Attributes:
         symmetry, degree: of the plant cell and of the baseline.
-        tensors: by name: `input_scale` (7,), which the inputs are divided by; `output_scale` (4,)
-            of the terms, µN/µm; `coefficients` (m,) of the baseline's monomials;
-            `factors.0.weight`, `factors.0.bias`, … of the layers that give the factors of the
-            terms.
+        tensors: `input_scale` (7,), which the inputs are divided by; `output_scale` (4,) of the
+            terms, µN/µm; `coefficients` (m,) of the baseline's monomials; `factors.0.weight`,
+            `factors.0.bias`, … of the layers that give the factors of the terms.
     """
 
     symmetry: str
@@ -143,7 +138,6 @@ class NetworkParameters:
 
     @property
     def features(self) -> Features:
-        """The products that the network is made of."""
         return make_features(self.symmetry, self.degree)
 
     @property
@@ -165,10 +159,8 @@ class NetworkParameters:
         return terms
 
     def sizes_at_rest(self) -> Array:
-        """(7,) Frobenius norm of what each input adds to the linear stress, by a unit of it, µN/µm.
-
-        That of the baseline, which has all slopes at rest where they were known to the training.
-        """
+        """(7,) Frobenius norm of what each input adds to the linear stress of the baseline, which
+        has all slopes at rest where the training knew them, by a unit of the input, µN/µm."""
         slopes = np.zeros((COMPONENTS, INPUTS))
         for component, terms in enumerate(self.baseline):
             for product, value in terms:

@@ -1,16 +1,16 @@
 """Stress, status and risk of a surrogate in one compiled pass; slopes in another.
 
 Points are taken in blocks of `TILES` tiles of `TILE` points; every quantity is a row of a block,
-(TILES, TILE), and each operation is one of SIMD values of `base.simd`. In this order: the arrays
-that kernels read, what is called from outside, then the kernels as a block meets them: rotation
-out, range, inputs, network, rotation in, risk. What is differentiated by the first K inputs has the
-input as first axis, (K, rows, TILES, TILE); a value alone is the same with K = 0. Rows of a layer
-are computed four at a time, so sizes are padded with zeros to multiples of four. Sums of SIMD
-values keep their order, so the bits of an answer do not depend on the place of its point.
+(TILES, TILE), and each operation is one of SIMD values of `base.simd`. What is differentiated by
+the first K inputs has the input as first axis, (K, rows, TILES, TILE); a value alone is the same
+with K = 0. Rows of a layer are computed four at a time, so sizes are padded with zeros to multiples
+of four. Sums of SIMD values keep their order, so the bits of an answer do not depend on the place
+of its point.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -77,8 +77,8 @@ class NetworkArrays(NamedTuple):
             range, by the rounding of the range test wider than the range.
         input_factor: (7,) 1/input scale; output_factor: (4,).
         at_rest: (t,) what the factors are at rest, 0 unless they are subtracted.
-        products to kept: `products.Polynomials` of the baseline of P̂; kept are the products of
-            the t terms, then the invariants.
+        products to kept: `Polynomials` of the baseline of P̂; kept are the products of the t terms,
+            then the invariants.
         components: (t,) int64 of the terms.
         powers: (3,) int64 of s, d, g in the invariants of U alone, see `features`.
         sizes: (layers + 1,) int64 inputs, and outputs of each layer of the network of factors,
@@ -125,7 +125,7 @@ class NetworkArrays(NamedTuple):
             biases=biases,
         )
         # what the network gives at rest is subtracted as the very same instructions give it
-        room = _make_room(arrays, 0)
+        room = _make_room(arrays, 0, 1)
         room.rows[:ONE] = 0.0
         room.rows[ONE] = 1.0
         first = _evaluate_factors(arrays, room)
@@ -157,9 +157,9 @@ class BoundArrays(NamedTuple):
     Attributes:
         factor: (7,) 1/scale of the inputs.
         near: (7,) share of each squared input in the size of a state.
-        products to kept: `products.Polynomials` of `domain.all_inputs`: the failure boundary,
-            beyond which it is positive; the bound over the tolerance, infinite where none is
-            known; the square of what is added to the local tolerance at rest.
+        products to kept: `Polynomials` of `all_inputs`: the failure boundary, beyond which it
+            is positive; the bound over the tolerance, infinite where none is known; the square of
+            what is added to the local tolerance at rest.
         at_rest: (1,) this.
     """
 
@@ -185,25 +185,21 @@ class BoundArrays(NamedTuple):
         """
         *squares, at_rest, most = [0.0] * INPUTS + [1.0, 1.0] if tolerance is None else tolerance
         factor, near = np.ones(INPUTS), np.ones(INPUTS)
-        boundary: list[tuple[Product, float]] = []
+        boundary: Iterable[tuple[Product, float]] = []
         bound: list[tuple[Product, float]] = [((), np.inf)]
         if domain is not None:
             factor = 1.0 / domain.scale
             if len(domain.boundary):
-                boundary = list(
-                    zip(boundary_products(domain.square), domain.boundary.tolist(), strict=True)
-                )
+                boundary = zip(boundary_products(domain.square), domain.boundary, strict=True)
             if calibration is not None and np.isfinite(calibration.quantile):
-                scale = (calibration.quantile * calibration.scale / most).tolist()
-                both = zip(scale_products(), scale, calibration.scale > 0.0, strict=True)
-                bound = [(product, value) for product, value, is_used in both if is_used]
+                scale = calibration.quantile * calibration.scale / most
+                pairs = zip(scale_products(), scale, strict=True)
+                bound = [(product, value) for product, value in pairs if value > 0.0]
                 near = calibration.near
-        local: list[tuple[Product, float]] = [
-            ((SQUARES + k,), float(value)) for k, value in enumerate(squares) if value
-        ]
-        polynomials = boundary, [] if np.isinf(most) else bound, local
-        arrays = Polynomials.of(ALL_INPUTS, polynomials)._asdict()
-        return cls(factor=factor, near=near, at_rest=np.array([float(at_rest)]), **arrays)
+        local = [((SQUARES + k,), value) for k, value in enumerate(squares) if value]
+        parts = boundary, [] if np.isinf(most) else bound, local
+        arrays = Polynomials.of(ALL_INPUTS, parts)
+        return cls(factor, near, *arrays, np.array([float(at_rest)]))
 
 
 def lookup(
@@ -215,21 +211,24 @@ def lookup(
 
     F, F_dot: (n, 2, 2) contiguous float64. limit: of the risk.
     """
-    count = len(F)
-    stress, status, risk = np.empty((count, 2, 2)), np.empty(count, dtype=np.int8), np.empty(count)
-    compute = _lookup_parallel if count >= MANY else _lookup_part
-    compute(0, count, F, F_dot, network, bounds, float(limit), stress, status, risk)
-    return stress, status, risk
+    stress = np.empty(F.shape)
+    return stress, *_look_up(F, F_dot, network, bounds, limit, stress)
 
 
 def status_and_risk(
     F: Array, F_dot: Array, network: NetworkArrays, bounds: BoundArrays, limit: float
 ) -> tuple[NDArray[np.int8], Array]:
     """Status and risk of `lookup` without the stress, whose finiteness is not tested."""
+    return _look_up(F, F_dot, network, bounds, limit, np.empty((0, 2, 2)))
+
+
+def _look_up(
+    F: Array, F_dot: Array, network: NetworkArrays, bounds: BoundArrays, limit: float, stress: Array
+) -> tuple[NDArray[np.int8], Array]:
     count = len(F)
     status, risk = np.empty(count, dtype=np.int8), np.empty(count)
-    test = _test_parallel if count >= MANY else _test_part
-    test(0, count, F, F_dot, network.bounds, bounds, float(limit), status, risk)
+    compute = _lookup_parallel if count >= MANY else _lookup_part
+    compute(0, count, F, F_dot, network, bounds, float(limit), stress, status, risk)
     return status, risk
 
 
@@ -257,17 +256,20 @@ def _lookup_parallel(  # type: ignore[no-untyped-def]
 def _lookup_part(  # type: ignore[no-untyped-def]
     begin, end, F, F_dot, network, bounds, limit, stress, status, risk
 ):
-    """Set the answer at points `begin` to `end`."""
-    frame, room = np.empty((_FRAME_ROWS, TILES, TILE)), _make_room(network, np.int64(0))
+    """Set the answer at points `begin` to `end`; stress only where it is not empty."""
+    with_stress = stress.shape[0] > 0
+    frame, room = np.empty((_FRAME_ROWS, TILES, TILE)), _make_room(network, 0, int(with_stress))
     domain = _make_domain_room(bounds)
     for start in range(begin, end, BLOCK):
         _read_points(start, F, F_dot, frame)
         _take_rotation_out(frame)
         _set_inside(frame, network.bounds)
+        _test_block(start, frame, bounds, limit, domain, status, risk)
+        if not with_stress:
+            continue
         _scale_inputs(frame, network.input_factor, room.rows)
         _evaluate_network(network, room)
         _set_stress(room.y, frame)
-        _test_block(start, frame, bounds, limit, domain, status, risk)
         for p in range(min(BLOCK, end - start)):
             point, t, lane = start + p, p // TILE, p % TILE
             is_finite = True
@@ -279,24 +281,6 @@ def _lookup_part(  # type: ignore[no-untyped-def]
                 status[point], risk[point] = _NOT_FINITE, np.inf
             if status[point] != _OK:
                 stress[point] = np.nan
-
-
-@parallel_kernel
-def _test_parallel(begin, end, F, F_dot, limits, bounds, limit, status, risk):  # type: ignore[no-untyped-def]
-    for part in prange((end - begin + _PART - 1) // _PART):
-        first = begin + part * _PART
-        last = min(first + _PART, end)
-        _test_part(first, last, F, F_dot, limits, bounds, limit, status, risk)
-
-
-@kernel
-def _test_part(begin, end, F, F_dot, limits, bounds, limit, status, risk):  # type: ignore[no-untyped-def]
-    frame, domain = np.empty((_FRAME_ROWS, TILES, TILE)), _make_domain_room(bounds)
-    for start in range(begin, end, BLOCK):
-        _read_points(start, F, F_dot, frame)
-        _take_rotation_out(frame)
-        _set_inside(frame, limits)
-        _test_block(start, frame, bounds, limit, domain, status, risk)
 
 
 @kernel
@@ -326,7 +310,7 @@ def _test_block(start, frame, bounds, limit, room, status, risk):  # type: ignor
 
 @kernel
 def _slopes(F, F_dot, network, P, slopes):  # type: ignore[no-untyped-def]
-    frame, room = np.empty((_FRAME_ROWS, TILES, TILE)), _make_room(network, np.int64(INPUTS))
+    frame, room = np.empty((_FRAME_ROWS, TILES, TILE)), _make_room(network, INPUTS, 1)
     for start in range(0, F.shape[0], BLOCK):
         _read_points(start, F, F_dot, frame)
         _take_rotation_out(frame)
@@ -377,10 +361,7 @@ def _take_rotation_out(frame):  # type: ignore[no-untyped-def]
 
 @kernel
 def _set_inside(frame, bounds):  # type: ignore[no-untyped-def]
-    """Set `_INSIDE` to 1 where low < U₁₁, U₂₂ < high, |U₁₂| < shear and |A| < rate, else 0.
-
-    bounds: (4,) low, high, shear, rate. What is not a number is outside.
-    """
+    """Set `_INSIDE` to 1 where low < U₁₁, U₂₂ < high, |U₁₂| < shear and |A| < rate, else 0."""
     low, high, shear, rate = bounds[0], bounds[1], bounds[2], bounds[3]
     for t in range(TILES):
         inside = where_less(low, load(frame, _U11, t), 1.0, 0.0)
@@ -416,11 +397,9 @@ def _scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
 
 
 class _Room(NamedTuple):
-    """What a network is evaluated in, used again for the next block.
-
-    rows: scaled inputs, ones, products; y: (4, …) components; units: (all units, …) of the network;
-    the others, with K before, are their slopes.
-    """
+    """What a network is evaluated in, used again for the next block: rows of scaled inputs, ones
+    and products; y (4, …) components; units (all units, …); the others, with K before, are their
+    slopes."""
 
     rows: Any
     y: Any
@@ -431,9 +410,10 @@ class _Room(NamedTuple):
 
 
 @kernel
-def _make_room(arrays, inputs):  # type: ignore[no-untyped-def]
-    """Room for values and for slopes along so many inputs, 0 or 7."""
-    rows, units = ONE + 1 + arrays.products.shape[0], arrays.sizes.sum()
+def _make_room(arrays, inputs, is_needed):  # type: ignore[no-untyped-def]
+    """Room for values and for slopes along so many inputs, 0 or 7; none where it is not needed."""
+    rows = is_needed * (ONE + 1 + arrays.products.shape[0])
+    units = is_needed * arrays.sizes.sum()
     return _Room(
         np.empty((rows, TILES, TILE)),
         np.empty((COMPONENTS, TILES, TILE)),
@@ -446,10 +426,8 @@ def _make_room(arrays, inputs):  # type: ignore[no-untyped-def]
 
 @kernel
 def _evaluate_network(arrays, room):  # type: ignore[no-untyped-def]
-    """The components of P̂, y, and their slopes by scaled inputs, from the inputs' rows.
-
-    The baseline, and of each term (factor − factor at rest) × product.
-    """
+    """The components of P̂, y, and their slopes by scaled inputs: the baseline, and of each term
+    (factor − factor at rest) × product."""
     first, y, y_slopes = _evaluate_factors(arrays, room), room.y, room.y_slopes
     for term in range(arrays.components.shape[0]):
         component, row = arrays.components[term], arrays.kept[term]
@@ -467,16 +445,16 @@ def _evaluate_network(arrays, room):  # type: ignore[no-untyped-def]
 @kernel
 def _evaluate_factors(arrays, room):  # type: ignore[no-untyped-def]
     """Set y to the baseline, fill the units, all with slopes; returns the first factor's row."""
-    units, slopes = room.units, room.unit_slopes
+    units, slopes, kept = room.units, room.unit_slopes, arrays.kept
     evaluate(arrays, room.rows, room.y, room.row_slopes, room.y_slopes)
     terms = arrays.components.shape[0]
-    invariants = arrays.kept.shape[0] - terms
+    invariants = kept.shape[0] - terms
     units[invariants + STRETCH : arrays.sizes[0]] = 0.0
     slopes[:, invariants : arrays.sizes[0]] = 0.0
     for k in range(invariants):
-        units[k] = room.rows[arrays.kept[terms + k]]
+        units[k] = room.rows[kept[terms + k]]
         for along in range(slopes.shape[0]):
-            slopes[along, k] = room.row_slopes[along, arrays.kept[terms + k]]
+            slopes[along, k] = room.row_slopes[along, kept[terms + k]]
     _fill_near_invariants(arrays.powers, room.rows, units, slopes, invariants)
     return _forward(arrays.sizes, arrays.weights, arrays.biases, units, slopes)
 
@@ -499,9 +477,7 @@ def _fill_near_invariants(powers, x, units, slopes, first):  # type: ignore[no-u
 @kernel
 def _forward(sizes, weights, biases, units, slopes):  # type: ignore[no-untyped-def]
     """Fill the units of all layers, and their slopes, from the inputs'; the last has no tanh.
-
-    Returns the first row of the last layer.
-    """
+    Returns the first row of the last layer."""
     none = np.zeros(sizes.max())
     begin, first_weight, first_bias = 0, 0, 0
     for layer in range(1, sizes.shape[0]):
@@ -563,10 +539,8 @@ def _apply_layer(matrix, bias, source, target):  # type: ignore[no-untyped-def]
 
 @kernel
 def _set_stress(y, frame):  # type: ignore[no-untyped-def]
-    """The rows of σ from the components of P̂ in rows 0 to 3 of y.
-
-    S = P̂ U/det U; R turns its difference and shear by twice its angle.
-    """
+    """The rows of σ from the components of P̂ in rows 0 to 3 of y: S = P̂ U/det U; R turns its
+    difference and shear by twice its angle."""
     for t in range(TILES):
         u11, u22 = load(frame, _U11, t), load(frame, _U22, t)
         n, d, g = u11 + u22, u11 - u22, 2.0 * load(frame, _U12, t)

@@ -1,13 +1,11 @@
-"""The network in torch: P̂ = RᵀP over the stretch U and the rate A = RᵀḞ, symmetric by construction.
+"""The network in torch: P̂ = RᵀP over the stretch U and the rate A = RᵀḞ, symmetric by
+construction.
 
-    P̂ = Σ_t f_t(i(x)) m_t(x) + baseline
+    P̂ = Σ_t f_t(i(x)) m_t(x) + baseline,    σ = P Fᵀ/det F
 
 x: scaled inputs of `tensors`. One tanh network gives the factors f of all terms m from invariants i
-(see `features`). The baseline is a polynomial, fitted first by least squares; of degree 1 it is a
-linear Kelvin–Voigt law.
-
-σ = P Fᵀ/det F. Every term is smooth, no sector is sorted into. Needed for training alone: a trained
-network leaves as `NetworkParameters`.
+(see `features`). The baseline is a polynomial, fitted first by least squares. Needed for training
+alone: a trained network leaves as `NetworkParameters`.
 """
 
 from __future__ import annotations
@@ -60,15 +58,12 @@ class TanhNetwork(torch.nn.ModuleList):
 
     @property
     def linear(self) -> list[torch.nn.Linear]:
-        """Its layers."""
         return [layer for layer in self if isinstance(layer, torch.nn.Linear)]
 
 
 class Shapes(NamedTuple):
-    """What the parts of a network are functions of; fixed in training.
-
-    x (n, 7), scaled inputs; invariants (n, i) that the network reads; terms (n, t), products.
-    """
+    """What the parts of a network are functions of, fixed in training: scaled inputs x (n, 7),
+    invariants (n, i) that the network reads, and terms (n, t), products."""
 
     x: torch.Tensor
     invariants: torch.Tensor
@@ -77,10 +72,6 @@ class Shapes(NamedTuple):
 
 class StressNetwork(torch.nn.Module):
     """P̂(x) for inputs (n, 7) of `tensors.to_inputs`; output (n, 4) in µN/µm.
-
-    Args:
-        settings: degree of the baseline, sizes of the network, seed.
-        symmetry: of the plant cell's arrangement, "D4" or "none".
 
     Attributes:
         second_order: whether the baseline takes away the slopes at rest of what the network gives,
@@ -144,10 +135,8 @@ class StressNetwork(torch.nn.Module):
         return self._from_network(shapes) - shapes.x @ self.rest_slopes()
 
     def correction_along(self, shapes: Shapes, moving: Shapes) -> Pair:
-        """`correction`, and its slopes (n, 4) along a direction, that of `moving` of the shapes.
-
-        It is written out, for torch's forward differentiation takes four times as long.
-        """
+        """`correction`, and its slopes (n, 4) along the direction `moving` of the shapes; written
+        out, for torch's forward differentiation takes four times as long."""
         (P, slope), rest = self._from_network_along(shapes, moving), self.rest_slopes()
         return P - shapes.x @ rest, slope - moving.x @ rest
 
@@ -159,7 +148,6 @@ class StressNetwork(torch.nn.Module):
 
     @cached_property
     def _near_rest(self) -> tuple[Shapes, Shapes]:
-        """The shapes at rest, a row for each input, and their slopes by it."""
         rest = self.input_scale.new_zeros(INPUTS, INPUTS)
         return along(self.shapes, (rest,), (torch.eye(INPUTS, dtype=rest.dtype),))
 
@@ -224,7 +212,6 @@ class StressNetwork(torch.nn.Module):
 
     @cached_property
     def _squared(self) -> torch.Tensor:
-        """(3,) whether s, d and g are squared where they must not have a sign."""
         return torch.tensor([power == 2 for power in self.features.powers])
 
 

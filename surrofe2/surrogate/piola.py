@@ -107,11 +107,10 @@ def _closed(R: Array, by: Array) -> Array:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class QuadraticLaw:
-    """P̂ = RᵀP linear in U − I and RᵀḞ, so its energy is quadratic in U − I.
+    """P̂ = RᵀP linear in U − I and RᵀḞ: another law's elastic and viscous moduli at rest.
 
-    It has another law's elastic and viscous moduli at rest, and turns with the material. It knows
-    neither that law's stiffening nor its loss of stability. Sum, difference and shear of P̂ are
-    linear; its spin, which is of second order, is the one by which σ stays symmetric.
+    It turns with the material, and knows neither that law's stiffening nor its loss of stability.
+    Sum, difference and shear of P̂ are linear; its spin is the one by which σ stays symmetric.
 
     Attributes:
         slopes: (4, 7) components of P̂ by the inputs of `tensors`, µN/µm and µN µs/µm.
@@ -159,5 +158,4 @@ class QuadraticLaw:
         return StressResponse(to_cauchy(F, P), status, state, {}, slopes)
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
-        """Nothing is left to check."""
         return Acceptance(response.status, response.state)

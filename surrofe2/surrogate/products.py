@@ -1,8 +1,7 @@
 """Products of inputs, each an earlier one times one input, and polynomials as sums of them.
 
-One table serves all that a surrogate computes before its network: invariants and terms, the
-polynomial that is corrected, the failure boundary and the scale of the bound. `columns` evaluates
-products in numpy and in torch, `evaluate` in compiled code, with slopes on request.
+One table serves invariants and terms, the polynomial that is corrected, the failure boundary and
+the scale of the bound: `columns` in numpy and torch, `evaluate` in compiled code, with slopes.
 """
 
 from __future__ import annotations

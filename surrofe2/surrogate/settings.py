@@ -10,10 +10,7 @@ from surrofe2.base.settings import check_settings, setting
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingSettings:
-    """Shape of the surrogate and effort of its training, by full-batch L-BFGS.
-
-    The network corrects a polynomial; of degree 1 that is a linear Kelvin–Voigt law.
-    """
+    """Shape of the surrogate and effort of its training, by full-batch L-BFGS."""
 
     hidden: tuple[int, ...] = setting(
         (24, 24), "tanh units in each hidden layer", least=1, most=1024
@@ -66,9 +63,8 @@ class CalibrationSettings:
     """Number and kind of the paths along which RVEs compute the stress.
 
     As many walks again, and a third as many runs, shape the local scale, which the others then
-    calibrate. Each kind that is used needs at least 1/alpha − 1 paths. With 299 at 1 %, in
-    general log(0.05)/log(1 − alpha), the bound holds with 95 % confidence; with fewer, `train` says
-    with how much.
+    calibrate. Each kind that is used needs at least 1/alpha − 1 paths; with log(0.05)/log(1 −
+    alpha), 299 at 1 %, the bound holds with 95 % confidence.
     """
 
     walks: int = setting(300, "random walks through the sampling range, from rest", least=0)

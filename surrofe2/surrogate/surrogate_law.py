@@ -55,15 +55,11 @@ class SurrogateLaw(Viewed):
 
     Attributes:
         network: components of RᵀP from those of U and RᵀḞ; see `network`.
-        cell: parameters of the plant cell whose stress was learnt.
-        initialisation: how its RVE was initialised.
+        cell, initialisation: of the RVE whose stress was learnt.
         range: bounds of the data, outside which no stress is given.
-        settings: of the training.
-        errors: over held-out samples: `points`, and by component `spread` (standard deviation,
-            µN/µm), `rms` and `worst` error relative to the spread.
-        data_fingerprint: of the samples trained on.
+        errors: over held-out samples, see `errors_of`.
+        data_fingerprint: of the samples trained on; version: of the package that trained.
         rest_length: wall rest length in µm, if known.
-        version: of the package that trained.
         domain: where in the range samples did not fail; None: all of it.
         calibration: of the bound of the error, valid for these very weights and this range.
         reference: of the RVE, carried along so that a cached run need not settle it.
@@ -122,14 +118,13 @@ class SurrogateLaw(Viewed):
 
     @property
     def density(self) -> float:
-        """Mass per reference area, ng/µm²."""
+        """ng/µm²."""
         return self.cell.density
 
     def learn(self, F: Array, F_dot: Array, stress: Array, state: Any = None) -> None:
         """Nothing is learnt."""
 
     def to_arrays(self) -> dict[str, NDArray]:
-        """Nothing that a run could have changed."""
         return {}
 
     def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
@@ -138,10 +133,8 @@ class SurrogateLaw(Viewed):
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
     ) -> StressResponse:
-        """Stress at n points; NaN and status OUT_OF_RANGE outside the range of the data.
-
-        With `tangents`, ∂P/∂F and ∂P/∂Ḟ of the surrogate too, NaN where the stress is.
-        """
+        """Stress at n points; NaN and status OUT_OF_RANGE outside the range of the data, of the
+        tangents too."""
         F, F_dot = check_deformation(F, F_dot)
         stress, status, _ = self.lookup(F, F_dot)
         slopes = None
@@ -170,7 +163,6 @@ class SurrogateLaw(Viewed):
         return to_tangents(F, F_dot, *self._slopes(F, F_dot))
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
-        """Nothing is left to check or to commit."""
         return Acceptance(response.status, response.state)
 
     def in_range(self, F: Array, F_dot: Array) -> NDArray[np.bool_]:
@@ -188,20 +180,15 @@ class SurrogateLaw(Viewed):
 
     @property
     def stress_spread(self) -> float:
-        """Spread of the data's stress in µN/µm, see `tensors.stress_spread`.
-
-        Of all valid samples where calibrated, else of those held out from training.
-        """
+        """µN/µm, see `tensors.stress_spread`: of all valid samples where calibrated, else of those
+        held out from training."""
         if self.calibration is not None:
             return self.calibration.stress_spread
         return float(np.hypot.reduce([self.errors["spread"][k] for k in ("xx", "xy", "yx", "yy")]))
 
     def with_tolerance(self, tolerance: float, relative: float) -> SurrogateLaw:
-        """This law, whose risks are by this tolerance; an infinite one leaves no risk.
-
-        Args:
-            tolerance: share of the spread of stress; relative: share of the local stress.
-        """
+        """This law, whose risks are by this share of the spread of stress, and `relative` share of
+        the local stress; an infinite tolerance leaves no risk."""
         at_rest = float(self.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0])
         local = np.append(np.zeros(INPUTS), 1.0)
         if self.domain is not None and np.isfinite([tolerance, relative, at_rest]).all():
@@ -216,10 +203,8 @@ class SurrogateLaw(Viewed):
         return local_tolerance(scaled_inputs(F, F_dot, self.domain.scale), self.tolerance[:-1])
 
     def error_bound(self, F: Array, F_dot: Array) -> Array:
-        """(n,) bound of the error of the stress in µN/µm; see `calibration` for what it promises.
-
-        Infinite outside the domain, and where nothing was calibrated.
-        """
+        """(n,) bound of the error of the stress in µN/µm, see `calibration`; infinite outside the
+        domain, and where nothing was calibrated."""
         F, F_dot = (np.ascontiguousarray(tensors, dtype=np.float64) for tensors in (F, F_dot))
         law = self if self.tolerance is None else replace(self, tolerance=None)
         return law.lookup(F, F_dot)[2]
@@ -229,9 +214,9 @@ class SurrogateLaw(Viewed):
     ) -> tuple[Array, NDArray[np.int8], Array]:
         """(stress (n, 2, 2), status (n,), risk (n,)) in one compiled pass; input is not checked.
 
-        The risk is the bound of the error over the error allowed there: by `with_tolerance`, else
-        1 µN/µm. The status is NOT_TRUSTED, the stress NaN where it exceeds the limit. It is
-        infinite where no bound is known.
+        The risk is the bound of the error over the error allowed there: by `with_tolerance`, else 1
+        µN/µm; infinite where no bound is known. Where it exceeds the limit, the status is
+        NOT_TRUSTED and the stress NaN.
 
         F, F_dot: contiguous float64 (n, 2, 2).
         """
@@ -240,10 +225,8 @@ class SurrogateLaw(Viewed):
     def status_and_risk(
         self, F: Array, F_dot: Array, limit: float = np.inf
     ) -> tuple[NDArray[np.int8], Array]:
-        """(status (n,), risk (n,)) of `lookup`, which costs several times as much.
-
-        That the network's answer is finite is not tested.
-        """
+        """(status (n,), risk (n,)) of `lookup`, which costs several times as much; that the
+        network's answer is finite is not tested."""
         return status_and_risk(F, F_dot, self.arrays, self.bound_arrays, limit)
 
     def extrapolate(self, F: Array, F_dot: Array) -> Array:
@@ -252,11 +235,7 @@ class SurrogateLaw(Viewed):
         return to_cauchy(F, self._slopes(F, F_dot)[0])
 
     def score(self, samples: StressSamples) -> dict[str, Any]:
-        """Errors on samples of the same RVE, by component, beyond the range too.
-
-        Returns:
-            As `errors`: `points`, and by component of σ (``"xx"``, …) and of Rᵀ σ R `spread` in
-            µN/µm, `rms` and `worst` relative to it.
+        """`errors_of` this surrogate on samples of the same RVE, beyond the range too.
 
             >>> surrogate.score(samples)["rms"]["xy"]
 
@@ -282,12 +261,8 @@ class SurrogateLaw(Viewed):
 
 
 def errors_of(answer: Array, samples: StressSamples) -> dict[str, Any]:
-    """Errors of answers (n, 2, 2) at samples, by component of S and of σ.
-
-    Returns:
-        `points`, and by component `spread` (standard deviation over the samples, µN/µm), `rms`
-        and `worst` (relative to the spread).
-    """
+    """Errors of answers (n, 2, 2) at samples: `points`, and by component of σ ("xx", …) and of Rᵀ σ
+    R `spread` (standard deviation over the samples, µN/µm), `rms` and `worst` (relative to it)."""
     R = rotation(samples.F)
     exact, found = (_all_components(stress, R) for stress in (samples.stress, answer))
     spread = exact.std(axis=0)

@@ -1,17 +1,13 @@
 """From samples to a `SurrogateLaw`: polynomial by least squares, network by L-BFGS.
 
 The polynomial is fitted to stress, and to tangents where there are any: the normal equations are
-accumulated over blocks of samples; directions that the samples do not see (a range of zero width)
-get 0, as the solution of least norm has it. A `Task` holds what it leaves as tensors, one row per
-sample, and gives the loss of a network.
+accumulated over blocks of samples; directions that the samples do not see get 0. A `Task` holds
+what it leaves as tensors, and gives the loss of a network.
 
 Samples with tangents are trained on those as well (Sobolev): the polynomial on all of them, the
 network on the slope along one random direction of the inputs per sample. For a network this small
 and a stress this smooth, full-batch quasi-Newton steps in float64 reach errors that stochastic
-gradients do not in the same time.
-
-`should_stop` may end training after any `ROUND` iterations, as soon as a surrogate is good enough.
-Samples held out decide nothing, so the errors on them are those on new samples.
+gradients do not in the same time. Samples held out decide nothing.
 """
 
 from __future__ import annotations
@@ -54,13 +50,8 @@ _VECTORS = ("d", "prev_flat_grad")
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TrainingState:
-    """An interrupted training, to be carried on.
-
-    Attributes:
-        identity: fingerprint of the samples and the settings, as text.
-        iterations: done.
-        arrays: weights of the network and state of the optimiser, by name.
-    """
+    """An interrupted training: `identity` (fingerprint of the samples and the settings, as text),
+    `iterations` done, weights of the network and state of the optimiser by name."""
 
     identity: Mapping[str, str]
     iterations: int
@@ -88,7 +79,7 @@ def train(
         progress: called with (iterations done, iterations in all, figures), among the figures
             `loss` (training) and `held_out_rms`, both relative to the spread of stress.
         checkpoint: called now and then, and when interrupted by the keyboard.
-        resume: a state that `checkpoint` was given, to carry on from.
+        resume: a state that `checkpoint` was given.
         symmetry: "D4" or "none"; None: that of the plant cell's arrangement.
         should_stop: says after every `ROUND` iterations whether training is to end, by the
             surrogate so far; None: after all iterations.

@@ -17,7 +17,7 @@ from surrofe2.law.samples import StressSamples
 from surrofe2.law.stress_law import Status, describe
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.store import samples, store
-from surrofe2.store.hdf5 import reading, write_checkpoint, writing, writing_hdf5
+from surrofe2.store.hdf5 import ANY, reading, write_checkpoint, writing
 from surrofe2.store.samples import (
     DATA_SET,
     HarvestWriter,
@@ -87,7 +87,7 @@ def test_rows_are_taken_whole_or_not_at_all(tmp_path):
 
 def test_a_file_can_be_written_while_one_that_was_interrupted_is_open(tmp_path):
     path = tmp_path / "cells.h5"
-    interrupted = writing_hdf5(path)
+    interrupted = writing(path, ANY, {})
     interrupted.__enter__()
     write_all(path)
     assert len(read_data_set(path).F) == HEADER.count
@@ -95,7 +95,7 @@ def test_a_file_can_be_written_while_one_that_was_interrupted_is_open(tmp_path):
 
 def test_an_interruption_waits_while_hdf5_is_at_work(tmp_path):
     path = tmp_path / "a.h5"
-    with writing_hdf5(path) as file:
+    with writing(path, ANY, {}) as file:
         assert interruption._state.held
         file["x"] = 1.0
     assert not interruption._state.held

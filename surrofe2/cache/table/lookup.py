@@ -1,11 +1,9 @@
 """Stress from a table's linear models, eight points at a time, in one compiled pass.
 
 All models answer whose ellipsoids hold the point or an image of it, each with a weight that is 0
-at the surface of its ellipsoid and infinite at its centre, so that the answer is continuous
-wherever there is one: a macro scale that chooses its steps by their error sees no jumps. With b
+at the surface of its ellipsoid and infinite at its centre, so that the answer is continuous. With b
 the bound of a model and L the largest that is allowed, the weight is (L/b − 1)². Eight points at a
-time are asked of each record that may hold one of them; where it does not, its weight is 0, so an
-answer does not depend on what else is asked.
+time are asked of each record that may hold one of them; where it does not, its weight is 0.
 
 A screen says which records come into question. Multiplied out, the bound (x − x₀)ᵀ C (x − x₀) is a
 polynomial of degree 2 in x. An image flips the sign of each of its 36 monomials as it flips one
@@ -67,12 +65,8 @@ def look_up(
     records: Any,
     screen: Any,
 ) -> tuple[NDArray[np.float64], NDArray[np.int8], NDArray[np.float64]]:
-    """(stress (n, 2, 2), status (n,), bound (n,)) as `StressTable.lookup` gives them.
-
-    Args:
-        tolerances: that is asked for, and the table's own.
-        screen: of all records, see `make_screen`.
-    """
+    """(stress (n, 2, 2), status (n,), bound (n,)) as `StressTable.lookup` gives them, by the
+    tolerance that is asked for and the table's own, and the `make_screen` of all records."""
     count = len(F)
     answer = np.empty((count, 2, 2)), np.empty(count, dtype=np.int8), np.empty(count)
     compute = _all_parallel if count >= MANY else _some

@@ -1,15 +1,12 @@
 """Records of a table: linear models of the stress, each with its ellipsoid of accuracy.
 
 A record says S(x) ≈ s₀ + G (x − x₀), x the seven inputs of `tensors` and S of the four components
-sum, difference, shear and spin; |S| = √(s·s/2) is its Frobenius norm. The error of a linear model
-is quadratic in the distance, so it is bounded by
+sum, difference, shear and spin; |S| = √(s·s/2) is its Frobenius norm. Its error is bounded by
 
     bound(x) = dᵀ C d,    d = x − x₀,
 
 with the record's curvature C (symmetric, positive definite), and the ellipsoid of accuracy for a
-tolerance is where bound ≤ tolerance. ISAT keeps M = C/tolerance (Pope 1997, section 3.2); C does
-not depend on the tolerance. What a table claims is no more than this: a quadratic law through the
-errors it has seen.
+tolerance is where bound ≤ tolerance; ISAT keeps M = C/tolerance (Pope 1997, section 3.2).
 
 Growing is like ISAT's (section 3.3): where the linear model of a near record is right at a point
 outside its ellipsoid or near its surface, the ellipsoid grows along the point p until that is well
@@ -61,7 +58,6 @@ class Records(NamedTuple):
     extent: Array
 
     def take(self, index: NDArray[np.intp]) -> Records:
-        """The records `index` alone."""
         return Records(*(part[index] for part in self))
 
 
@@ -87,16 +83,12 @@ def joined(first: Records, second: Records) -> Records:
 
 
 def curvature_from_slopes(slope: Array, probed: Array, step: Array, reach: Array) -> Array:
-    """C (n, 7, 7) from the change of the exact slopes over a short way along each input.
+    """C (n, 7, 7) from the slopes G (n, 4, 7) at the centre and those (n, 7, 4, 7) at x₀ + step
+    (7,) along each input in turn; squares of different inputs are added up in the unit `reach`
+    (7,).
 
     With the second derivatives H_k of the four components, the error is |½ (dᵀ H_k d)_k| in the
     Frobenius norm, which ½ dᵀ (½ Σ H_k²)^½ d follows closely (exactly where the H_k commute).
-
-    Args:
-        slope: (n, 4, 7) G at the centre.
-        probed: (n, 7, 4, 7) G at x₀ + step along each input in turn.
-        step: (7,) how far.
-        reach: (7,) the unit in which squares of different inputs are added up.
     """
     second = (probed - slope[:, None]) / step[:, None, None]  # [n, along, k, of]
     second = np.moveaxis(second, 1, 3) * reach[:, None] * reach
@@ -138,8 +130,7 @@ def records_from_neighbours(
 
     Args:
         state: the law's warm start, of which `points` (m,) are these, or None.
-        tolerance: µN/µm.
-        reach: (7,) half widths of the range.
+        tolerance: µN/µm. reach: (7,) half widths of the range.
     """
     m = len(x)
     step = NEIGHBOUR * reach
@@ -167,10 +158,8 @@ def records_from_neighbours(
 
 
 def input_slopes(R: Array, by_F: Array, by_F_dot: Array) -> Array:
-    """∂s/∂x (n, 4, 7) from ∂σ/∂F and ∂σ/∂Ḟ, (n, 2, 2, 2, 2) each.
-
-    A change of x at fixed R changes F by R δU and Ḟ by R δA, and σ by R δS Rᵀ.
-    """
+    """∂s/∂x (n, 4, 7) from ∂σ/∂F and ∂σ/∂Ḟ, (n, 2, 2, 2, 2) each: a change of x at fixed R changes
+    F by R δU and Ḟ by R δA, and σ by R δS Rᵀ."""
     directions = from_components(np.eye(OUTPUTS))
     stretch = np.einsum("nabcd,nck,jkd->njab", by_F, R, directions[:3])
     rate = np.einsum("nabcd,nck,jkd->njab", by_F_dot, R, directions)
@@ -180,16 +169,15 @@ def input_slopes(R: Array, by_F: Array, by_F_dot: Array) -> Array:
 
 
 class Rule(NamedTuple):
-    """When ellipsoids grow and shrink.
+    """When ellipsoids grow and shrink; bounds and errors as shares of the tolerance.
 
     Attributes:
-        reach: an ellipsoid grows to a point only where its bound there is at most so many
-            tolerances
-        growing: … and the error seen there at most this share of the tolerance, for the same is
-            then claimed of the opposite point, and of those between.
-        grown: … so far that its bound there is this share of the tolerance, for the error grows
-            with the bound, and a cache takes a point back only well within an ellipsoid.
-        shrinking: errors above the bound are let pass up to this share of the tolerance.
+        reach: an ellipsoid grows to a point only where its bound there is at most this,
+        growing: and the error seen there at most this, for the same is then claimed of the opposite
+            point, and of those between;
+        grown: so far that its bound there is this, for a cache takes a point back only well within
+            an ellipsoid.
+        shrinking: errors above the bound are let pass up to this.
         margin: a shrunk ellipsoid bounds so many times the error that was seen.
     """
 
@@ -214,14 +202,8 @@ def update_ellipsoids(
     tolerance: float,
     rule: Rule = _RULE,
 ) -> tuple[NDArray[np.bool_], dict[str, int]]:
-    """(covered (m,), counts) of m true answers, by which curvature and extent change in place.
-
-    Args:
-        x, s: (m, 7), (m, 4) inputs and stress.
-        images: 4 with the symmetry D4, 1 without.
-        records: whose arrays are changed.
-        tolerance: µN/µm, that decides.
-    """
+    """(covered (m,), counts) of m RVE answers x (m, 7) and s (m, 4), by which curvature and extent
+    of the records change in place; `images`: 4 with the symmetry D4, 1 without."""
     covered = np.zeros(len(x), dtype=np.bool_)
     counts = np.zeros(2, dtype=np.int64)
     _update(x, s, images, rule, records, float(tolerance), covered, counts)
@@ -302,13 +284,10 @@ def set_bound(p, target, curvature, extent):  # type: ignore[no-untyped-def]
 
 
 def merged(first: Records, second: Records, tolerance: float, images: int) -> Records:
-    """All records of both but those of the second that the first has too.
+    """All records of both but those of the second that the first has too, for a tolerance in
+    µN/µm.
 
-    The stress at each centre is a true answer, and shrinks every ellipsoid that is wrong there.
-
-    Args:
-        tolerance: µN/µm, for which ellipsoids are tested.
-        images: 4 with the symmetry D4, 1 without.
+    The stress at each centre is an RVE's, and shrinks every ellipsoid that is wrong there.
     """
     is_known = np.empty(len(second.centre), dtype=np.bool_)
     _hold_any(second.centre, SAME * tolerance, first, is_known)

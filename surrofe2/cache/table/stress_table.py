@@ -1,9 +1,8 @@
 """`StressTable`: an in-situ adaptive table of RVE answers and their exact tangents.
 
-ISAT (Pope 1997, Combust. Theory Modelling 1, 41-63) with two changes. A new record's ellipsoid is
-not the small one within which the stress is as good as constant: a record costs one tile of eight
-RVEs, so seven neighbours are solved with it, and the change of their exact tangents gives the
-error of its linear model. And of all ellipsoids that hold a point the best one answers.
+ISAT (Pope 1997, Combust. Theory Modelling 1, 41-63) with two changes. A record costs one tile of
+eight RVEs, so seven neighbours are solved with it, and the change of their exact tangents gives the
+error of its linear model. And all ellipsoids that hold a point answer.
 """
 
 from __future__ import annotations
@@ -50,13 +49,9 @@ class StressTable:
         range: whose half widths say how far neighbours lie from a record (a tenth) and how far
             an ellipsoid may reach at first; the table answers beyond it too.
         spread: of the stress, µN/µm, of which tolerances are shares.
-        records: what is known already.
         most_records: after so many none is added; the law answers where none holds a point.
 
     Attributes:
-        cell, initialisation, density: those of the law.
-        stress_spread: `spread`.
-        size: how many records it has.
         images: how many images the symmetry of the cell makes of a state.
         counts: `added`, `grown`, `shrunk` ellipsoids and `table_rve_solves` since the start.
         seconds: of what it began with, set by who made it.
@@ -106,7 +101,6 @@ class StressTable:
         return self
 
     def local_tolerance(self, F: Array, F_dot: Array) -> Array:
-        """(n,) ones."""
         return np.ones(len(F))
 
     def lookup(
@@ -116,10 +110,9 @@ class StressTable:
 
         The risk is a bound of the error over the tolerance of `with_tolerance`, of 1 µN/µm before
         it is called. The bound in µN/µm is the table's own tolerance times the radius within the
-        ellipsoid, 0 at the record and 1 at the surface. By the law through the errors seen it
-        would be the squared radius, as of every linear model; what lies between is the margin. It
-        is an estimate that true answers correct, no guarantee. Status 3 where no ellipsoid holds
-        the point (risk infinite), 6 where the risk is above `limit`.
+        ellipsoid, 0 at the record and 1 at the surface; the law through the errors seen would be
+        its square. Status 3 where no ellipsoid holds the point (risk infinite), 6 where the risk is
+        above `limit`.
 
         F, F_dot: contiguous float64 (n, 2, 2).
         """
@@ -135,7 +128,6 @@ class StressTable:
     def status_and_risk(
         self, F: Array, F_dot: Array, limit: float = np.inf
     ) -> tuple[NDArray[np.int8], Array]:
-        """Those of `lookup`."""
         return self.lookup(F, F_dot, limit)[1:]
 
     def tangents(self, F: Array, F_dot: Array) -> Tangents:
@@ -143,12 +135,8 @@ class StressTable:
         raise InputError("tangents: a table has none; use RVEs")
 
     def learn(self, F: Array, F_dot: Array, stress: Array, state: Any = None) -> None:
-        """Take true answers in: grow or shrink ellipsoids, and add records where none holds.
-
-        Args:
-            F, F_dot, stress: (m, 2, 2) true answers, be they a fallback's or an audit's.
-            state: the law's warm start at these points (`PointStates`), or None.
-        """
+        """Take RVE answers (m, 2, 2) in: grow or shrink ellipsoids, and add records where none
+        holds; `state` is the law's warm start at these points, or None."""
         self._screen = None
         x, R = to_inputs(F, F_dot)
         s = to_components(transpose(R) @ stress @ R)
@@ -172,8 +160,7 @@ class StressTable:
                 )
 
     def learn_rest(self) -> None:
-        """Make the undeformed state a record, at which all points of a tissue begin: else each of
-        them would be an RVE first."""
+        """Make the undeformed state a record, at which all points of a tissue begin."""
         F, F_dot = np.eye(2)[None], np.zeros((1, 2, 2))
         answer = self.law.respond(F, F_dot)
         accepted = self.law.accept(F, F_dot, answer)
@@ -187,11 +174,9 @@ class StressTable:
         self._make_room(records, self.size)
 
     def to_arrays(self) -> dict[str, NDArray]:
-        """Records and counts, for `from_arrays`."""
         return {**self.records._asdict(), "counts": np.array(list(self.counts.values()))}
 
     def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
-        """Know what another table of the same law and tolerance knew at its `to_arrays`."""
         self.restore(Records(*(arrays[name] for name in Records._fields)))
         self.counts = dict(zip(self.counts, arrays["counts"].tolist(), strict=True))
 
@@ -216,10 +201,8 @@ class StressTable:
             self.counts[name] += count
 
     def _apart(self, x: Array) -> NDArray[np.intp]:
-        """Which of these points should become records at once: none in the ellipsoid of another.
-
-        Ellipsoids are taken to be like that of the latest record; a first record comes alone.
-        """
+        """Which of these points should become records at once: none in the ellipsoid of another,
+        taken to be like that of the latest record; a first record comes alone."""
         if not self.size:
             return np.zeros(1, dtype=np.intp)
         curvature, x = self._records.curvature[self.size - 1], x * INPUT_SIGNS[self._image(x)]
@@ -254,11 +237,8 @@ class StressTable:
 
 
 def sampled_spread(law: Fallback, range: SamplingRange, seed: int = 1) -> float:
-    """Spread of the stress over `SPREAD_SAMPLES` Sobol samples of a range, µN/µm.
-
-    Raises:
-        InputError: the law has no stress at any of them.
-    """
+    """Spread of the stress over `SPREAD_SAMPLES` Sobol samples of a range, µN/µm; InputError
+    without one."""
     F, F_dot = sample(range, SPREAD_SAMPLES, seed)
     answer = law.respond(F, F_dot)
     valid = answer.stress[answer.status == 0]
