@@ -20,7 +20,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.compilation import kernel, pair_law, parallel_kernel
+from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, load, spread, store, where_less
 from surrofe2.plant_cell.forces import (
     add_fluid_forces,
@@ -167,9 +167,12 @@ def _sum_forces(t, particles, lists, constants, fluid):
         pair = pair_at(x, v, i, j)
         a = tension(wall(pair.length, bond_at(constants.bonds, k)), pair.rate) * pair.inverse
         add_pair(f, i, j, a * pair.rx, a * pair.ry)
-    cutoff = constants.cutoff
-    _add_contacts(x, v, f, lists.lines, here[2], end[2], constants.lines, cutoff)
-    _add_contacts(x, v, f, lists.contacts, here[3], end[3], constants.contacts, cutoff)
+    for k in range(here[2], end[2]):
+        i, j = lists.contacts[k, 0], lists.contacts[k, 1]
+        pair, c = pair_at(x, v, i, j), contact_at(constants.contacts, k, constants.cutoff)
+        law = contact(pair.length, pair.inverse, c)
+        a = tension(law, pair.rate) * within(pair.length, pair.inverse, c)
+        add_pair(f, i, j, a * pair.rx, a * pair.ry)
     if t < lists.fluid_tiles:
         slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
         volume = np.empty((own - fluid.walls, TILE))
@@ -179,26 +182,6 @@ def _sum_forces(t, particles, lists, constants, fluid):
             add_fluid_forces(x, v, f, fluid, same, slope, volume)
         else:
             add_fluid_forces(x, v, f, fluid, fluid_at(constants.fluid, t), slope, volume)
-
-
-@kernel
-def _add_contacts(x, v, f, pairs, start, end, rows, cutoff):
-    """Add repulsion and dashpots (eq. 2) to f (2, local, TILE)."""
-    if rows.shape[0] == 1:  # for all: not loaded again for each
-        c = contact_at(rows, 0, cutoff)
-        for k in range(start, end):
-            _add_contact(x, v, f, pairs[k, 0], pairs[k, 1], c)
-    else:
-        for k in range(start, end):
-            _add_contact(x, v, f, pairs[k, 0], pairs[k, 1], contact_at(rows, k, cutoff))
-
-
-@pair_law
-def _add_contact(x, v, f, i, j, c):
-    pair = pair_at(x, v, i, j)
-    law = contact(pair.length, pair.inverse, c)
-    a = tension(law, pair.rate) * within(pair.length, pair.inverse, c)
-    add_pair(f, i, j, a * pair.rx, a * pair.ry)
 
 
 @kernel
@@ -219,7 +202,7 @@ def _fold(t, f, lists):
     """Fold image forces back to tile t's own particles."""
     flat = f.reshape(-1)
     y = f.shape[2] * TILE
-    for k in range(lists.starts[t, 4], lists.starts[t + 1, 4]):
+    for k in range(lists.starts[t, 3], lists.starts[t + 1, 3]):
         i = lists.fold[k]
         for lane in range(TILE):
             s = lists.fold_source[k, lane]
@@ -325,9 +308,11 @@ def _stored_in_tile(t, x, lists, constants, grid, fluid, energy):
         rx, ry = difference(x, lists.bonds[k, 0], lists.bonds[k, 1])
         length, _ = norm(rx, ry)
         total += wall_energy(length, bond_at(constants.bonds, k))
-    cutoff = constants.cutoff
-    total += _contact_energies(x, lists.lines, here[2], end[2], constants.lines, cutoff)
-    total += _contact_energies(x, lists.contacts, here[3], end[3], constants.contacts, cutoff)
+    for k in range(here[2], end[2]):
+        rx, ry = difference(x, lists.contacts[k, 0], lists.contacts[k, 1])
+        length, inverse = norm(rx, ry)
+        c = contact_at(constants.contacts, k, constants.cutoff)
+        total += contact_energy(length, inverse, c)
     store(total, energy, t)
     if t < lists.fluid_tiles:
         slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
@@ -339,14 +324,3 @@ def _stored_in_tile(t, x, lists, constants, grid, fluid, energy):
                 weight = constants.fluid[row, 1, lane] * constants.fluid[row, 2, lane]
                 weight *= grid.exists[t, fluid.walls + p, lane]
                 energy[t, lane] -= weight * np.log(volume[p, lane])
-
-
-@kernel
-def _contact_energies(x, pairs, start, end, rows, cutoff):
-    """Stored energy of contacts, pJ; lanes."""
-    total, each = spread(0.0), min(rows.shape[0] - 1, 1)
-    for k in range(start, end):
-        rx, ry = difference(x, pairs[k, 0], pairs[k, 1])
-        length, inverse = norm(rx, ry)
-        total += contact_energy(length, inverse, contact_at(rows, k * each, cutoff))
-    return total

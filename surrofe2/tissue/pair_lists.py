@@ -50,7 +50,7 @@ _REPULSION, _DAMPING = map(Constants._fields.index, ("repulsion", "contact_dampi
 
 
 class PairKinds(NamedTuple):
-    """Pair kinds in the order bonds, contacts along one line, other contacts.
+    """Pair kinds in the order bonds, contacts along one wall line, other contacts.
 
     Attributes:
         i, j: (kinds,) own particles.
@@ -58,7 +58,7 @@ class PairKinds(NamedTuple):
         shifts: (s, 2) columns and rows; the first are none.
         axis: (kinds,) which wall line of the cell of i both lie on: 0 the one along x, 1 the one
             along y, −1 none.
-        bonds, lines: how many kinds are bonds, and how many contacts along one line follow.
+        bonds: how many kinds are bonds.
     """
 
     i: Ints
@@ -67,7 +67,6 @@ class PairKinds(NamedTuple):
     shifts: Ints
     axis: Ints
     bonds: int
-    lines: int
 
 
 def make_pair_kinds(cell: CellParameters) -> PairKinds:
@@ -98,8 +97,7 @@ def make_pair_kinds(cell: CellParameters) -> PairKinds:
 
     table = np.hstack([[kind, i, j, number, axis], touching])
     kind, i, j, number, axis = np.ascontiguousarray(table[:, np.lexsort(table[3::-1])])
-    bonds, lines = int((kind == _BOND).sum()), int((kind == _ON_LINE).sum())
-    return PairKinds(i, j, number, shifts, axis, bonds, lines)
+    return PairKinds(i, j, number, shifts, axis, int((kind == _BOND).sum()))
 
 
 Factors = tuple[float, float]
@@ -114,14 +112,13 @@ class PairConstants(NamedTuple):
 
     Attributes:
         bonds: (bonds, 3, TILE) stiffness, rest length, damping.
-        lines, contacts: (·, 2, TILE) repulsion and contact damping.
+        contacts: (contacts, 2, TILE) repulsion and contact damping.
         fluid: (tiles, 4, TILE) smoothing length, fluid mass, sound speed squared, viscosity; of
-            one type of plant cell fluid and contacts have one row, which serves all.
+            one type of plant cell one row, which serves all.
         cutoff: of contacts, µm.
     """
 
     bonds: Array
-    lines: Array
     contacts: Array
     fluid: Array
     cutoff: float
@@ -132,7 +129,6 @@ class PairConstants(NamedTuple):
         both = np.array(factors)[:, None]
         return PairConstants(
             self.bonds * np.array([elastic, 1.0, damping])[:, None],
-            self.lines * both,
             self.contacts * both,
             self.fluid * np.array([1.0, 1.0, elastic, damping])[:, None],
             self.cutoff,
@@ -155,7 +151,7 @@ def bond_at(rows, k):
 
 @pair_law
 def contact_at(rows, k, cutoff):
-    """The `Contact` of a row of `PairConstants.lines` or `contacts`."""
+    """The `Contact` of a row of `PairConstants.contacts`."""
     return Contact(load(rows, k, 0), load(rows, k, 1), cutoff)
 
 
@@ -189,8 +185,9 @@ class ConstantsMaker:
         walls = np.stack([half * total, rest, half * damping], axis=2)
         bonds = tiled(np.stack([walls[axis] for axis in kinds.axis[: kinds.bonds]], axis=1))
         self._bonds = bonds.reshape(-1, 3, TILE)
-        # by axis, of pairs along such a wall: ½ `outer_wall` on the boundary
-        self._weight = np.where((both >= 0).all(axis=1), 1.0, half).reshape(2, -1, TILE)
+        # by axis, of pairs along such a wall: ½ `outer_wall` on the boundary; of others
+        along = np.where((both >= 0).all(axis=1), 1.0, half)
+        self._weight = np.append(along, np.ones_like(along[:1]), axis=0).reshape(3, -1, TILE)
         # places without fluid have some, so that kernels may divide
         fluid = np.stack([of[name][np.maximum(own, 0)] for name in FluidConstants._fields], axis=1)
         self._fluid = tiled(fluid if len(tissue.types) > 1 else fluid[:TILE])
@@ -203,28 +200,17 @@ class ConstantsMaker:
 
     def make(self, tile: Ints, kind: Ints) -> PairConstants:
         """For listed contacts, which follow the bonds: the kind of each in its tile, in order."""
-        is_line, axis = kind < self._kinds.bonds + self._kinds.lines, self._kinds.axis[kind]
-        lines = self._contacts(tile[is_line], kind[is_line])
+        kinds, here = self._kinds, tile[:, None] * TILE + np.arange(TILE)
+        there = self._place[tile, kinds.shift[kind]]
+        sums = self._particles[here, kinds.i[kind, None]]
+        sums = sums + self._particles[there, kinds.j[kind, None]]
+        contacts = np.moveaxis(0.5 * sums, 1, 2) * self._weight[kinds.axis[kind], tile, None]
         return PairConstants(
             bonds=self._bonds,
-            lines=lines * self._weight[axis[is_line], tile[is_line], None],
-            contacts=self._contacts(tile[~is_line], kind[~is_line]),
+            contacts=np.ascontiguousarray(contacts),
             fluid=self._fluid,
             cutoff=self._tissue.cell.repulsion_cutoff,
         )
-
-    def _contacts(self, tile: Ints, kind: Ints) -> Array:
-        """(n, 2, TILE) means of the two particles of each contact; (1, 2, TILE) of one type."""
-        if len(self._tissue.types) == 1:
-            (only,) = self._tissue.constants
-            return np.tile([[[only.repulsion], [only.contact_damping]]], TILE)
-        here, there = (
-            tile[:, None] * TILE + np.arange(TILE),
-            self._place[tile, self._kinds.shift[kind]],
-        )
-        sums = self._particles[here, self._kinds.i[kind, None]]
-        sums = sums + self._particles[there, self._kinds.j[kind, None]]
-        return np.ascontiguousarray(np.moveaxis(0.5 * sums, 1, 2))
 
 
 class Grid(NamedTuple):
@@ -247,9 +233,9 @@ class PairLists(NamedTuple):
     """Pairs of all tiles one after another; those of tile t are [starts[t, k], starts[t + 1, k]).
 
     Attributes:
-        starts: (tiles + 1, 5) of images, bonds, lines, contacts, folds.
+        starts: (tiles + 1, 4) of images, bonds, contacts, folds.
         source: (images, TILE) flat index of the owner in (tiles + 1, 2, local, TILE).
-        bonds, lines, contacts: (·, 2) local particles.
+        bonds, contacts: (·, 2) local particles.
         fold: (folds,) own particle; fold_source: (folds, TILE) flat index of the image force.
         order: (tiles,) in which to go through them: those with and without fluid evenly mixed,
             so that equal parts of it cost threads the same.
@@ -261,7 +247,6 @@ class PairLists(NamedTuple):
     starts: Ints
     source: Ints
     bonds: NDArray[np.int32]
-    lines: NDArray[np.int32]
     contacts: NDArray[np.int32]
     fold: Ints
     fold_source: Ints
@@ -311,20 +296,18 @@ class PairLister:
         j[elsewhere] = tissue.own + number - image_starts[tile[elsewhere]]
         local = tissue.own + int(np.diff(image_starts).max())
         pairs = np.stack([kinds.i[kind], j], axis=1).astype(np.int32)
-        is_bond, is_contact = kind < kinds.bonds, kind >= kinds.bonds + kinds.lines
-        is_line = ~(is_bond | is_contact)
+        is_bond = kind < kinds.bonds
         place = grid.place[tile_of_image, shift_of_image]
         fold, fold_source, fold_starts = _folds(tissue, place, owner, image_starts, local)
         there, lane = np.divmod(place, TILE)
         source = (there * 2 * local + owner[:, None]) * TILE + lane
-        groups = (is_bond, is_line, is_contact)
-        starts = [image_starts, *(_starts(tissue, tile[one]) for one in groups), fold_starts]
+        starts = [image_starts, _starts(tissue, tile[is_bond]), _starts(tissue, tile[~is_bond])]
+        starts.append(fold_starts)
         lists = PairLists(
             starts=np.ascontiguousarray(np.stack(starts, axis=1)),
             source=np.where(place < 0, _nowhere(tissue, local), source),
             bonds=pairs[is_bond],
-            lines=pairs[is_line],
-            contacts=pairs[is_contact],
+            contacts=pairs[~is_bond],
             fold=fold,
             fold_source=fold_source,
             # tiles with and without fluid mixed, so that equal parts of the order cost the same
