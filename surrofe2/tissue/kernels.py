@@ -51,7 +51,7 @@ from surrofe2.tissue.external_forces import (
     drive_particles,
     move_bodies,
 )
-from surrofe2.tissue.pair_lists import FluidConstants, bond_at, contact_at, fluid_at
+from surrofe2.tissue.pair_lists import bond_at, contact_at, fluid_at
 
 Array = NDArray[np.float64]
 
@@ -176,12 +176,7 @@ def _sum_forces(t, particles, lists, constants, fluid):
     if t < lists.fluid_tiles:
         slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
         volume = np.empty((own - fluid.walls, TILE))
-        if constants.fluid.shape[0] == 1:  # for all: numbers instead of lanes
-            one = constants.fluid[0, :, 0]
-            same = FluidConstants(one[0], one[1], one[2], one[3])
-            add_fluid_forces(x, v, f, fluid, same, slope, volume)
-        else:
-            add_fluid_forces(x, v, f, fluid, fluid_at(constants.fluid, t), slope, volume)
+        add_fluid_forces(x, v, f, fluid, fluid_at(constants.fluid, t), slope, volume)
 
 
 @kernel
@@ -317,10 +312,9 @@ def _stored_in_tile(t, x, lists, constants, grid, fluid, energy):
     if t < lists.fluid_tiles:
         slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
         volume = np.empty((fluid.particles - fluid.walls, TILE))
-        row = min(np.int64(t), constants.fluid.shape[0] - 1)
-        fluid_specific_volume(x, fluid, fluid_at(constants.fluid, row), slope, volume)
+        fluid_specific_volume(x, fluid, fluid_at(constants.fluid, t), slope, volume)
         for p in range(volume.shape[0]):
             for lane in range(TILE):
-                weight = constants.fluid[row, 1, lane] * constants.fluid[row, 2, lane]
+                weight = constants.fluid[t, 1, lane] * constants.fluid[t, 2, lane]
                 weight *= grid.exists[t, fluid.walls + p, lane]
                 energy[t, lane] -= weight * np.log(volume[p, lane])

@@ -113,8 +113,7 @@ class PairConstants(NamedTuple):
     Attributes:
         bonds: (bonds, 3, TILE) stiffness, rest length, damping.
         contacts: (contacts, 2, TILE) repulsion and contact damping.
-        fluid: (tiles, 4, TILE) smoothing length, fluid mass, sound speed squared, viscosity; of
-            one type of plant cell one row, which serves all.
+        fluid: (tiles, 4, TILE) smoothing length, fluid mass, sound speed squared, viscosity.
         cutoff: of contacts, µm.
     """
 
@@ -190,7 +189,7 @@ class ConstantsMaker:
         self._weight = np.append(along, np.ones_like(along[:1]), axis=0).reshape(3, -1, TILE)
         # places without fluid have some, so that kernels may divide
         fluid = np.stack([of[name][np.maximum(own, 0)] for name in FluidConstants._fields], axis=1)
-        self._fluid = tiled(fluid if len(tissue.types) > 1 else fluid[:TILE])
+        self._fluid = tiled(fluid)
         part = np.stack(
             [shares(tissue.cell, tissue.kind == k, column, row) for k in range(len(tissue.types))],
             axis=2,
