@@ -99,7 +99,7 @@ class BodyContacts(NamedTuple):
         motion: (b,) which, −1 of one that rests or flies; largest: (b, 2) µm at amplitude 1.
         work: (3,) so far: of `pull`, of what moves bodies, and lost in contact, pJ.
         pressed: (c, 3) at the last step force along the normal, µN, and normal; lost: (c, 4) force
-            of dashpot and friction, µN, and velocity relative to the body; of rough bodies only.
+            of dashpot and friction, µN, and velocity relative to the body.
     """
 
     starts: Ints
@@ -204,8 +204,7 @@ def add_normal_contact(particles, bodies):
     x, v, f = particles.x, particles.v, particles.f
     for b in range(bodies.starts.shape[0] - 1):
         law = bodies.law[b]
-        rough = law[2] > 0.0 or law[3] > 0.0
-        sum_x, sum_y, energy, depth, closing = 0.0, 0.0, 0.0, 0.0, 0.0
+        sum_x, sum_y, energy, depth = 0.0, 0.0, 0.0, 0.0
         for k in range(bodies.starts[b], bodies.starts[b + 1]):
             t, i, lane = bodies.at[k, 0], bodies.at[k, 1], bodies.at[k, 2]
             px = x[t, 0, i, lane] + bodies.offset[k, 0] - bodies.x[b, 0]
@@ -214,17 +213,13 @@ def add_normal_contact(particles, bodies):
             bodies.pressed[k, 0] = 0.0
             if not gap < 0.0:
                 continue
-            if rough:
-                vx = v[t, 0, i, lane] - bodies.v[b, 0]
-                vy = v[t, 1, i, lane] - bodies.v[b, 1]
-                closing = -(vx * nx + vy * ny)
-                bodies.lost[k, 2], bodies.lost[k, 3] = vx, vy
-            whole = pressure(-gap, closing, (law[0], law[1], law[2]))[0]
+            vx, vy = v[t, 0, i, lane] - bodies.v[b, 0], v[t, 1, i, lane] - bodies.v[b, 1]
+            whole = pressure(-gap, -(vx * nx + vy * ny), (law[0], law[1], law[2]))[0]
+            spring = pressure(-gap, 0.0, (law[0], law[1], 0.0))[0]
             size = bodies.length[k] * whole
-            if rough:
-                spring = pressure(-gap, 0.0, (law[0], law[1], 0.0))[0]
-                dashpot = size - bodies.length[k] * spring
-                bodies.lost[k, 0], bodies.lost[k, 1] = dashpot * nx, dashpot * ny
+            dashpot = size - bodies.length[k] * spring
+            bodies.lost[k, 0], bodies.lost[k, 1] = dashpot * nx, dashpot * ny
+            bodies.lost[k, 2], bodies.lost[k, 3] = vx, vy
             bodies.pressed[k, 0], bodies.pressed[k, 1], bodies.pressed[k, 2] = size, nx, ny
             f[t, 0, i, lane] += size * nx
             f[t, 1, i, lane] += size * ny
@@ -330,8 +325,6 @@ def add_contact_loss(particles, bodies, kick):
     """Add what dashpots and friction took in a step."""
     v, lost = particles.v, bodies.lost
     for b in range(bodies.starts.shape[0] - 1):
-        if not (bodies.law[b, 2] > 0.0 or bodies.law[b, 3] > 0.0):
-            continue
         for k in range(bodies.starts[b], bodies.starts[b + 1]):
             if bodies.pressed[k, 0] > 0.0:
                 t, i, lane = bodies.at[k, 0], bodies.at[k, 1], bodies.at[k, 2]
