@@ -217,7 +217,7 @@ def add_normal_contact(particles, bodies):
             whole = pressure(-gap, -(vx * nx + vy * ny), (law[0], law[1], law[2]))[0]
             spring = pressure(-gap, 0.0, (law[0], law[1], 0.0))[0]
             size = bodies.length[k] * whole
-            dashpot = size - bodies.length[k] * spring
+            dashpot = size - bodies.length[k] * spring if law[2] > 0.0 else 0.0
             bodies.lost[k, 0], bodies.lost[k, 1] = dashpot * nx, dashpot * ny
             bodies.lost[k, 2], bodies.lost[k, 3] = vx, vy
             bodies.pressed[k, 0], bodies.pressed[k, 1], bodies.pressed[k, 2] = size, nx, ny
