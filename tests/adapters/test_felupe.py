@@ -93,7 +93,7 @@ class Triangle(felupe.QuadraticTriangle):
 
 
 def test_which_slope_of_felupe_s_triangle_is_wrong():
-    """Where this fails, docs/howto/other-codes.md may say that it is mended."""
+    """Where this fails, docs/howto/law.md may say that it is fixed."""
     at, h = np.array([0.2, 0.3]), 1e-6
     steps = h * np.eye(2)
     element = felupe.QuadraticTriangle()
