@@ -5,16 +5,16 @@ The stress law is asked at several points of each element, numbered n_q e + q ov
     quadrilaterals (4 nodes)   q = 0..3: 2 × 2 Gauss points,   q = 4: the element
     triangles (6 nodes)        q = 0..2: 3 Gauss points
 
-Quadrilaterals are integrated selectively by two bases on one mesh: the deviator σ − tr(σ)/2 I
-counts at the Gauss points of the one, the pressure part tr(σ)/2 I at the single point of the other.
-That point stands for the whole element: its gradient is the mean over the element, weighted with
-the Gauss points' areas, and its weight their sum. This is the L² projection of the gradient to
-constants, which passes the patch test on elements that are no parallelograms, where the gradient at
-the centre does not. Triangles with as few points do not lock, and need all of their stress at each:
-a pressure that is constant in a triangle lets it bend for nothing.
+Quadrilaterals are integrated selectively: the deviator σ − tr(σ)/2 I counts at the Gauss points,
+the pressure part tr(σ)/2 I at a single point that stands for the whole element. Its gradient is the
+mean over the element, weighted with the Gauss points' areas, and its weight their sum. This is the
+L² projection of the gradient to constants, which passes the patch test on elements that are no
+parallelograms, where the gradient at the centre does not. Triangles with as few points do not lock,
+and need all of their stress at each: a pressure that is constant in a triangle lets it bend for
+nothing.
 
-The loops over elements and points are compiled; of many points, all cores share them, and elements
-add up in their order whatever their number.
+Whatever depends linearly on displacement at some points, u ↦ S u by a sparse matrix S, has forces
+Sᵀ t and slopes Sᵀ B S; F and the internal force, which runs need most often, are compiled loops.
 """
 
 from __future__ import annotations
@@ -23,18 +23,19 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy  # scipy.sparse is loaded where tangents are added up
+import scipy.sparse
 import skfem
-from numba import prange
 from numpy.typing import NDArray
 
-from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.compilation import kernel
 from surrofe2.base.errors import InputError
 from surrofe2.base.tensors import cofactor, det
 from surrofe2.problem.mesh import element_nodes, region
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Matrix = Any
+"""Of scipy.sparse."""
 
 ELEMENTS = {4: skfem.ElementQuad1(), 6: skfem.ElementTriP2()}
 """By the number of nodes."""
@@ -42,9 +43,6 @@ CENTRE = {4: (0.5, 0.5), 6: (1.0 / 3.0, 1.0 / 3.0)}
 """Of the unit square and the unit triangle, which are the references."""
 ORDER = {4: 3, 6: 2}
 """Of the polynomials that the points at which the stress law is asked integrate exactly."""
-MANY = 2000
-"""Points from which on more than one core pays."""
-_PART = 64  # elements that a core takes at a time
 
 
 class Discretisation(NamedTuple):
@@ -54,10 +52,9 @@ class Discretisation(NamedTuple):
         nodes: (n_nodes, 2) reference positions, µm.
         elements: (n_el, k) nodes of each element, k = 4 or 6.
         gradients: (n_el, n_q, k, 2) ∇N of node a by the reference position, 1/µm.
-        weights: (n_el, n_q) reference area of each point, µm²: the Gauss points together cover
-            the element once, and so does the last point of a quadrilateral.
-        shape: (n_q, k) shape functions at the points.
-    """
+        weights: (n_el, n_q) reference area of each point, µm²: the Gauss points together cover the
+            element once, and so does the last point of a quadrilateral.
+        shape: (n_q, k) shape functions at the points."""
 
     nodes: Array
     elements: Index
@@ -225,10 +222,7 @@ def deformation_gradient(space: Discretisation, u: Array, v: Array) -> tuple[Arr
     """F, Ḟ (n_points, 2, 2) and det F (n_points,) from u, v (n, 2), n at least the nodes."""
     count = space.n_points
     found = np.empty((count, 2, 2)), np.empty((count, 2, 2)), np.empty(count)
-    if count < MANY:
-        set_deformation(0, len(space.elements), space, u, v, found)
-    else:
-        _set_deformation_parallel(space, u, v, found)
+    set_deformation(space, u, v, found)
     return found
 
 
@@ -240,18 +234,12 @@ def internal_force(space: Discretisation, F: Array, stress: Array, n: int | None
     the first integral over the Gauss points, the second at the last point of a quadrilateral, each
     with gradient and volume at its own points (section 6.2); of a triangle both over the Gauss
     points. Positions follow from the total displacement, so this is the updated Lagrangian form
-    without increments. Its power f·v is Σ dev σ : L dv + Σ tr(σ)/2 tr L dv at the same points. The
-    stress may be unsymmetric.
+    without increments. The stress may be unsymmetric.
 
     It enters (58) as M a = load − f; (58) is printed with both signs reversed.
     """
-    of_elements = np.empty((*space.elements.shape, 2))
-    if space.n_points < MANY:
-        set_forces(0, len(space.elements), space, F, stress, of_elements)
-    else:
-        _set_forces_parallel(space, F, stress, of_elements)
     total = np.zeros((len(space.nodes) if n is None else n, 2))
-    add_at_nodes(space.elements, of_elements, total)
+    add_forces(space, F, stress, total)
     return total
 
 
@@ -296,8 +284,8 @@ def stress_power(space: Discretisation, F: Array, F_dot: Array, stress: Array) -
     return whole
 
 
-def element_tangents(space: Discretisation, F: Array, P: Array, slope: Array) -> Array:
-    """(n_el, k, 2, k, 2) Σ w ∇N_a · ∂T/∂F · ∇N_b of each element.
+def point_tangents(space: Discretisation, F: Array, P: Array, slope: Array) -> Array:
+    """(n_points, 4, 4) w ∂T_ij/∂F_kl, rows (j, i), columns (l, k): B of `gradient_matrix`.
 
     T is the first Piola stress of a point or, in quadrilaterals, the part of it that counts there.
 
@@ -306,11 +294,35 @@ def element_tangents(space: Discretisation, F: Array, P: Array, slope: Array) ->
     """
     if space.pressure_apart:
         slope = _effective_slope(F, P, slope, space.points_per_element)
-    # Σ_q w_q ∇N_a,j ∂T_ij/∂F_kl ∇N_b,l, rows (a, i), columns (b, k) of each element.
-    slope = slope.reshape(*space.weights.shape, 2, 2, 2, 2)
-    right = np.einsum("eqijkl,eqbl->eqijbk", slope, space.gradients)
-    weighted = space.weights[:, :, None, None] * space.gradients
-    return np.einsum("eqaj,eqijbk->eaibk", weighted, right)
+    weighted = space.weights.reshape(-1, 1, 1, 1, 1) * slope
+    blocks: Array = weighted.transpose(0, 2, 1, 4, 3).reshape(-1, 4, 4)
+    return blocks
+
+
+def gradient_matrix(space: Discretisation, n_rows: int) -> Matrix:
+    """(4 n_points, 2 n_rows) sparse, from displacement to ∂u_i/∂X_j at entry (point, j, i)."""
+    slopes = space.gradients.transpose(0, 1, 3, 2).reshape(2 * space.n_points, -1)
+    columns = np.repeat(space.elements, 2 * space.points_per_element, axis=0)
+    return for_components(sparse_rows(columns, slopes, n_rows))
+
+
+def sparse_rows(columns: Index, values: Array, size: int) -> Matrix:
+    """(p, size) sparse matrix with values (p, k) in the columns (p, k) of each row."""
+    p, k = values.shape
+    parts = values.ravel(), columns.ravel(), k * np.arange(p + 1)
+    return scipy.sparse.csr_matrix(parts, shape=(p, size))
+
+
+def for_components(matrix: Matrix) -> Matrix:
+    """What maps both components as the matrix maps one: entry 2 a + i is component i of row a."""
+    return scipy.sparse.kron(matrix, np.eye(2), "csr")
+
+
+def summed(S: Matrix, blocks: Array) -> Matrix:
+    """Sᵀ B S, B the blocks (p, m, m) on a diagonal."""
+    p = np.arange(len(blocks) + 1)
+    B = scipy.sparse.bsr_matrix((np.ascontiguousarray(blocks), p[:-1], p))
+    return (S.T @ (B @ S)).tocsc()
 
 
 def _effective_slope(F: Array, P: Array, slope: Array, points_per_element: int) -> Array:
@@ -332,50 +344,9 @@ def _effective_slope(F: Array, P: Array, slope: Array, points_per_element: int) 
     return parts
 
 
-class Assembly(NamedTuple):
-    """Adds up element matrices for the m free unknowns of a system, by a pattern made once.
-
-    Attributes:
-        kept: (k,) entries of the flattened element matrices between free unknowns.
-        slot: (k,) place of each of them among the stored values, many to one.
-        indices, indptr: of the compressed columns.
-    """
-
-    kept: Index
-    slot: Index
-    indices: Index
-    indptr: Index
-
-    @classmethod
-    def of(cls, elements: Index, free: Index, n_rows: int) -> Assembly:
-        """The pattern of elements (n_el, k) between the free ones of 2 n_rows unknowns."""
-        number = np.full(2 * n_rows, -1)
-        number[free] = np.arange(free.size)
-        unknowns = number[(2 * elements[:, :, None] + np.arange(2)).reshape(len(elements), -1)]
-        row, column = np.broadcast_arrays(unknowns[:, :, None], unknowns[:, None, :])
-        kept = np.flatnonzero((row >= 0) & (column >= 0))
-        code, slot = np.unique((column * free.size + row).ravel()[kept], return_inverse=True)
-        indptr = np.searchsorted(code, free.size * np.arange(free.size + 1))
-        return cls(kept, slot, code % free.size, indptr)
-
-    def sum(self, element_matrices: Array) -> scipy.sparse.csc_matrix:
-        """Sum of the elements' matrices between their 2 k unknowns, sparse (m, m)."""
-        entries, size = element_matrices.ravel()[self.kept], self.indptr.size - 1
-        values = np.bincount(self.slot, weights=entries, minlength=self.indices.size)
-        return scipy.sparse.csc_matrix((values, self.indices, self.indptr), shape=(size, size))
-
-
-def assembled(blocks: Array, nodes: Index, size: int) -> scipy.sparse.csc_matrix:
-    """Sum of matrices (m, k, 2, k, 2) between the unknowns of nodes (m, k), (size, size)."""
-    unknowns = (2 * nodes[:, :, None] + np.arange(2)).reshape(len(nodes), -1)
-    row, column = np.broadcast_arrays(unknowns[:, :, None], unknowns[:, None, :])
-    entries = blocks.ravel(), (row.ravel(), column.ravel())
-    return scipy.sparse.csc_matrix(entries, shape=(size, size))
-
-
 @kernel
-def set_deformation(begin: Any, end: Any, space: Any, u: Any, v: Any, set_at: Any) -> None:
-    """Set F = I + Σ_a u_a ⊗ ∇N_a, Ḟ = Σ_a v_a ⊗ ∇N_a and J = det F of elements `begin` to `end`.
+def set_deformation(space: Any, u: Any, v: Any, set_at: Any) -> None:
+    """Set F = I + Σ_a u_a ⊗ ∇N_a, Ḟ = Σ_a v_a ⊗ ∇N_a and J = det F of all points.
 
     Args:
         space: `Discretisation`.
@@ -385,7 +356,7 @@ def set_deformation(begin: Any, end: Any, space: Any, u: Any, v: Any, set_at: An
     elements, gradients, (F, F_dot, J) = space.elements, space.gradients, set_at
     n_q, k = gradients.shape[1], gradients.shape[2]
     nodal = np.zeros((k, 4))
-    for e in range(begin, end):
+    for e in range(elements.shape[0]):
         for a in range(k):
             row = elements[e, a]
             for i in range(2):
@@ -410,28 +381,17 @@ def set_deformation(begin: Any, end: Any, space: Any, u: Any, v: Any, set_at: An
             J[p] = xx * yy - xy * yx
 
 
-@parallel_kernel
-def _set_deformation_parallel(space: Any, u: Any, v: Any, set_at: Any) -> None:
-    for part in prange((space.elements.shape[0] + _PART - 1) // _PART):
-        end = min((part + 1) * _PART, space.elements.shape[0])
-        set_deformation(part * _PART, end, space, u, v, set_at)
-
-
 @kernel
-def set_forces(begin: Any, end: Any, space: Any, F: Any, stress: Any, forces: Any) -> None:
-    """Set f_a = Σ_Gauss J w dev(σ) F⁻ᵀ∇N_a + Σ_last J w tr(σ)/2 F⁻ᵀ∇N_a of elements.
+def add_forces(space: Any, F: Any, stress: Any, total: Any) -> None:
+    """Add Σ_Gauss J w dev(σ) F⁻ᵀ∇N_a + Σ_last J w tr(σ)/2 F⁻ᵀ∇N_a to `total` (n, 2), µN.
 
     Of triangles Σ_Gauss J w σ F⁻ᵀ∇N_a. J F⁻ᵀ is the cofactor of F, so nothing is divided.
-
-    Args:
-        begin, end: of the elements.
-        space: `Discretisation`.
-        F, stress: (n_q n_el, 2, 2).
-        forces: (n_el, k, 2), µN.
     """
-    n_q, k = space.gradients.shape[1], space.gradients.shape[2]
-    for e in range(begin, end):
-        forces[e] = 0.0
+    elements, gradients, weights = space.elements, space.gradients, space.weights
+    n_q, k = gradients.shape[1], gradients.shape[2]
+    forces = np.zeros((k, 2))
+    for e in range(elements.shape[0]):
+        forces[:] = 0.0
         for q in range(n_q):
             p = n_q * e + q
             s00, s01, s10, s11 = stress[p, 0, 0], stress[p, 0, 1], stress[p, 1, 0], stress[p, 1, 1]
@@ -441,28 +401,15 @@ def set_forces(begin: Any, end: Any, space: Any, F: Any, stress: Any, forces: An
                     s00, s11 = s00 - pressure, s11 - pressure
                 else:
                     s00, s11, s01, s10 = pressure, pressure, 0.0, 0.0
-            w = space.weights[e, q]
+            w = weights[e, q]
             c00, c01, c10, c11 = F[p, 1, 1], -F[p, 1, 0], -F[p, 0, 1], F[p, 0, 0]
             p00, p01 = w * (s00 * c00 + s01 * c10), w * (s00 * c01 + s01 * c11)
             p10, p11 = w * (s10 * c00 + s11 * c10), w * (s10 * c01 + s11 * c11)
             for a in range(k):
-                gx, gy = space.gradients[e, q, a, 0], space.gradients[e, q, a, 1]
-                forces[e, a, 0] += p00 * gx + p01 * gy
-                forces[e, a, 1] += p10 * gx + p11 * gy
-
-
-@parallel_kernel
-def _set_forces_parallel(space: Any, F: Any, stress: Any, forces: Any) -> None:
-    for part in prange((space.elements.shape[0] + _PART - 1) // _PART):
-        end = min((part + 1) * _PART, space.elements.shape[0])
-        set_forces(part * _PART, end, space, F, stress, forces)
-
-
-@kernel
-def add_at_nodes(elements: Any, forces: Any, total: Any) -> None:
-    """Add forces (n_el, k, 2) on the nodes of elements to `total` (n, 2), in their order."""
-    for e in range(elements.shape[0]):
-        for a in range(elements.shape[1]):
+                gx, gy = gradients[e, q, a, 0], gradients[e, q, a, 1]
+                forces[a, 0] += p00 * gx + p01 * gy
+                forces[a, 1] += p10 * gx + p11 * gy
+        for a in range(k):
             row = elements[e, a]
-            total[row, 0] += forces[e, a, 0]
-            total[row, 1] += forces[e, a, 1]
+            total[row, 0] += forces[a, 0]
+            total[row, 1] += forces[a, 1]

@@ -24,13 +24,15 @@ from surrofe2.law.stress_law import (
     describe,
 )
 from surrofe2.macro.elements import (
-    Assembly,
+    Matrix,
     deformation_gradient,
-    element_tangents,
+    gradient_matrix,
     internal_force,
+    point_tangents,
     stress_power,
+    summed,
 )
-from surrofe2.macro.forces import Matrix, Slopes
+from surrofe2.macro.forces import Slopes
 from surrofe2.macro.system import System
 
 Array = NDArray[np.float64]
@@ -290,21 +292,25 @@ class EquationsOfMotion:
 
     def stiffness_times(self, now: Evaluation, w: Array) -> Array:
         """(m,) ∂(f − l)/∂u w for a displacement w (n, 2) of all rows, those of supports as well."""
-        space, P = self.discretisation, now.response.first_piola(now.F)
-        blocks = element_tangents(space, now.F, P, _tangents(now.response).P_by_F)
-        product, pushed = np.einsum("eaibk,ebk->eai", blocks, w[space.elements]), np.zeros(w.shape)
-        np.add.at(pushed, space.elements, product)
+        S, P = self._gradients, now.response.first_piola(now.F)
+        blocks = point_tangents(self.discretisation, now.F, P, _tangents(now.response).P_by_F)
+        at_points = np.einsum("pij,pj->pi", blocks, (S @ w.ravel()).reshape(-1, 4))
+        pushed = S.T @ at_points.ravel()
         for k_force, _ in self._slopes_of_forces(now):
-            pushed += (k_force @ w.ravel()).reshape(w.shape)
-        return self.system.pick(pushed)
+            pushed += k_force @ w.ravel()
+        return np.asarray(pushed[self.system.free])
 
     @cached_property
-    def _assembly(self) -> Assembly:
-        system = self.system
-        return Assembly.of(self.discretisation.elements, system.free, system.n_rows)
+    def _gradients(self) -> Matrix:
+        return gradient_matrix(self.discretisation, self.system.n_rows)
+
+    @cached_property
+    def _free_gradients(self) -> Matrix:
+        return self._gradients[:, self.system.free]
 
     def _summed(self, now: Evaluation, P: Array, slope: Array) -> Matrix:
-        return self._assembly.sum(element_tangents(self.discretisation, now.F, P, slope))
+        blocks = point_tangents(self.discretisation, now.F, P, slope)
+        return summed(self._free_gradients, blocks)
 
     def _slopes_of_forces(self, now: Evaluation) -> Iterator[Slopes]:
         for force in self.system.forces:

@@ -1,17 +1,15 @@
 """Forces on the nodes besides the tissue's own: loads, follower pressure, foundations, contact.
 
-The first are forms of scikit-fem over facets, whose unknowns are numbered as ours.
-
-A force knows its slopes, which Newton's method needs. Unknown 2 a + i is component i of node a; the
+Forces along sides are forms of scikit-fem over facets, whose unknowns are numbered as ours. A force
+knows its slopes, which Newton's method needs. Unknown 2 a + i is component i of node a; the
 positions of rigid bodies are numbered on after the nodes of the mesh.
 
-Contact of a boundary with a rigid body is a smooth penalty, a dashpot and Coulomb friction. The law
-stands in `contact_law`; it acts at three points of each side. Without its dashpot the boundary's
-nodes would bounce off a stiff spring, for they have a mass and the true boundary has none. Where
-nothing has a velocity friction follows from the sliding Δ since the last equilibrium and the
-friction τ of that: τ + k Δ, at most µ p, so that a point sticks to the body by the spring k or
-slips by Coulomb's law. The body takes the opposite forces, so momentum is kept to rounding.
-"""
+Contact of a boundary with a rigid body is a smooth penalty, a dashpot and Coulomb friction, by the
+law of `contact_law` at three points of each side. Without its dashpot the boundary's nodes would
+bounce off a stiff spring, for they have a mass and the true boundary has none. Where nothing has a
+velocity friction follows from the sliding Δ since the last equilibrium and the friction τ of that:
+τ + k Δ, at most µ p, so that a point sticks to the body by the spring k or slips by Coulomb's law.
+The body takes the opposite forces, so momentum is kept to rounding."""
 
 from __future__ import annotations
 
@@ -23,10 +21,8 @@ import numpy as np
 import scipy.sparse
 import skfem
 from numpy.typing import NDArray
-from skfem.quadrature import get_quadrature
-from skfem.refdom import RefLine
 
-from surrofe2.macro.elements import assembled
+from surrofe2.macro.elements import Matrix, for_components, sparse_rows, summed
 from surrofe2.problem import contact_law
 from surrofe2.problem.amplitude import ONE, Amplitude, Proportional
 from surrofe2.problem.conditions import (
@@ -36,16 +32,12 @@ from surrofe2.problem.conditions import (
     Pressure,
     Traction,
 )
-from surrofe2.problem.mesh import boundary, region
+from surrofe2.problem.mesh import boundary, element_nodes, region
 from surrofe2.problem.problem import Problem, label
 from surrofe2.problem.rigid_bodies import RigidBody, Shape, check_outside
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-Matrix = Any
-"""Sparse by columns, or dense where it is small."""
-SIDES = {2: skfem.ElementLineP1(), 3: skfem.ElementLineP2()}
-"""By the number of nodes of a side."""
 Slopes = tuple[Matrix, Matrix]
 
 
@@ -129,21 +121,6 @@ def foundation_matrix(mesh: skfem.Mesh, facets: Index, components: str) -> Matri
     return form.assemble(facet_basis(mesh, facets))
 
 
-def side_points(nodes: Array, sides: Index) -> tuple[Array, Array]:
-    """Quadrature along sides: (m, 3) lengths and (3, k) shape functions, as `facet_basis` has it.
-
-    Args:
-        nodes: (n, 2) reference positions, µm.
-        sides: (m, k) nodes of each side.
-    """
-    k = sides.shape[1]
-    points, weights = get_quadrature(RefLine, 4)
-    found = [SIDES[k].lbasis(points, a) for a in range(k)]
-    shape, slopes = (np.stack([np.ravel(each[part]) for each in found], axis=1) for part in (0, 1))
-    along = np.einsum("qa,mai->mqi", np.broadcast_to(slopes, shape.shape), nodes[sides])
-    return np.linalg.norm(along, axis=2) * weights, shape
-
-
 def make_loads(
     problem: Problem,
     mass_of: Callable[[Array], Matrix],
@@ -159,15 +136,12 @@ def make_loads(
     mesh, loads = problem.mesh, list[Force]()
     n_nodes = mesh.p.shape[1]
 
-    def rows(load: Array) -> Array:
-        """(n, 2), zero for bodies."""
-        return np.pad(load, ((0, n - n_nodes), (0, 0)))
-
-    def square(matrix: Matrix) -> Matrix:
-        """(2 n, 2 n), zero for bodies."""
-        grown = scipy.sparse.csc_matrix(matrix)
-        grown.resize(2 * n, 2 * n)
-        return grown
+    def add(name: str, dead: Array, amplitude: Amplitude, *slopes: Matrix) -> None:
+        dead = np.pad(dead, ((0, n - len(dead)), (0, 0)))
+        K_and_C = [scipy.sparse.csc_matrix(slope) for slope in slopes]
+        for slope in K_and_C:
+            slope.resize(2 * n, 2 * n)
+        loads.append(LinearForce(name, dead, amplitude, (*K_and_C,) if K_and_C else None))
 
     for condition in problem.conditions:
         name, where = label(condition), f"{condition.kind()}.on"
@@ -178,27 +152,24 @@ def make_loads(
                 inside = np.zeros(mesh.nelements)
                 inside[region(mesh, condition.on, where)] = 1.0
                 pulled = np.tile(condition.acceleration, n_nodes)
-                load = (mass_of(inside) @ pulled).reshape(-1, 2)
-                loads.append(LinearForce(name, rows(load), amplitude))
+                add(name, (mass_of(inside) @ pulled).reshape(-1, 2), amplitude)
             case Traction():
-                load = traction_load(mesh, boundary(mesh, condition.on, where), condition.traction)
-                loads.append(LinearForce(name, rows(load), amplitude))
+                facets = boundary(mesh, condition.on, where)
+                add(name, traction_load(mesh, facets, condition.traction), amplitude)
             case Pressure():
                 facets = boundary(mesh, condition.on, where)
                 unloaded, slope = pressure_load(mesh, facets, condition.pressure)
-                slopes = -square(slope), 0.0 * square(slope)
-                loads.append(LinearForce(name, rows(unloaded), amplitude, slopes))
+                add(name, unloaded, amplitude, -slope, 0.0 * slope)
             case Foundation():
                 facets = boundary(mesh, condition.on, where)
-                base = square(foundation_matrix(mesh, facets, condition.components))
+                base = foundation_matrix(mesh, facets, condition.components)
                 slopes = condition.stiffness * base, condition.damping * base
-                loads.append(LinearForce(name, np.zeros((n, 2)), ONE, slopes))
+                add(name, np.zeros((n, 2)), ONE, *slopes)
     for k, body in enumerate(problem.bodies):
         if body.mass is not None and any(body.acceleration):
             load = np.zeros((n, 2))
             load[n_nodes + k] = body.mass * np.array(body.acceleration)
-            amplitude = Proportional() if proportional else ONE
-            loads.append(LinearForce(f"{body.name} load", load, amplitude))
+            add(f"{body.name} load", load, Proportional() if proportional else ONE)
     return loads
 
 
@@ -212,7 +183,7 @@ _TOUCHING = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Grip:
-    """An equilibrium: displacement u (n, 2), µm, and friction (m,) at all points, µN/µm."""
+    """An equilibrium: displacement u (n, 2), µm, and friction (p,) at all points, µN/µm."""
 
     u: Array
     drag: Array
@@ -220,26 +191,25 @@ class Grip:
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """The contact force of one rigid body.
+    """The contact force of one rigid body with p points of a boundary.
 
     Attributes:
-        name: of the body. row: that of its displacement among those of the nodes.
-        shape: its outline. position: (2,) at t = 0, µm.
-        sides: (m, k) nodes of the sides that may touch it.
-        points: (m, 3, 2) reference positions. lengths: (m, 3). shapes: (3, k).
+        name: of the body. shape: its outline. position: (2,) at t = 0, µm.
+        relative: (p, n) from the displacement of nodes and bodies to that of the points relative
+            to the body.
+        points: (p, 2) reference positions. lengths: (p,) µm. side: mean length of a side, µm.
         stiffness: k, µN/µm². smoothing: δ, µm. damping: c, µN µs/µm².
         friction: µ. slip_speed: s, µm/µs.
         grip: the last equilibrium, in quasi-static runs.
     """
 
     name: str
-    row: int
     shape: Shape
     position: Array
-    sides: Index
+    relative: Matrix
     points: Array
     lengths: Array
-    shapes: Array
+    side: float
     stiffness: float
     smoothing: float
     damping: float
@@ -248,26 +218,24 @@ class Contact:
     grip: Grip | None = None
 
     def at(self, t: float, within: float, u: Array, v: Array) -> Array:
-        force = np.zeros(u.shape)
         gap, normal, _ = self._gaps(u)
         if not (gap < 0.0).any():
-            return force
-        pressure, *_ = self._pressure(-gap, -_dot(self._relative(v), normal))
+            return np.zeros(u.shape)
+        pressure, *_ = self._pressure(-gap, -_dot(self.relative @ v, normal))
         traction = pressure[:, None] * normal
         if self.friction:
-            drag, *_ = self._drag(pressure, _dot(self._slid(u, v), _turned(normal)))
-            traction -= drag[:, None] * _turned(normal)
-        at_points = traction.reshape(*self.lengths.shape, 2) * self.lengths[:, :, None]
-        np.add.at(force, self.sides, np.einsum("mqi,qa->mai", at_points, self.shapes))
-        force[self.row] -= at_points.sum(axis=(0, 1))
+            tangent = _turned(normal)
+            drag, *_ = self._drag(pressure, _dot(self._slid(u, v), tangent))
+            traction -= drag[:, None] * tangent
+        force: Array = self.relative.T @ (self.lengths[:, None] * traction)
         return force
 
     def slopes(self, t: float, within: float, u: Array, v: Array) -> Slopes | None:
         gap, normal, curvature = self._gaps(u)
-        touching = np.flatnonzero(gap < 0.0)
-        if not touching.size:
+        touching = gap < 0.0
+        if not touching.any():
             return None
-        tangent, relative = _turned(normal), self._relative(v)
+        tangent, relative = _turned(normal), self.relative @ v
         sliding = _dot(relative, tangent)
         pressure, by_depth, by_closing = self._pressure(-gap, -_dot(relative, normal))
         # ∂g/∂x = n; the frame turns with the point: ∂n/∂x = κ τ τᵀ, ∂τ/∂x = −κ n τᵀ.
@@ -286,11 +254,12 @@ class Contact:
             by_v -= _outer(along, p_by_v)
             moved = by_v if self.grip is None else by_x
             moved -= by_sliding[:, None, None] * both
-        n = u.size
-        return self._assembled(-by_x, touching, n), self._assembled(-by_v, touching, n)
+        S, lengths = for_components(self.relative[touching]), self.lengths[:, None, None]
+        K, C = (summed(S, (-lengths * slope)[touching]) for slope in (by_x, by_v))
+        return K, C
 
     def drag(self, u: Array) -> Array:
-        """(m,) friction at all points at rest, µN/µm."""
+        """(p,) friction at all points at rest, µN/µm."""
         gap, normal, _ = self._gaps(u)
         pressure, *_ = self._pressure(-gap, 0.0 * gap)
         found, *_ = self._drag(pressure, _dot(self._slid(u, 0.0 * u), _turned(normal)))
@@ -301,45 +270,28 @@ class Contact:
         return float(max(0.0, -self._gaps(u)[0].min()))
 
     def check_start(self) -> None:
-        """Refuse a body that begins with a part of the tissue deep inside it.
-
-        Raises:
-            InputError: naming the place.
-        """
-        points = self.points.reshape(-1, 2)
-        check_outside(self.name, self.shape, self.position, points, self._touching)
+        """An `InputError` if the body begins with a part of the tissue deep inside it."""
+        check_outside(self.name, self.shape, self.position, self.points, _TOUCHING * self.side)
 
     def blocked(self, motions: Array) -> Array:
-        """(p, k) of motions (2 n, k): what the points that touch at the start, or almost, move
+        """(q, k) of motions (2 n, k): what the points that touch at the start, or almost, move
         against the body along its normal, and along its surface where friction resists.
         """
-        u = np.zeros((len(motions) // 2, 2))
-        gap, normal, _ = self._gaps(u)
-        near, found = gap <= self._touching, list[Array]()
+        gap, normal, _ = self._gaps(np.zeros((len(motions) // 2, 2)))
+        near, found = gap <= _TOUCHING * self.side, list[Array]()
         for direction in (normal, _turned(normal))[: 2 if self.friction else 1]:
-            columns = (self._relative(w.reshape(-1, 2)) for w in motions.T)
+            columns = (self.relative @ w.reshape(-1, 2) for w in motions.T)
             found.append(np.stack([_dot(w, direction)[near] for w in columns], axis=1))
         return np.concatenate(found)
-
-    @property
-    def _touching(self) -> float:
-        """Depth or gap at which a body may begin and counts as touching, µm."""
-        return _TOUCHING * float(self.lengths.sum()) / len(self.sides)
 
     def energy(self, u: Array) -> float:
         """Energy stored in the springs, pJ."""
         depth = np.maximum(-self._gaps(u)[0], 0.0)
         density = contact_law.stored(depth, self.stiffness, self.smoothing)
-        return float(density @ self.lengths.ravel())
+        return float(density @ self.lengths)
 
     def _gaps(self, u: Array) -> tuple[Array, Array, Array]:
-        moved = self.points + np.einsum("qa,mai->mqi", self.shapes, u[self.sides])
-        return self.shape.gap((moved - self.position - u[self.row]).reshape(-1, 2))
-
-    def _relative(self, v: Array) -> Array:
-        """(n, 2) velocity of the points relative to the body."""
-        moving = np.einsum("qa,mai->mqi", self.shapes, v[self.sides]) - v[self.row]
-        return moving.reshape(-1, 2)
+        return self.shape.gap(self.points + self.relative @ u - self.position)
 
     def _pressure(self, depth: Array, closing: Array) -> tuple[Array, Array, Array]:
         """Pressure and its slopes by the depth and by the speed of closing."""
@@ -347,8 +299,9 @@ class Contact:
         return contact_law.pressure(np.maximum(depth, 0.0), closing, law)
 
     def _slid(self, u: Array, v: Array) -> Array:
-        """(n, 2) velocity relative to the body, or displacement since the grip."""
-        return self._relative(v if self.grip is None else u - self.grip.u)
+        """(p, 2) velocity relative to the body, or displacement since the grip."""
+        slid: Array = self.relative @ (v if self.grip is None else u - self.grip.u)
+        return slid
 
     def _drag(self, pressure: Array, sliding: Array) -> tuple[Array, Array, Array]:
         """Friction per length against sliding, and its slopes by pressure and by sliding."""
@@ -359,14 +312,6 @@ class Contact:
             slips = np.where(sticks, 0.0, self.friction * np.sign(tried))
             return np.clip(tried, -limit, limit), slips, np.where(sticks, self.stiffness, 0.0)
         return contact_law.friction(pressure, sliding, (self.friction, self.slip_speed))
-
-    def _assembled(self, blocks: Array, touching: Index, size: int) -> Matrix:
-        """Σ L B ⊗ (N, −1) (N, −1)ᵀ over the points that touch, (size, size)."""
-        side, q = np.divmod(touching, 3)
-        weights = np.column_stack([self.shapes[q], -np.ones(len(q))])
-        rows = np.column_stack([self.sides[side], np.full(len(q), self.row)])
-        scaled = self.lengths.ravel()[touching, None, None] * blocks[touching]
-        return assembled(np.einsum("pa,pb,pij->paibj", weights, weights, scaled), rows, size)
 
 
 def _dot(a: Array, b: Array) -> Array:
@@ -385,23 +330,29 @@ def _turned(normal: Array) -> Array:
 
 
 def make_contact(
-    body: RigidBody, row: int, nodes: Array, sides: Index, modulus: float, density: float
+    problem: Problem, body: RigidBody, row: int, n: int, modulus: float, density: float
 ) -> Contact:
-    """The contact of `body` with sides (m, k) of a tissue of this modulus (µN/µm) and density."""
-    lengths, shape = side_points(nodes, sides)
-    size = float(lengths.sum() / len(sides))
-    stiffness = MODULI * modulus / size if body.stiffness is None else body.stiffness
-    critical = 2.0 * np.sqrt(stiffness * density * size / np.sqrt(12.0))
+    """The contact of `body`, `row` of n, with a tissue of this modulus (µN/µm) and density."""
+    mesh = problem.mesh
+    facets = boundary(mesh, body.on, f"{body.name}.on")
+    basis = skfem.FacetBasis(mesh, mesh.elem(), facets=facets, intorder=4)
+    nodes = np.repeat(element_nodes(mesh)[mesh.f2t[0, facets]], len(basis.W), axis=0)
+    shapes = np.stack([np.ravel(each[0]) for each in basis.basis], axis=1)
+    columns = np.insert(nodes, 0, row, axis=1)
+    relative = sparse_rows(columns, np.insert(shapes, 0, -1.0, axis=1), n)
+    relative.eliminate_zeros()
+    side = float(basis.dx.sum() / len(facets))
+    stiffness = MODULI * modulus / side if body.stiffness is None else body.stiffness
+    critical = 2.0 * np.sqrt(stiffness * density * side / np.sqrt(12.0))
     slip_speed = 1e-3 * np.sqrt(modulus / density)
     return Contact(
         name=body.name,
-        row=row,
         shape=body.shape,
         position=np.array(body.position),
-        sides=sides,
-        points=np.einsum("qa,mai->mqi", shape, nodes[sides]),
-        lengths=lengths,
-        shapes=shape,
+        relative=relative,
+        points=np.asarray(basis.global_coordinates()).reshape(2, -1).T,
+        lengths=basis.dx.ravel(),
+        side=side,
         stiffness=stiffness,
         smoothing=ONSET * modulus / stiffness if body.smoothing is None else body.smoothing,
         damping=float(DAMPING * critical if body.damping is None else body.damping),

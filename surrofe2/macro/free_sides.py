@@ -19,25 +19,22 @@ that are within w/2 of its middle and above 2d, and all of the element beside it
     F̄ = Σ_q A_q (1 + β (y_q − ȳ)) F_q / Σ_q A_q,    β = (d − ȳ) / (mean of (y_q − ȳ)²)
 
 with ȳ the mean depth. So F̄ is F at the depth d where F is linear across, whatever the mesh. In
-elements finer than w the mean keeps waves of an element's length from buckling.
-"""
+elements finer than w the mean keeps waves of an element's length from buckling."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-import scipy  # scipy.spatial is loaded where sides are free
+import scipy.sparse  # scipy.spatial is loaded where sides are free
 import skfem
 from numpy.typing import NDArray
 
-from surrofe2.base.compilation import kernel
 from surrofe2.base.errors import InputError
 from surrofe2.law.surface_law import SurfaceLaw, SurfaceResponse
-from surrofe2.macro.elements import Discretisation, assembled
-from surrofe2.macro.forces import Matrix, Slopes
+from surrofe2.macro.elements import Discretisation, Matrix, for_components, summed
+from surrofe2.macro.forces import Slopes
 from surrofe2.problem.conditions import FREE, Surface
 from surrofe2.problem.mesh import boundary, element_nodes, facet_nodes, region
 from surrofe2.problem.problem import SURFACE, Problem
@@ -54,6 +51,7 @@ class FreeSides:
     """Sides with a surface law.
 
     Attributes:
+        facets: (m,) of the mesh.
         nodes: (m, 2) or (m, 3) nodes of each, as of `facet_nodes`.
         elements: (m,) beside them.
         names: of the boundaries; boundary: (m,) which of them.
@@ -61,6 +59,7 @@ class FreeSides:
         oblique: (m,) degrees off the nearer direction of the plant cells' rows, x or y; 0 along it.
     """
 
+    facets: Index
     nodes: Index
     elements: Index
     names: tuple[str, ...]
@@ -87,19 +86,16 @@ def free_sides(problem: Problem) -> FreeSides:
     else:
         names = tuple(surface.on)
         parts = [boundary(mesh, name, "surface.on") for name in names]
-    facets, of_boundary = (
-        np.concatenate(parts),
-        np.repeat(np.arange(len(parts)), [*map(len, parts)]),
-    )
-    _, first = np.unique(facets, return_index=True)
-    first.sort()  # a side of two boundaries counts once
-    facets, of_boundary = facets[first], of_boundary[first]
+    every = np.concatenate(parts)
+    first = np.sort(np.unique(every, return_index=True)[1])  # a side of two boundaries counts once
+    facets = every[first]
+    of_boundary = np.repeat(np.arange(len(parts)), [*map(len, parts)])[first]
     nodes, elements = facet_nodes(mesh, facets), mesh.f2t[0, facets].astype(np.int64)
     laws, law = _laws(surface, mesh, elements)
     along = np.diff(mesh.p.T[nodes[:, :2]], axis=1)[:, 0]
     angle = np.degrees(np.arctan2(*np.sort(abs(along), axis=1).T))
     oblique = np.where(angle > _ALONG, angle, 0.0)
-    return FreeSides(nodes, elements, names, of_boundary, laws, law, oblique)
+    return FreeSides(facets, nodes, elements, names, of_boundary, laws, law, oblique)
 
 
 def _unnamed(problem: Problem) -> Index:
@@ -134,8 +130,8 @@ _EVEN = 1e-12
 """Squared spread of depths over that of the patch, below which they are all the same."""
 
 
-def stretched_nodes(sides: FreeSides, space: Discretisation) -> tuple[Index, Array]:
-    """(m, k) nodes and D_a, 1/µm, of F̄ T = T + Σ_a u_a D_a of all sides; D is 0 where k is less."""
+def stretched_nodes(sides: FreeSides, space: Discretisation, n: int) -> Matrix:
+    """(m, n) D of F̄ T = T + D u for all sides, 1/µm."""
     n_q = space.points_per_element - space.pressure_apart
     position = space.point_positions().reshape(len(space.elements), -1, 2)[:, :n_q]
     corners = space.nodes[sides.nodes[:, :2]]
@@ -145,8 +141,8 @@ def stretched_nodes(sides: FreeSides, space: Discretisation) -> tuple[Index, Arr
     for p, element in enumerate(sides.elements):
         law = sides.laws[sides.law[p]]
         reach = np.hypot(0.5 * law.width, 2.0 * law.depth) + 2.0 * size
-        near = np.sort(centres.query_ball_point(corners[p].mean(axis=0), reach)).astype(np.int64)
         middle, along = corners[p].mean(axis=0), corners[p, 1] - corners[p, 0]
+        near = np.sort(centres.query_ball_point(middle, reach)).astype(np.int64)
         along = along / np.linalg.norm(along)
         inward = np.array([-along[1], along[0]])
         if inward @ (position[element].mean(axis=0) - middle) < 0.0:
@@ -158,14 +154,10 @@ def stretched_nodes(sides: FreeSides, space: Discretisation) -> tuple[Index, Arr
         own = near[own]
         weights = _weights(space.weights[own, q], depth[taken], law.depth)
         slopes = weights[:, None] * (space.gradients[own, q] @ along)
-        nodes, place = np.unique(space.elements[own], return_inverse=True)
-        found.append((nodes, np.bincount(place.ravel(), slopes.ravel())))
-    most = max(len(nodes) for nodes, _ in found)
-    every, by_node = np.zeros((len(found), most), np.int64), np.zeros((len(found), most))
-    for p, (nodes, slopes) in enumerate(found):
-        every[p], every[p, : len(nodes)] = nodes[0], nodes
-        by_node[p, : len(nodes)] = slopes
-    return every, by_node
+        nodes = space.elements[own].ravel()
+        found.append((slopes.ravel(), np.full(nodes.size, p), nodes))
+    slopes, rows, columns = (np.concatenate(each) for each in zip(*found, strict=True))
+    return scipy.sparse.csr_matrix((slopes, (rows, columns)), shape=(len(found), n))
 
 
 def _weights(areas: Array, depths: Array, wanted: float) -> Array:
@@ -175,8 +167,7 @@ def _weights(areas: Array, depths: Array, wanted: float) -> Array:
     spread = float(shares @ apart**2)
     if spread <= _EVEN * areas.sum():
         return shares
-    weights: Array = shares * (1.0 + (wanted - shares @ depths) / spread * apart)
-    return weights
+    return np.asarray(shares * (1.0 + (wanted - shares @ depths) / spread * apart))
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,16 +176,14 @@ class SurfaceForce:
 
     Attributes:
         sides: which they are.
-        nodes: (m, k) on which the stretch of each depends.
-        slopes_of_shape: (m, k) D_a, 1/µm.
+        D: (m, n) sparse, from displacement to the change of g, 1/µm.
         lengths: (m,) L, µm.
         directions: (m, 2) g where the unknowns are zero.
         share: of the tension that acts, below 1 on the way to rest.
     """
 
     sides: FreeSides
-    nodes: Index
-    slopes_of_shape: Array
+    D: Matrix
     lengths: Array
     directions: Array
     share: float = 1.0
@@ -206,10 +195,8 @@ class SurfaceForce:
     def at(self, t: float, within: float, u: Array, v: Array) -> Array:
         """As of `Force`; NaN where a law has no answer."""
         g, stretch, rate = self._stretches(u, v)
-        tension = self.share * self._ask(stretch, rate).tension
-        force: Array = side_forces(
-            self.nodes, self.slopes_of_shape, self.lengths, g, stretch, tension, len(u)
-        )
+        pull = self.lengths * self.share * self._ask(stretch, rate).tension / stretch
+        force: Array = self.D.T @ (-pull[:, None] * g)
         return force
 
     def slopes(self, t: float, within: float, u: Array, v: Array) -> Slopes:
@@ -220,14 +207,12 @@ class SurfaceForce:
         n = g / stretch[:, None]
         along = np.einsum("pi,pj->pij", n, n)
         across = np.eye(2) - along
-        g_dot = np.einsum("ma,mai->mi", self.slopes_of_shape, v[self.nodes])
-        turning = np.einsum("pi,pj->pij", n, (g_dot - rate[:, None] * n) / stretch[:, None])
+        turning = np.einsum("pi,pj->pij", n, (self.D @ v - rate[:, None] * n) / stretch[:, None])
         by_g = answer.tangent[:, None, None] * along + answer.rate_tangent[:, None, None] * turning
         by_g += (answer.tension / stretch)[:, None, None] * across
         by_g_dot = answer.rate_tangent[:, None, None] * along
-        D, lengths = self.slopes_of_shape, self.share * self.lengths
-        of_u, of_v = (np.einsum("m,ma,mb,mij->maibj", lengths, D, D, B) for B in (by_g, by_g_dot))
-        return assembled(of_u, self.nodes, u.size), assembled(of_v, self.nodes, u.size)
+        S, lengths = for_components(self.D), self.share * self.lengths[:, None, None]
+        return summed(S, lengths * by_g), summed(S, lengths * by_g_dot)
 
     def dissipation_rates(self, u: Array, v: Array) -> Array:
         """(b,) ∫ (P_s(λ, λ̇) − P_s(λ, 0)) λ̇ dS along each of `FreeSides.names`, pJ/µs."""
@@ -238,20 +223,19 @@ class SurfaceForce:
 
     def from_rest(self, u: Array) -> SurfaceForce:
         """The same with unknowns that count from the displacement u (n, 2)."""
-        moved = np.einsum("ma,mai->mi", self.slopes_of_shape, u[self.nodes])
-        return replace(self, directions=self.directions + moved)
+        return replace(self, directions=self.directions + self.D @ u)
 
-    def mass(self, inside: Array, size: int) -> Matrix:
-        """(size, size) mass excess, ng.
+    def mass(self, mesh: skfem.Mesh, inside: Array) -> Matrix:
+        """(2 n_nodes, 2 n_nodes) mass excess, ng.
 
         Args:
             inside: (n_el,) factor of the sides beside each element.
         """
         per_length = np.array([law.mass for law in self.sides.laws])[self.sides.law]
-        masses = self.lengths * per_length * inside[self.sides.elements]
-        unit = _UNIT_MASS[self.sides.nodes.shape[1]]
-        blocks = np.einsum("m,ab,ij->maibj", masses, unit, np.eye(2))
-        return assembled(blocks, self.sides.nodes, size)
+        basis = skfem.FacetBasis(mesh, mesh.elem(), facets=self.sides.facets)
+        scale = per_length * inside[self.sides.elements] * self.lengths / basis.dx.sum(axis=1)
+        form = skfem.BilinearForm(lambda u, v, w: w.scale * u * v)
+        return for_components(form.assemble(basis, scale=scale[:, None] * np.ones(basis.dx.shape)))
 
     def refusal(self, nodes: Array, u: Array, v: Array) -> str:
         """Where a law has no answer, and for which stretch."""
@@ -264,9 +248,10 @@ class SurfaceForce:
         )
 
     def _stretches(self, u: Array, v: Array) -> tuple[Array, Array, Array]:
-        """(p, 2) g, (p,) λ and λ̇."""
-        g, stretch, rate = side_stretches(self.nodes, self.slopes_of_shape, self.directions, u, v)
-        return g, stretch, rate
+        """(m, 2) g, (m,) λ and λ̇."""
+        g = self.directions + self.D @ u
+        stretch = np.hypot(*g.T)
+        return g, stretch, np.einsum("mi,mi->m", g, self.D @ v) / stretch
 
     def _ask(self, stretch: Array, rate: Array, *, tangents: bool = False) -> SurfaceResponse:
         laws = self.sides.laws
@@ -283,67 +268,11 @@ class SurfaceForce:
         return SurfaceResponse(tension, valid, by_stretch, by_rate)
 
 
-_UNIT_MASS = {
-    2: np.array([[2.0, 1.0], [1.0, 2.0]]) / 6.0,
-    3: np.array([[4.0, -1.0, 2.0], [-1.0, 4.0, 2.0], [2.0, 2.0, 16.0]]) / 30.0,
-}
-"""∫ N_a N_b over a side of length 1, of a curved one as if it were straight."""
-
-
-def make_surface(problem: Problem, space: Discretisation) -> SurfaceForce:
-    """The free sides of a problem that has a surface, at the undeformed mesh."""
+def make_surface(problem: Problem, space: Discretisation, n: int) -> SurfaceForce:
+    """The free sides of a problem that has a surface, at the undeformed mesh; n rows."""
     sides = free_sides(problem)
     ends = space.nodes[sides.nodes[:, :2]]
     along = ends[:, 1] - ends[:, 0]
     lengths = np.linalg.norm(along, axis=1)
-    directions = along / lengths[:, None]
-    nodes, slopes = stretched_nodes(sides, space)
-    return SurfaceForce(
-        sides=sides,
-        nodes=nodes,
-        slopes_of_shape=slopes,
-        lengths=lengths,
-        directions=directions,
-    )
-
-
-@kernel
-def side_stretches(nodes: Any, slopes: Any, directions: Any, u: Any, v: Any) -> Any:
-    """g = g₀ + Σ_a u_a D_a, λ = |g| and λ̇ = g·Σ_a v_a D_a/λ of all sides.
-
-    Args:
-        nodes: (m, k) rows of u and v. slopes: (m, k) D_a. directions: (m, 2) g₀.
-
-    Returns:
-        (m, 2), (m,) and (m,).
-    """
-    m, k = slopes.shape
-    g, stretch, rate = np.empty((m, 2)), np.empty(m), np.empty(m)
-    for e in range(m):
-        gx, gy, wx, wy = directions[e, 0], directions[e, 1], 0.0, 0.0
-        for a in range(k):
-            row, slope = nodes[e, a], slopes[e, a]
-            gx += slope * u[row, 0]
-            gy += slope * u[row, 1]
-            wx += slope * v[row, 0]
-            wy += slope * v[row, 1]
-        length = np.sqrt(gx * gx + gy * gy)
-        g[e, 0], g[e, 1] = gx, gy
-        stretch[e], rate[e] = length, (gx * wx + gy * wy) / length
-    return g, stretch, rate
-
-
-@kernel
-def side_forces(
-    nodes: Any, slopes: Any, lengths: Any, g: Any, stretch: Any, tension: Any, n: Any
-) -> Any:
-    """f_a = −L P_s g/λ D_a, (n, 2) µN; sides add up in their order."""
-    m, k = slopes.shape
-    force = np.zeros((n, 2))
-    for e in range(m):
-        pull = lengths[e] * tension[e] / stretch[e]
-        for a in range(k):
-            row, slope = nodes[e, a], slopes[e, a]
-            force[row, 0] -= pull * slope * g[e, 0]
-            force[row, 1] -= pull * slope * g[e, 1]
-    return force
+    D = stretched_nodes(sides, space, n)
+    return SurfaceForce(sides, D, lengths, along / lengths[:, None])

@@ -92,49 +92,27 @@ class RestState(RunState):
     law_state: Any = None
 
 
-@dataclass(frozen=True, slots=True)
-class Rest:
-    """The tissue at rest under constant loads.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rest(RestState):
+    """The tissue at rest under constant loads: an equilibrium with all that it is of.
 
     Attributes:
         system: mesh, mass and forces.
-        state: factor of the load, displacement, stress, and the way there.
         F: (n_points, 2, 2) deformation gradient.
         stiffness, damping: (m, m) of the free unknowns, as of `EquationsOfMotion.tangents`.
         residuals: of Newton's iterations in the last load step, relative to the largest force.
     """
 
     system: System
-    state: RestState
     F: Array
     stiffness: Matrix
     damping: Matrix
     residuals: tuple[float, ...]
 
     @property
-    def factor(self) -> float:
-        """Of all loads and prescribed motions."""
-        return self.state.factor
-
-    @property
-    def u(self) -> Array:
-        """(n, 2) displacement of nodes and bodies, µm; from `System.rest` where there is one."""
-        return self.state.u
-
-    @property
-    def stress(self) -> Array:
-        """(n_points, 2, 2) Cauchy stress, µN/µm."""
-        return self.state.stress
-
-    @property
     def forces(self) -> Array:
         """(k, 2) forces on the tissue, of `System.force_names`, µN."""
-        return self.state.journal["forces"][-1]
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Load steps, halvings, factorisations by Newton's method."""
-        return self.state.counts
+        return self.journal["forces"][-1]
 
     @property
     def basis(self) -> skfem.Basis:
@@ -149,7 +127,7 @@ class Rest:
     @property
     def path(self) -> Array:
         """(steps + 1, 3) factor and displacement of the first watched point, µm."""
-        return self.state.journal["rows"][:, :3]
+        return self.journal["rows"][:, :3]
 
     @property
     def watched(self) -> Array:
@@ -163,16 +141,15 @@ class Rest:
         dissipated`, and `balance`, the other works − internal, zero to Newton's tolerance.
         """
         system = self.system
-        stored, internal, *others, motion = self.state.journal["rows"][:, 3:].T
-        works = {force.name: work for force, work in zip(system.forces, others, strict=True)}
+        stored, internal, *others, motion = self.journal["rows"][:, 3:].T
+        works = dict(zip((force.name for force in system.forces), others, strict=True))
         if system.moving:
             works["motion"] = motion
-        contact = {}
+        found = {"internal": internal, **works, "balance": sum(works.values()) - internal}
         if system.contacts:
-            done = np.sum([works[each.name] for each in system.contacts], axis=0)
-            contact = {"contact": stored, "contact dissipated": stored[0] - stored - done}
-        balance = np.sum([*works.values()], axis=0) - internal
-        return {"internal": internal, **works, **contact, "balance": balance}
+            done = sum(works[each.name] for each in system.contacts)
+            found |= {"contact": stored, "contact dissipated": stored[0] - stored - done}
+        return found
 
 
 def find_rest(
@@ -253,13 +230,13 @@ class Loading:
     def checkpoint(self) -> Rest:
         """The last equilibrium, with memory of its own for what was recorded."""
         rest: Rest = self.rest
-        return replace(rest, state=replace(rest.state, journal=rest.state.journal.copy()))
+        return replace(rest, journal=rest.journal.copy())
 
     def steps(self, resume: RestState | None) -> Iterator[float]:
         """The factor of each equilibrium, the one without load first.
 
         Raises:
-            SimulationError: there is none without load, or as of `_step`.
+            SimulationError: there is none without load, or ten halvings of a load step find none.
         """
         newton, equations = self._newton, self._newton.equations
         try:
@@ -281,12 +258,8 @@ class Loading:
             yield self.rest.factor
 
     def _step(self, rest: Rest) -> Rest:
-        """The equilibrium after `rest`, by a load step that is halved until there is one.
-
-        Raises:
-            SimulationError: ten halvings of the longest step find none.
-        """
-        step, longest, failed = rest.state.next_step, self._longest, False
+        """The equilibrium after `rest`, by a load step that is halved until there is one."""
+        step, longest, failed = rest.next_step, self._longest, False
         while True:
             remaining = self._factor - rest.factor
             is_last = abs(step) >= abs(remaining) * (1.0 - 1e-9)
@@ -308,36 +281,31 @@ def _check_held(system: System, K: Matrix) -> None:
     """Refuse a load on a tissue or a rigid body that can move without any resistance.
 
     Those are combinations R of rigid motions that move nothing held and have Rᵀ K R = 0.
-
-    Raises:
-        InputError: naming the motions.
     """
     nodes = system.discretisation.nodes
-    names, motions = list[str](), list[Array]()
-
-    def add(name: str, rows: Any, velocity: Any) -> None:
-        motion = np.zeros((system.n_rows, 2))
-        motion[rows] = velocity
-        names.append(name)
-        motions.append(motion.ravel() / np.linalg.norm(motion))
-
     x, y = (nodes - nodes.mean(axis=0)).T
-    tissue = np.arange(len(nodes))
-    add("the tissue along x", tissue, (1.0, 0.0))
-    add("the tissue along y", tissue, (0.0, 1.0))
-    add("the tissue in rotation", tissue, np.stack([-y, x], axis=1))
-    for k, body in enumerate(system.problem.bodies):
-        add(f"{body.name} along x", len(nodes) + k, (1.0, 0.0))
-        add(f"{body.name} along y", len(nodes) + k, (0.0, 1.0))
-    R = np.stack(motions, axis=1)
+    tissue = slice(0, len(nodes))
+    rigid: list[tuple[str, slice, Any]] = [
+        ("the tissue along x", tissue, (1.0, 0.0)),
+        ("the tissue along y", tissue, (0.0, 1.0)),
+        ("the tissue in rotation", tissue, np.stack([-y, x], axis=1)),
+    ]
+    for k, body in enumerate(system.problem.bodies, len(nodes)):
+        rigid.append((f"{body.name} along x", slice(k, k + 1), (1.0, 0.0)))
+        rigid.append((f"{body.name} along y", slice(k, k + 1), (0.0, 1.0)))
+    motions = np.zeros((system.n_rows, 2, len(rigid)))
+    for k, (_, rows, velocity) in enumerate(rigid):
+        motions[rows, :, k] = velocity
+    R = motions.reshape(-1, len(rigid))
+    R /= np.linalg.norm(R, axis=0)
     held = np.delete(R, system.free, axis=0)
     stiffness = R[system.free].T @ (K @ R[system.free]) / abs(K.diagonal()).max()
     blocked = np.concatenate([held, *(contact.blocked(R) for contact in system.contacts)])
-    resisted = blocked.T @ blocked + 0.5 * (stiffness + stiffness.T)
-    values, vectors = np.linalg.eigh(resisted)
+    values, vectors = np.linalg.eigh(blocked.T @ blocked + 0.5 * (stiffness + stiffness.T))
     moves = vectors[:, abs(values) < _FREE]
     if moves.size:
-        loose = [name for name, weight in zip(names, moves, strict=True) if abs(weight).max() > 0.1]
+        parts = zip(rigid, abs(moves).max(axis=1), strict=True)
+        loose = [name for (name, *_), part in parts if part > 0.1]
         raise InputError(
             f"conditions: nothing holds {', '.join(loose)} ({moves.shape[1]} free rigid motions); "
             "add fixed, symmetry, prescribed_motion or foundation, or bodies that touch from the "
@@ -353,16 +321,11 @@ def settle(
     Supports hold what they hold and bodies are away, so that all displacements can count from
     there. Where Newton's method does not come to it at once, the tension grows in steps.
 
-    Args:
-        tally: takes in what it costs.
-
     Returns:
         Displacement (n, 2), zero of rigid bodies, and what the law committed there.
 
     Raises:
-        InputError: the law has no tangents.
-        SimulationError: there is no such rest.
-    """
+        InputError: the law has no tangents. SimulationError: there is no such rest."""
     require_tangents(law, "surface")
     system = system_of(replace(problem, bodies=()), law, proportional=True)
     equations = EquationsOfMotion(system, law, clock="before the load")
@@ -392,31 +355,32 @@ class Newton:
         Raises:
             NoStress: there is none.
         """
-        equations, space = self.equations, self.equations.discretisation
+        equations = self.equations
         if last is None:
             start = np.zeros((equations.system.n_rows, 2))
             self._grip(start, {})
             now, residuals, slopes = self.balanced(factor, partial(equations.system.pick, start))
         else:
-            self._grip(last.u, last.state.drags)
+            self._grip(last.u, last.drags)
             now, residuals, slopes = self.balanced(factor, partial(self.predicted, factor, last))
         equations.tally.counts["load_steps"] += factor != 0.0
-        system, reaction = equations.system, equations.reaction(now)
+        system, reaction, still = equations.system, equations.reaction(now), 0.0 * now.u
         acts = np.stack([now.internal, *now.forces, reaction])
-        works, journal, extremes = np.zeros(len(acts)), Journal.of({}), NO_EXTREMES
+        works, journal, extremes = np.zeros(len(acts)), Journal.of({}), NO_EXTREMES.copy()
         if last is not None:
             # Mean force times displacement: of second order in the load step.
-            step = np.einsum("kni,ni->k", 0.5 * (last.state.acts + acts), now.u - last.u)
-            journal, extremes = last.state.journal, last.state.extremes
+            step = np.einsum("kni,ni->k", 0.5 * (last.acts + acts), now.u - last.u)
+            journal, extremes = last.journal, last.extremes.copy()
             works = journal["rows"][-1, 4:] + step
-        extremes = extremes.copy()
-        widen_extremes(extremes, now.F, np.zeros_like(now.F))
+        widen_extremes(extremes, now.F, now.F_dot)
         stored = sum(each.energy(now.u) for each in system.contacts)
         row = np.concatenate([[factor], system.at_watched_points(now.u)[0], [stored], works])
-        forces, gradients = system.resultants(now.forces, reaction), (now.F, 0.0 * now.F)
-        frame = Frames.of(space, factor, (now.u, 0.0 * now.u), gradients, now.response.stress)
-        rows = {"rows": row[None], "forces": forces[None]} | frame_series(frame)
-        state = RestState(
+        frame = Frames.of(
+            equations.discretisation, factor, (now.u, still), (now.F, now.F_dot),
+            now.response.stress,
+        )  # fmt: skip
+        rows = {"rows": row[None], "forces": system.resultants(now.forces, reaction)[None]}
+        return Rest(
             factor=factor,
             u=now.u,
             stress=now.response.stress,
@@ -425,11 +389,15 @@ class Newton:
             extremes=extremes,
             drags={contact.name: contact.drag(now.u) for contact in system.contacts},
             counts={name: equations.tally.counts[name] for name in _COUNTS},
-            journal=journal.written(rows),
+            journal=journal.written(rows | frame_series(frame)),
             rest=np.empty((0, 2)) if system.rest is None else system.rest,
             law_state=equations.law_state,
+            system=system,
+            F=now.F,
+            stiffness=slopes[0],
+            damping=slopes[1],
+            residuals=tuple(residuals),
         )
-        return Rest(system, state, now.F, *slopes, tuple(residuals))
 
     def known(self, state: RestState) -> Rest:
         """An equilibrium that was found before; raises as `evaluate`."""
@@ -437,25 +405,24 @@ class Newton:
         self._grip(state.u, state.drags)
         y = self._still(equations.system.pick(state.u))
         start = equations.resume(state.factor, y, state.stress, state.law_state)
-        slopes = equations.tangents(equations.evaluate(state.factor, y, tangents=True))
+        K, C = equations.tangents(equations.evaluate(state.factor, y, tangents=True))
         equations.tally.counts.update(state.counts)
-        state = replace(state, journal=state.journal.copy())
-        return Rest(equations.system, state, start.F, *slopes, ())
+        kept = {item.name: getattr(state, item.name) for item in fields(RestState)}
+        kept["journal"] = state.journal.copy()
+        return Rest(
+            **kept, system=equations.system, F=start.F, stiffness=K, damping=C, residuals=()
+        )
 
     def balanced(
         self, factor: float, begin: Callable[[], Array]
     ) -> tuple[Evaluation, list[float], Slopes]:
         """The equilibrium, the residuals on the way to it, and K and C.
 
-        Newton starts again where points leave their branch of the law, and continues where the
-        equilibrium of the tissue is none of a point.
-
-        Args:
-            begin: the free displacements (m,) to begin with.
+        Newton begins with the free displacements (m,) of `begin`, starts again where points leave
+        their branch of the law, and continues where the tissue's equilibrium is none of a point.
 
         Raises:
-            NoStress: there is none.
-        """
+            NoStress: there is none."""
         u: Array | None = None
         residuals: list[float] = []
         while True:
@@ -472,11 +439,7 @@ class Newton:
 
     def predicted(self, factor: float, last: Rest) -> Array:
         """(m,) free displacements to begin with: the last ones, or where supports move those of
-        the tangents there.
-
-        Raises:
-            NoStress: the stiffness is singular. Switched: as of `evaluate`.
-        """
+        the tangents there; raises as `evaluate`, and `NoStress` where the stiffness is singular."""
         equations, system = self.equations, self.equations.system
         u = system.pick(last.u)
         moved = system.spread(self._still(u), factor, equations.within)[0] - last.u
@@ -489,14 +452,10 @@ class Newton:
         return u + self._solved(now, equations.tangents(now)[0], residual)
 
     def corrected(self, now: Evaluation, K: Matrix) -> Evaluation:
-        """Newton's correction, halved until the residual is smaller and every point has a stress.
-
-        Args:
-            K: derivative of the residual.
+        """Newton's correction by K, halved until the residual falls and every point has a stress.
 
         Raises:
-            NoStress: no correction does. Switched: points left their branch of the law.
-        """
+            NoStress: no correction does. Switched: points left their branch of the law."""
         size = np.linalg.norm(now.residual)
         correction = self._still(self._solved(now, K, now.residual))
         fraction, reason = 1.0, "the line search found no smaller residual"

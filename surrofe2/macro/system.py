@@ -20,12 +20,8 @@ from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import StressLaw
-from surrofe2.macro.elements import (
-    Discretisation,
-    make_discretisation,
-    n_points_of,
-)
-from surrofe2.macro.forces import Contact, Force, Matrix, make_contact, make_loads, traction_load
+from surrofe2.macro.elements import Discretisation, Matrix, make_discretisation, n_points_of
+from surrofe2.macro.forces import Contact, Force, make_contact, make_loads, traction_load
 from surrofe2.macro.free_sides import SurfaceForce, make_surface
 from surrofe2.problem.amplitude import Proportional
 from surrofe2.problem.conditions import InitialVelocity
@@ -352,11 +348,11 @@ def make_system(
     mesh, space = problem.mesh, make_discretisation(problem.mesh)
     per_element = np.broadcast_to(density, space.n_points)[:: space.points_per_element]
     n_nodes, n = len(space.nodes), len(space.nodes) + len(problem.bodies)
-    surface = [] if problem.surface is None else [make_surface(problem, space)]
+    surface = [] if problem.surface is None else [make_surface(problem, space, n)]
 
     def assembled_mass(share: Array) -> Matrix:
         tissue = tissue_mass(mesh, share * per_element)
-        return sum((each.mass(share, 2 * n_nodes) for each in surface), tissue)
+        return sum((each.mass(mesh, share) for each in surface), tissue)
 
     whole = assembled_mass(np.ones(mesh.nelements))
 
@@ -375,14 +371,11 @@ def make_system(
     forces = [
         *make_loads(problem, mass_of, n, proportional),
         *(
-            make_contact(
-                body, n_nodes + k, space.nodes,
-                facet_nodes(mesh, boundary(mesh, body.on, f"{body.name}.on")), modulus, heaviest,
-            )
+            make_contact(problem, body, n_nodes + k, n, modulus, heaviest)
             for k, body in enumerate(problem.bodies)
         ),
         *surface,
-    ]  # fmt: skip
+    ]
     return System(
         problem=problem,
         discretisation=space,

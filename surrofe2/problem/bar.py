@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from surrofe2.base.errors import InputError
 from surrofe2.base.settings import check_settings, setting
 from surrofe2.base.units import ACCELERATION, LENGTH, NONE, TIME
 from surrofe2.problem.amplitude import ONE, Table
@@ -39,14 +36,8 @@ class LoadSettings:
 
     def __post_init__(self) -> None:
         check_settings(self, "load")
-        x, y = self.watched
-        if not (0.0 <= x <= self.width and 0.0 <= y <= self.height):
-            raise InputError(
-                "load.watched",
-                f"{self.watched}; it must lie within [0, {self.width}] x [0, {self.height}] µm",
-            )
-        if (np.diff([t for t, _ in self.amplitude]) <= 0.0).any():
-            raise InputError("load.amplitude", f"{self.amplitude}; times must increase")
+        if self.amplitude:
+            Table(points=self.amplitude)  # checks them
 
     @property
     def conditions(self) -> tuple[Condition, ...]:

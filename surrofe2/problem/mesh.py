@@ -145,18 +145,15 @@ def with_boundaries(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
     Raises:
         InputError: there is none.
     """
-    if not parts:
-        return mesh
     outer = mesh.boundary_facets()
     sides, named = facet_nodes(mesh, outer), {}
     for name, part in parts.items():
-        inside = part.holds(mesh.p.T)[sides].all(axis=1)
-        if not inside.any():
+        named[name] = outer[part.holds(mesh.p.T)[sides].all(axis=1)]
+        if not named[name].size:
             raise InputError(
                 f"mesh.boundaries.{name}: {part}; it must hold both ends of an outer side"
             )
-        named[name] = outer[inside]
-    return mesh.with_boundaries(named)
+    return mesh.with_boundaries(named) if named else mesh
 
 
 def with_regions(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
@@ -165,15 +162,12 @@ def with_regions(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
     Raises:
         InputError: there is none.
     """
-    if not parts:
-        return mesh
     centres, named = mesh.p.T[element_nodes(mesh)].mean(axis=1), {}
     for name, part in parts.items():
-        inside = np.flatnonzero(part.holds(centres))
-        if not inside.size:
+        named[name] = np.flatnonzero(part.holds(centres))
+        if not named[name].size:
             raise InputError(f"mesh.regions.{name}: {part}; it must hold the centre of an element")
-        named[name] = inside
-    return mesh.with_subdomains(named)
+    return mesh.with_subdomains(named) if named else mesh
 
 
 def element_nodes(mesh: skfem.Mesh) -> Index:
@@ -197,37 +191,24 @@ def facet_nodes(mesh: skfem.Mesh, facets: NDArray[np.integer]) -> Index:
 
 
 def boundary(mesh: skfem.Mesh, name: str, where: str = "boundary") -> Index:
-    """(m,) facets of a boundary.
-
-    Raises:
-        InputError: there is no boundary of that name; `where` says who asked.
-    """
+    """(m,) facets of a boundary; `where` says who asks, in the `InputError` if there is none."""
     return np.asarray(_named(mesh.boundaries, name, where, "boundary"), dtype=np.int64)
 
 
 def region(mesh: skfem.Mesh, name: str | None, where: str = "region") -> Index:
-    """(k,) elements of a region; of None, all.
-
-    Raises:
-        InputError: there is no region of that name; `where` says who asked.
-    """
+    """(k,) elements of a region, of None all; else an `InputError` as of `boundary`."""
     if name is None:
         return np.arange(mesh.nelements)
     return np.asarray(_named(mesh.subdomains, name, where, "region"), dtype=np.int64)
 
 
 def nodes_on(mesh: skfem.Mesh, name: str | None, where: str = "on") -> Index:
-    """(k,) nodes of a boundary or a region; of None, all.
-
-    Raises:
-        InputError: there is neither of that name; `where` says who asked.
-    """
-    if name is None or name in (mesh.subdomains or {}):
+    """(k,) nodes of a boundary or a region, of None all; an `InputError` as of `boundary`."""
+    regions = mesh.subdomains or {}
+    if name is None or name in regions:
         return np.unique(element_nodes(mesh)[region(mesh, name)])
-    if name in (mesh.boundaries or {}):
-        return np.unique(facet_nodes(mesh, boundary(mesh, name)))
-    known = {**(mesh.boundaries or {}), **(mesh.subdomains or {})}
-    return np.asarray(_named(known, name, where, "boundary or region"))
+    known = {**(mesh.boundaries or {}), **regions}
+    return np.unique(facet_nodes(mesh, _named(known, name, where, "boundary or region")))
 
 
 def extent(mesh: skfem.Mesh) -> tuple[Array, Array]:
@@ -266,25 +247,38 @@ def check_mesh(mesh: skfem.Mesh) -> skfem.Mesh:
         raise InputError(
             f"mesh.t: node {mesh.t.max()}; nodes are numbered from 0 to {mesh.p.shape[1] - 1}"
         )
-    x = mesh.p.T
+    _check_overlaps(mesh)
+    if mesh.elem is skfem.ElementTriP1:
+        _check_orphans(mesh.p.T, mesh.t)
+        mesh = _with_middles(mesh)
+    _check_orphans(mesh.p.T, element_nodes(mesh))
+    _check_shapes(mesh.p.T, element_nodes(mesh))
+    _check_pieces(mesh)
+    _check_boundaries(mesh)
+    return mesh
+
+
+def _with_middles(mesh: skfem.MeshTri1) -> skfem.MeshTri2:
+    """Facets and elements have the same numbers, so boundaries and regions are the same too."""
+    lifted = skfem.MeshTri2.from_mesh(mesh)
+    return lifted.with_boundaries(mesh.boundaries or {}).with_subdomains(mesh.subdomains or {})
+
+
+def _check_overlaps(mesh: skfem.Mesh) -> None:
     twice, count = np.unique(np.sort(mesh.t.T, axis=1), axis=0, return_counts=True)
     if count.max() > 1:
-        at = x[twice[count.argmax()]].mean(axis=0)
+        at = mesh.p[:, twice[count.argmax()]].mean(axis=1)
         raise InputError(f"mesh: {count.max()} elements of the same nodes at {_at(at)}; keep one")
     shared = np.bincount(mesh.t2f.ravel())
     if shared.max() > 2:
-        at = x[mesh.facets[:, shared.argmax()]].mean(axis=0)
+        at = mesh.p[:, mesh.facets[:, shared.argmax()]].mean(axis=1)
         raise InputError(
             f"mesh: {shared.max()} elements share the side at {_at(at)}; elements must not lie on "
             "one another"
         )
-    if mesh.elem is skfem.ElementTriP1:
-        _check_orphans(x, mesh.t.T)
-        mesh = _with_middles(mesh)
-    elements = element_nodes(mesh)
-    _check_orphans(mesh.p.T, elements)
-    _check_shapes(mesh.p.T, elements)
-    _check_pieces(mesh)
+
+
+def _check_boundaries(mesh: skfem.Mesh) -> None:
     for name, facets in (mesh.boundaries or {}).items():
         within = np.flatnonzero(mesh.f2t[1, facets] != -1)
         if within.size:
@@ -293,14 +287,6 @@ def check_mesh(mesh: skfem.Mesh) -> skfem.Mesh:
                 f"mesh: boundary {name}: the line from {_at(ends[0])} to {_at(ends[1])} is no "
                 "outer side of an element"
             )
-    return mesh
-
-
-def _with_middles(mesh: skfem.MeshTri1) -> skfem.MeshTri2:
-    """Facets and elements have the same numbers, so boundaries and regions are the same too."""
-    lifted = skfem.MeshTri2.from_mesh(mesh)
-    lifted = lifted.with_boundaries(mesh.boundaries) if mesh.boundaries else lifted
-    return lifted.with_subdomains(mesh.subdomains) if mesh.subdomains else lifted
 
 
 def _check_orphans(nodes: Array, elements: NDArray[np.integer]) -> None:

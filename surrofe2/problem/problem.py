@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -42,6 +42,8 @@ Index = NDArray[np.int64]
 Point = tuple[float, float]
 
 MOST_ROWS = 1_000_000
+_PARTS = np.array([0.0, 0.13, 0.51, 0.77, 1.0])
+"""Of a piece of an amplitude, where it is looked at."""
 SURFACE = "surface"
 TAKEN = (
     "kinetic", "internal", "elastic", "dissipated", "balance", "motion", "numerical", "contact",
@@ -86,43 +88,44 @@ class Problem:
     def __post_init__(self) -> None:
         mesh = with_boundaries(check_mesh(self.mesh), **self.boundaries)
         object.__setattr__(self, "mesh", with_regions(mesh, **self.regions))
-        self._check_times()
+        object.__setattr__(self, "watched", self.watched or {"middle": _middle_node(self.mesh)})
+        self._check_duration()
+        self._check_output_interval()
         self._check_names()
-        if not self.watched:
-            middle = 0.5 * np.add(*extent(self.mesh))
-            x, y = self.mesh.p[:, abs(self.mesh.p.T - middle).sum(axis=1).argmin()]
-            object.__setattr__(self, "watched", {"middle": (float(x), float(y))})
+        self._check_initial_velocities()
 
-    def _check_times(self) -> None:
-        for name, value in (("duration", self.duration), ("output_interval", self.output_interval)):
-            if not 0.0 < value < np.inf:
-                raise InputError(f"problem.{name}: {value}; it must be positive and finite (µs)")
-        if self.duration > MOST_ROWS * self.output_interval:
+    def _check_duration(self) -> None:
+        if not 0.0 < self.duration < np.inf:
+            raise InputError(f"problem.duration: {self.duration}; it must be positive, finite (µs)")
+
+    def _check_output_interval(self) -> None:
+        least = self.duration / MOST_ROWS
+        if not max(least, np.finfo(float).tiny) <= self.output_interval < np.inf:
             raise InputError(
-                f"problem.output_interval: {self.output_interval} µs; it must be at least "
-                f"{self.duration / MOST_ROWS:g} µs, a millionth of the duration"
+                f"problem.output_interval: {self.output_interval}; it must be finite and at least "
+                f"{least:g} µs, a millionth of the duration"
             )
 
     def _check_names(self) -> None:
-        """Results tell conditions, bodies and energies apart by name, velocities by their place."""
+        """Results tell conditions, bodies and energies apart by name."""
         names = Counter([*map(label, self.conditions), *(body.name for body in self.bodies)])
         for name, number in names.items():
             if number > 1:
                 raise InputError(f"problem: {number} conditions are called {name}; name them apart")
             if name in TAKEN:
                 raise InputError(f"problem: a condition is called {name}; an energy has that name")
+
+    def _check_initial_velocities(self) -> None:
         thrown = Counter(each.on for each in self.conditions if isinstance(each, InitialVelocity))
         for place, number in thrown.items():
             if number > 1:
                 where = place or "the whole mesh"
                 raise InputError(f"problem: {number} initial velocities on {where}; give one")
 
-    def amplitudes(self) -> Iterator[Amplitude]:
+    def amplitudes(self) -> list[Amplitude]:
         """Those of all conditions and bodies."""
-        for condition in self.conditions:
-            if isinstance(condition, DrivenCondition):
-                yield condition.amplitude
-        yield from (body.amplitude for body in self.bodies)
+        driven = [each.amplitude for each in self.conditions if isinstance(each, DrivenCondition)]
+        return driven + [body.amplitude for body in self.bodies]
 
     def check_course(self) -> None:
         """Refuse amplitudes that no run can follow, or that are zero all of it but not constant.
@@ -131,29 +134,26 @@ class Problem:
             InputError: a prescribed motion does not begin at 0 or jumps, or a load or a motion is
                 zero from the start of the run to its end.
         """
-        corners = self.corners().tolist()
-        pieces = [*pairwise(corners)]
         driven = [each for each in self.conditions if isinstance(each, DrivenCondition)]
         moved = [body for body in self.bodies if any(body.displacement)]
         for name, amplitude, moves in (
             *((label(each), each.amplitude, isinstance(each, PrescribedMotion)) for each in driven),
             *((body.name, body.amplitude, True) for body in moved),
         ):
-            left = 0.0
-            for begin, end in pieces if moves else ():
-                right = amplitude.at(begin, 0.5 * (begin + end))[0]
-                if abs(right - left) > 1e-9:
-                    raise InputError(
-                        f"{name}.amplitude: jumps from {left:g} to {right:g} at t = {begin:g} µs; "
-                        "a prescribed motion must begin at 0 and must not jump"
-                    )
-                left = amplitude.at(end, 0.5 * (begin + end))[0]
-            values = (
-                amplitude.at(begin + part * (end - begin), 0.5 * (begin + end))[0]
-                for begin, end in pieces
-                for part in (0.13, 0.51, 0.77)
-            )
-            if not isinstance(amplitude, Constant) and not any(values):
+            values = np.array([
+                [amplitude.at(t, 0.5 * (begin + end))[0] for t in begin + _PARTS * (end - begin)]
+                for begin, end in pairwise(self.corners())
+            ])  # fmt: skip
+            before = np.append(0.0, values[:-1, -1])
+            jumps = np.flatnonzero(abs(values[:, 0] - before) > 1e-9)
+            if moves and jumps.size:
+                k = jumps[0]
+                raise InputError(
+                    f"{name}.amplitude: jumps from {before[k]:g} to {values[k, 0]:g} at "
+                    f"t = {self.corners()[k]:g} µs; a prescribed motion must begin at 0 and must "
+                    "not jump"
+                )
+            if not isinstance(amplitude, Constant) and not values[:, 1:-1].any():
                 raise InputError(
                     f"{name}.amplitude: zero during the whole run of {self.duration:g} µs; it must "
                     "act before the end, or be left out"
@@ -196,6 +196,12 @@ class Problem:
         count = int(np.floor(self.duration / self.output_interval * (1.0 + 1e-12)))
         times: Array = self.output_interval * np.arange(count + 1.0)
         return times if np.isclose(times[-1], self.duration) else np.append(times, self.duration)
+
+
+def _middle_node(mesh: skfem.Mesh) -> Point:
+    middle = 0.5 * np.add(*extent(mesh))
+    x, y = mesh.p[:, abs(mesh.p.T - middle).sum(axis=1).argmin()]
+    return float(x), float(y)
 
 
 def label(condition: Condition) -> str:
@@ -293,11 +299,9 @@ def without_overlap(
 
 
 def _normal_component(mesh: skfem.Mesh, condition: Symmetry) -> int:
-    nodes = mesh.p.T[nodes_on(mesh, condition.on, "symmetry.on")]
-    extent = np.ptp(nodes, axis=0)
-    component = int(extent.argmin())
-    if extent[component] > 1e-9 * extent.max():
+    extent = np.ptp(mesh.p.T[nodes_on(mesh, condition.on, "symmetry.on")], axis=0)
+    if extent.min() > 1e-9 * extent.max():
         raise InputError(
             f"{label(condition)}.on: {condition.on}; a symmetry must be straight along x or along y"
         )
-    return component
+    return int(extent.argmin())

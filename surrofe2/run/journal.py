@@ -79,7 +79,8 @@ class RunState:
     def to_arrays(self) -> dict[str, NDArray]:
         """One array for each entry; those of dicts are ``"counts.steps"`` and so on."""
         arrays: dict[str, NDArray] = {}
-        for item in fields(self):  # type: ignore[arg-type]
+        kind = next(each for each in type(self).__mro__ if "SERIES" in vars(each))
+        for item in fields(kind):
             value = getattr(self, item.name)
             if isinstance(value, Journal):
                 arrays |= {name: value[name].copy() for name in self.SERIES}

@@ -65,7 +65,7 @@ def rest_study(
     timer, before = Meter(), seconds_compiling()
 
     def store(record: RunRecord, rest: Rest) -> RunRecord:
-        journal, factors, space = rest.state.journal, rest.path[:, 0], rest.system.discretisation
+        journal, factors, space = rest.journal, rest.path[:, 0], rest.system.discretisation
         frames, forces = Frames(**journal.part("frames")), journal["forces"]
         by_name = {
             f"force {name} {axis}": forces[:, k, i]
@@ -77,14 +77,14 @@ def rest_study(
         write_fields(folder, space.nodes, space.elements, frames, cell)
         write_points(folder, space, frames)
         wall = {"total": timer.seconds, "compilation": seconds_compiling() - before}
-        met = {"watched": rest.watched.tolist(), **MetRange.of(rest.state.extremes).to_dict()}
+        met = {"watched": rest.watched.tolist(), **MetRange.of(rest.extremes).to_dict()}
         record = with_rest(record, rest.system.rest)
         return replace(record, wall_time=wall, counts=rest.counts, met=met)
 
     def checkpoint(rest: Rest) -> None:
         run.partial = rest
-        arrays = within("rest", rest.state.to_arrays()) | {"seconds": np.array(timer.seconds)}
-        run.checkpoint(arrays | within("law", state_arrays(chosen.law, rest.state.law_state)))
+        arrays = within("rest", rest.to_arrays()) | {"seconds": np.array(timer.seconds)}
+        run.checkpoint(arrays | within("law", state_arrays(chosen.law, rest.law_state)))
 
     def restore(arrays: dict[str, NDArray]) -> RestState:
         nonlocal timer

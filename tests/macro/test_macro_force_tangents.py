@@ -86,11 +86,10 @@ def test_slopes_of_contact(kind, shape, friction, rng):
     u, v = rng.uniform(-0.1, 0.1, (2, system.n_rows, 2))
     gap, _, _ = contact._gaps(u)
     assert 1 <= (gap < -contact.smoothing).sum() < (gap < 0.0).sum() < gap.size
-    assert abs(contact._relative(v)[gap < 0.0]).max() > contact.slip_speed
+    assert abs((contact.relative @ v)[gap < 0.0]).max() > contact.slip_speed
     for motion in (v, -v):  # what closes by one opens by the other
         slopes = assert_slopes(contact, u, motion)
-    row = slice(2 * contact.row, 2 * contact.row + 2)
-    assert abs(slopes[0][row, row]).max() > 1.0
+    assert abs(slopes[0][-2:, -2:]).max() > 1.0
     assert abs(slopes[1]).max() > 1.0
 
 

@@ -6,7 +6,6 @@ import pytest
 from surrofe2 import LoadCase
 from surrofe2.base.tensors import det
 from surrofe2.macro.elements import (
-    MANY,
     deformation_gradient,
     element_mean_F,
     element_mean_stress,
@@ -19,7 +18,7 @@ from surrofe2.macro.system import make_system
 from surrofe2.problem import Problem
 from tests.laws import KelvinVoigt
 from tests.macro.bars import PLATE, distorted_bar, random_state, state_vector
-from tests.macro.meshes import KINDS, plate
+from tests.macro.meshes import plate
 
 
 def unheld_state(bar, rng):
@@ -100,23 +99,6 @@ def test_force_kernel_agrees_with_its_twin(rng):
     expected = internal_force_twin(bar, F, stress)
     atol = 1e-12 * abs(expected).max()
     np.testing.assert_allclose(internal_force(bar, F, stress), expected, rtol=0, atol=atol)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_many_points_give_what_few_do(kind, rng, monkeypatch):
-    """To the bit: by several cores and by one, whatever is left over behind the last part."""
-    space = make_system(
-        Problem(mesh=plate(kind, rng, (29, 23)), conditions=()), 0.08
-    ).discretisation
-    assert space.n_points > MANY
-    u, v = unheld_state(space, rng)
-    by_many = deformation_gradient(space, u, v)
-    stress = rng.normal(size=by_many[0].shape)
-    force = internal_force(space, by_many[0], stress)
-    monkeypatch.setattr("surrofe2.macro.elements.MANY", space.n_points + 1)
-    for here, there in zip(deformation_gradient(space, u, v), by_many, strict=True):
-        np.testing.assert_array_equal(here, there)
-    np.testing.assert_array_equal(internal_force(space, by_many[0], stress), force)
 
 
 def test_extremes_kernel_agrees_with_its_twin(rng):

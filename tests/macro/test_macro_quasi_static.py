@@ -147,7 +147,7 @@ def test_friction_at_rest_goes_on_from_where_it_was():
     _, whole = dragged(
         1.0, 0.2, steps_on={"checkpoint": reached.append, "checkpoint_interval": 0.0}
     )
-    state = RestState.from_arrays(reached[2].state.to_arrays())
+    state = RestState.from_arrays(reached[2].to_arrays())
     assert abs(state.drags["plate"]).max() > 0.1
     _, resumed = dragged(1.0, 0.2, steps_on={"resume": state})
     for name, works in whole.energies.items():

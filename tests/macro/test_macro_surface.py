@@ -171,7 +171,7 @@ def test_rest_under_load_and_its_resumption():
     reached = []
     kept = {"checkpoint": reached.append, "checkpoint_interval": 0.0}
     whole = find_rest(problem, LAW, TIGHT, load_steps=3, **kept)
-    again = find_rest(problem, LAW, TIGHT, load_steps=3, resume=reached[1].state)
+    again = find_rest(problem, LAW, TIGHT, load_steps=3, resume=reached[1])
     np.testing.assert_array_equal(again.u, whole.u)
     np.testing.assert_array_equal(again.system.rest, whole.system.rest)
     bare = find_rest(replace(problem, bodies=()), LAW, TIGHT, factor=0.0)
