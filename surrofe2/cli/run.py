@@ -27,15 +27,7 @@ from surrofe2.ranks.driver import (
 )
 from surrofe2.recipe.recipe import changed
 from surrofe2.workflow.laws import files_by_cell, open_study, use_threads
-from surrofe2.workflow.run import (
-    cache_notes,
-    contact_notes,
-    rank_notes,
-    run_study,
-    run_summary,
-    step_notes,
-)
-from surrofe2.workflow.surfaces import surface_notes
+from surrofe2.workflow.run import run_notes, run_study, run_summary
 from surrofe2.workflow.zoom import add_cell_fields
 
 
@@ -147,14 +139,7 @@ def run(
         count = add_cell_fields(out)
         seconds = time.perf_counter() - begin
         console.print_line(f"{out}: cell fields of {count} RVEs in {time_text(seconds)}")
-    notes = (
-        *step_notes(record, study),
-        *contact_notes(record),
-        *surface_notes(record),
-        *cache_notes(record),
-        *rank_notes(record),
-    )
-    console.show_notes(notes)
+    console.show_notes(run_notes(record, study))
 
 
 @contextmanager

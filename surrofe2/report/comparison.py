@@ -328,7 +328,7 @@ def comparison_title(runs: Sequence[StoredRun]) -> str:
     for name, at in [(name, at) for name, at in watched.items() if at][:1]:
         label = "" if name == "point" else f" “{name}”"
         point = f"Watched point{label} ({at[0]:g}, {at[1]:g}) µm"
-    details = ", ".join(filter(None, [_cells_of(recipe), usual.replace("none", "")]))
+    details = ", ".join(filter(None, [_cells_of(recipe), _words(usual)]))
     return "\n".join(filter(None, [point, _problem_of(recipe), details]))
 
 
@@ -338,9 +338,10 @@ def _problem_of(recipe: Mapping[str, Any]) -> str:
     acting = [*conditions, *bodies]
     if mesh.get("file"):
         return f"{mesh['file']}: {', '.join(acting)}"
-    number = mesh["elements"]  # one number where the mesh was made in Python
-    elements = f"{number if isinstance(number, int) else '{} × {}'.format(*number)} elements"
-    of = f"{mesh['width']:g} × {mesh['height']:g} µm"
+    sizes = mesh["elements"]  # one number where the mesh was made in Python
+    sizes = [sizes] if isinstance(sizes, int) else sizes
+    elements = f"{' × '.join(map(_words, sizes))} elements"
+    of = f"{_words(mesh['width'])} × {_words(mesh['height'])} µm"
     if acting == ["clamp", "load"] and "acceleration" in conditions["load"]:
         g_x, g_y = (f"{g:g}".replace("-", "−") for g in conditions["load"]["acceleration"])
         return f"{of} tissue, body force ({g_x}, {g_y}) µm/µs², {elements}"
@@ -355,7 +356,7 @@ def _cells_of(recipe: Mapping[str, Any]) -> str:
         preset = str(cell.get("preset", "none"))
         known = PRESETS[preset].to_dict() if preset in PRESETS else {}
         other = {key: cell[key] for key in known if cell.get(key, known[key]) != known[key]}
-        changed = [f"{key.replace('_', ' ')} {value}" for key, value in other.items()]
+        changed = [f"{_words(key)} {_words(value)}" for key, value in other.items()]
         if len(changed) > _MOST_NAMED:
             changed = [*changed[:_MOST_NAMED], f"{len(changed) - _MOST_NAMED} more constants"]
         but = f" with {', '.join(changed)}" if changed else ""
@@ -363,12 +364,22 @@ def _cells_of(recipe: Mapping[str, Any]) -> str:
     return ", ".join(titles)
 
 
+_NAMES = {"none": "", "rve": "RVEs", "cauchy-born": "Cauchy–Born", "tissue": "full tissue"}
+
+
+def _words(entry: Any) -> str:
+    """An entry of a record as people write it: "constrained runs", "5,000"."""
+    if isinstance(entry, str):
+        return _NAMES.get(entry, entry.translate(str.maketrans("-_", "  ")))
+    return f"{entry:,}" if isinstance(entry, int) else f"{entry:,.6g}"
+
+
 def _label(run: StoredRun, reference: StoredRun) -> str:
     """The folder, and what differs from the title's cell and initialisation."""
     record, usual = run.record, reference.record
-    notes = [] if run.name == record.law else [record.law]
+    notes = [] if run.name == record.law else [_words(record.law)]
     if _cells_of(record.recipe) != _cells_of(usual.recipe):
         notes.append(_cells_of(record.recipe))
     if record.initialisation not in ("none", usual.initialisation):
-        notes.append(record.initialisation)
+        notes.append(_words(record.initialisation))
     return f"{run.name} ({', '.join(notes)})" if notes else run.name

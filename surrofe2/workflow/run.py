@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -22,7 +23,6 @@ from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import out_of_range
 from surrofe2.base.units import time_text
 from surrofe2.cache import CachedLaw, StressTable
-from surrofe2.cache.protocols import OnTrueAnswer
 from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.law.stress_law import ReportingLaw, StressLaw, state_arrays, state_of
 from surrofe2.macro import MacroRun, MacroState, simulate
@@ -76,7 +76,7 @@ from surrofe2.workflow.laws import (
     choose_laws,
     surrogate_record,
 )
-from surrofe2.workflow.surfaces import surface_record, with_surface
+from surrofe2.workflow.surfaces import surface_notes, surface_record, with_surface
 
 HARVEST = "harvest.h5"
 MANY_UNTRUSTED = 0.1
@@ -107,108 +107,106 @@ def run_study(
     Raises:
         SimulationError: the run could not be carried on; the folder holds it up to there.
     """
-    if kind == "table" and recipe.macro.integrator == "implicit":
-        raise InputError(
-            "macro.integrator: implicit; not with --law table, which has no tangents: take --law "
-            "cached, surrogate or rve, or --integrator explicit"
-        )
-    problem, before = recipe.problem(), seconds_compiling()
-    harvests = Harvests(folder, harvest and kind in ("cached", "table"))
-    chosen = choose_laws(recipe, kind, problem.mesh, surrogates, tables, harvests.taker)
-    problem = with_surface(recipe, problem)
-    earlier = sum(read_seconds(each) or 0.0 for each in tables)
-
-    def write_learnt(seconds: float = 0.0) -> None:
-        harvests.flush(seconds)
-        for name, table in chosen.tables.items():
-            write_table(folder / of_cell("table.h5", name), table, recipe.to_dict(), seconds)
-
-    def store(record: RunRecord, result: MacroRun) -> RunRecord:
-        record = with_results(record, result, chosen.tables)
-        wall = {**record.wall_time, "compilation": seconds_compiling() - before}
-        write_learnt(earlier + wall.get("total", 0.0))
-        write_results(folder, result)
-        return replace(record, wall_time=wall)
-
-    def checkpoint(state: MacroState) -> None:
-        arrays = within("macro", state.to_arrays())
-        arrays |= within("law", state_arrays(chosen.law, state.law_state))
-        arrays |= within("harvest", harvests.to_arrays())
-        run.checkpoint(arrays, cache_report(chosen.law))
-        _write_decisions(folder, chosen.law)
-
-    def restore(arrays: Mapping[str, NDArray]) -> MacroState:
-        state = MacroState.from_arrays(part_of(arrays, "macro"))
-        law_state = state_of(chosen.law, part_of(arrays, "law"))
-        harvests.restore(part_of(arrays, "harvest"))
-        run.cache = cache_report(chosen.law)
-        return replace(state, law_state=law_state)
-
-    record = replace(new_record(recipe, kind, chosen.surrogate), problem=problem_record(problem))
-    with RunFolder.open(folder, record, store, fresh=fresh) as run:
+    study = _Study(recipe, kind, folder, surrogates, tables, harvest)
+    with RunFolder.open(folder, study.record, study.store, fresh=fresh) as run:
         if run.is_finished:
             return run.record
-        state = run.restored(restore)
+        state = run.restored(study.restored)
+        run.cache = None if state is None else cache_report(study.law)
         report(0.0, "loading kernels")
-        try:
-            with recipe.named(InputError):
-                result = simulate(
-                    problem,
-                    chosen.law,
-                    recipe.macro,
-                    progress=lambda t, duration: report(t, ""),
-                    checkpoint=checkpoint,
-                    checkpoint_interval=CHECKPOINT_INTERVAL,
-                    resume=state,
-                )
-        except KeyboardInterrupt:
-            write_learnt()
-            raise
+        with recipe.named(InputError), study.learnt_at_an_interrupt():
+            result = simulate(
+                study.problem,
+                study.law,
+                recipe.macro,
+                progress=lambda t, duration: report(t, ""),
+                checkpoint=lambda state: study.checkpoint(run, state),
+                checkpoint_interval=CHECKPOINT_INTERVAL,
+                resume=state,
+            )
         run.finish(result)
     return run.record
+
+
+class _Study:
+    """A recipe's problem and its law, and what a run by them leaves besides its record.
+
+    RVE answers are kept in memory and in checkpoints until the run ends, so that a harvest has
+    exactly those of the run that it belongs to.
+    """
+
+    def __init__(
+        self,
+        recipe: Recipe,
+        kind: str,
+        folder: Path,
+        surrogates: Mapping[str, Path],
+        tables: Sequence[Path],
+        harvest: bool,
+    ) -> None:
+        if kind == "table" and recipe.macro.integrator == "implicit":
+            raise InputError(
+                "macro.integrator: implicit; not with --law table, which has no tangents: take "
+                "--law cached, surrogate or rve, or --integrator explicit"
+            )
+        self.recipe, self.folder, self.before = recipe, folder, seconds_compiling()
+        self.harvests: dict[str, HarvestWriter] = {}
+        taker = self._harvest if harvest and kind in ("cached", "table") else lambda part: None
+        problem = recipe.problem()
+        chosen = choose_laws(recipe, kind, problem.mesh, surrogates, tables, taker)
+        self.law, self.tables = chosen.law, chosen.tables
+        self.problem = with_surface(recipe, problem)
+        self.earlier = sum(read_seconds(each) or 0.0 for each in tables)
+        record = new_record(recipe, kind, chosen.surrogate)
+        self.record = replace(record, problem=problem_record(self.problem))
+
+    def _harvest(self, part: Recipe) -> HarvestWriter:
+        path = self.folder / of_cell(HARVEST, part.cell_name)
+        self.harvests[part.cell_name] = HarvestWriter(path, origin_of(part))
+        return self.harvests[part.cell_name]
+
+    def checkpoint(self, run: RunFolder, state: MacroState) -> None:
+        arrays = within("macro", state.to_arrays())
+        arrays |= within("law", state_arrays(self.law, state.law_state))
+        for cell, writer in self.harvests.items():
+            arrays |= within(f"harvest of {cell}", writer.to_arrays())
+        run.checkpoint(arrays, cache_report(self.law))
+        _write_decisions(self.folder, self.law)
+
+    def restored(self, arrays: Mapping[str, NDArray]) -> MacroState:
+        state = MacroState.from_arrays(part_of(arrays, "macro"))
+        law_state = state_of(self.law, part_of(arrays, "law"))
+        for cell, writer in self.harvests.items():
+            writer.restore(part_of(arrays, f"harvest of {cell}"))
+        return replace(state, law_state=law_state)
+
+    def store(self, record: RunRecord, result: MacroRun) -> RunRecord:
+        record = with_results(record, result, self.tables)  # first: it ends the audits
+        wall = {**record.wall_time, "compilation": seconds_compiling() - self.before}
+        self._write_learnt(self.earlier + wall.get("total", 0.0))
+        write_results(self.folder, result)
+        return replace(record, wall_time=wall)
+
+    @contextmanager
+    def learnt_at_an_interrupt(self) -> Iterator[None]:
+        try:
+            yield
+        except KeyboardInterrupt:
+            self._write_learnt(0.0)
+            raise
+
+    def _write_learnt(self, seconds: float) -> None:
+        for writer in self.harvests.values():
+            writer.flush(seconds)
+        for name, table in self.tables.items():
+            path = self.folder / of_cell("table.h5", name)
+            write_table(path, table, self.recipe.to_dict(), seconds)
 
 
 def of_cell(file: str, cell: str) -> str:
     """The file's name with that of the cell, "" of the only one: harvest-skin.h5."""
     name, dot, kind = file.rpartition(".")
     return f"{name}-{cell}{dot}{kind}" if cell else file
-
-
-class Harvests:
-    """RVE answers of a run, those of each cell in a file of its own, written when the run ends.
-
-    Until then they are kept in memory and in checkpoints, so that a harvest has exactly those of
-    the run that it belongs to.
-    """
-
-    def __init__(self, folder: Path, is_wanted: bool) -> None:
-        self._folder, self._is_wanted = folder, is_wanted
-        self._writers: dict[str, HarvestWriter] = {}
-
-    def taker(self, part: Recipe) -> OnTrueAnswer | None:
-        """What a `CachedLaw` of one cell gives RVE answers to; None: nothing is harvested."""
-        if not self._is_wanted:
-            return None
-        path = self._folder / of_cell(HARVEST, part.cell_name)
-        writer = self._writers[part.cell_name] = HarvestWriter(path, origin_of(part))
-        return writer
-
-    def to_arrays(self) -> dict[str, NDArray]:
-        """The answers so far, for `restore`."""
-        arrays: dict[str, NDArray] = {}
-        for cell, writer in self._writers.items():
-            arrays |= within(f"of {cell}", writer.to_arrays())
-        return arrays
-
-    def restore(self, arrays: Mapping[str, NDArray]) -> None:
-        """Have these answers and no others."""
-        for cell, writer in self._writers.items():
-            writer.restore(part_of(arrays, f"of {cell}"))
-
-    def flush(self, seconds: float) -> None:
-        """Write all answers so far, and what the run took."""
-        for writer in self._writers.values():
-            writer.flush(seconds)
 
 
 def cache_report(law: StressLaw, *, whole: bool = False) -> dict[str, Any] | None:
@@ -263,7 +261,7 @@ def save_run(run: MacroRun, folder: str | Path, *, fresh: bool = False) -> RunRe
     folder, record = Path(folder), _record_of(run)
 
     def store(record: RunRecord, result: MacroRun) -> RunRecord:
-        record = with_results(record, result)  # first: it ends the audits
+        record = with_results(record, result)
         write_results(folder, result)
         return record
 
@@ -311,43 +309,34 @@ def with_results(
 ) -> RunRecord:
     """The record with what a run, whole or not, met and cost, and what its tables began with."""
     driver, begun = driver_at_work(), sum(table.seconds for table in tables.values())
-    problem = {**record.problem, "penetration": penetrations(run)}
     cache = cache_report(run.law, whole=run.finished)  # which audits what still waits
+    counts, back = Counter({**run.counts, **run.effort}), Counter(run.rolled_back)
+    # audits and what tables learn are RVE solves like others, and named besides
+    for of in caches_of(cache).values():
+        for counter, key in ((counts, "audited"), (back, "rolled_back")):
+            counter.update(rve_solves=of["audit"][key], audits=of["audit"][key])
+    for table in tables.values():
+        changed = {f"table_{name.removeprefix('table_')}": n for name, n in table.counts.items()}
+        counts.update(changed, table_records=table.size)
+        counts["rve_solves"] += changed.get("table_rve_solves", 0)
+    penetration = {
+        name.removeprefix("penetration "): float(depth.max(initial=0.0))
+        for name, depth in run.history.items()
+        if name.startswith("penetration ")
+    }
     wall = {k: v + begun if k in ("total", "law") else v for k, v in run.wall_time.items()}
     return replace(
-        with_rest(replace(record, problem=problem), run.rest),
+        with_rest(
+            replace(record, problem={**record.problem, "penetration": penetration}), run.rest
+        ),
         ranks=None if driver is None else driver.report(),
         wall_time=wall,
-        counts=_counts(run, cache, tables),
-        rolled_back=_rolled_back(run, cache),
+        counts=dict(counts),
+        rolled_back={name: n for name, n in back.items() if n},
         cache=cache,
         met=run.met.to_dict(),
         threads=run.threads,
     )
-
-
-def _counts(
-    run: MacroRun, cache: Mapping[str, Any] | None, tables: Mapping[str, StressTable]
-) -> dict[str, int]:
-    """What a run counted; audits and what tables learn are RVE solves like others, and named."""
-    counts = Counter({**run.counts, **run.effort})
-    if cache is not None:
-        audits = sum(each["audit"]["audited"] for each in caches_of(cache).values())
-        counts.update(rve_solves=audits, audits=audits)
-    for table in tables.values():
-        changed = {f"table_{name.removeprefix('table_')}": n for name, n in table.counts.items()}
-        counts.update(table_records=table.size, rve_solves=changed.get("table_rve_solves", 0))
-        counts.update(changed)
-    return dict(counts)
-
-
-def _rolled_back(run: MacroRun, cache: Mapping[str, Any] | None) -> dict[str, int]:
-    """What a run counted before audits took it back, these audits included."""
-    counts = Counter(run.rolled_back)
-    audits = sum(each["audit"]["rolled_back"] for each in caches_of(cache).values())
-    if audits:
-        counts.update(rve_solves=audits, audits=audits)
-    return dict(counts)
 
 
 def with_rest(record: RunRecord, rest: np.ndarray | None) -> RunRecord:
@@ -357,15 +346,6 @@ def with_rest(record: RunRecord, rest: np.ndarray | None) -> RunRecord:
         return record
     moved = float(np.linalg.norm(rest, axis=1).max(initial=0.0))
     return replace(record, problem={**record.problem, "surface": {**surface, "rest": moved}})
-
-
-def penetrations(run: MacroRun) -> dict[str, float]:
-    """Largest penetration of each rigid body, µm."""
-    return {
-        name.removeprefix("penetration "): float(depth.max(initial=0.0))
-        for name, depth in run.history.items()
-        if name.startswith("penetration ")
-    }
 
 
 def problem_record(problem: Problem) -> dict[str, Any]:
@@ -458,36 +438,28 @@ def _stated_problem(problem: Problem) -> dict[str, Any]:
     return {"mesh": {**mesh, "sha256": digest.hexdigest()}, **acts, "time": time, **sides}
 
 
-def contact_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
-    """A note on each rigid body that was touched, with whether it is a warning.
-
-    One is where the penetration exceeds a hundredth of an element's side.
-    """
-    of = record.problem
-    if not of.get("penetration"):
-        return
-    (x0, y0), (x1, y1) = of["extent"]
-    side = ((x1 - x0) * (y1 - y0) / of["elements"]) ** 0.5
-    for name, depth in of["penetration"].items():
-        if depth > 0.01 * side:
-            wish = f"; a larger bodies.{name}.stiffness would lessen it"
-            yield f"contact: {name} penetrates by {depth:.2g} µm{wish}", True
-        elif depth > 0.0:
-            yield f"contact: {name} penetrates by {depth:.2g} µm", False
-
-
-def step_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
-    """A warning where so many implicit steps were taken that their errors of phase may count."""
-    steps = record.counts["steps"]
+def run_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
+    """Notes on steps, contact, free sides, cache and ranks, each with whether it is a warning."""
+    steps, of = record.counts["steps"], record.problem
     if recipe.macro.integrator == "implicit" and steps > MOST_IMPLICIT_STEPS:
         yield (
             f"implicit: {steps} steps; where tissue rings so long, their errors of phase may add "
             "up to more than three tolerances, and explicit steps are more accurate and fewer",
             True,
         )
+    (x0, y0), (x1, y1) = of["extent"]
+    side = ((x1 - x0) * (y1 - y0) / of["elements"]) ** 0.5
+    for name, depth in of.get("penetration", {}).items():
+        if depth > 0.0:
+            is_deep = depth > 0.01 * side
+            wish = f"; a larger bodies.{name}.stiffness would lessen it" if is_deep else ""
+            yield f"contact: {name} penetrates by {depth:.2g} µm{wish}", is_deep
+    yield from surface_notes(record)
+    yield from cache_notes(record)
+    yield from _rank_notes(record)
 
 
-def rank_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
+def _rank_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
     """What part of a run on several ranks rank 0 took for itself: it bounds what more can do."""
     if record.ranks is None:
         return
