@@ -320,14 +320,15 @@ def _solve_slow(solved: Solved) -> None:
         address = start.factors.address
         follow(solved.drive, moving, at, address, *solved.law, tolerance, solved.answer)
         solved.state = replace(solved.state, **moving._asdict())
-        index = np.flatnonzero(unpack(solved.answer.iterations < 0, points))
-        if len(index):
+        if solved.answer.iterations.min() < 0:
+            index = np.flatnonzero(unpack(solved.answer.iterations < 0, points))
             part = solved.at(index, cold=False)
             _start_slow(part)
             solved.put(index, part)
-    held = solved.state.left & (solved.status == _OK)
-    if held.any():
-        _hold_back(solved, np.flatnonzero(unpack(held, points)))
+    if solved.state.left.any():
+        held = np.flatnonzero(unpack(solved.state.left & (solved.status == _OK), points))
+        if len(held):
+            _hold_back(solved, held)
 
 
 def _start_slow(solved: Solved) -> None:
