@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from surrofe2.base.simd import TILE
 from surrofe2.base.tensors import stress_error
@@ -337,4 +336,4 @@ def together(F: Array, F_dot: Array) -> Array:
 
 def nearest(known: Array, asked: Array) -> Indices:
     """(n,) the place in `known` (k, 8), k ≥ 1, that is nearest to each of `asked` (n, 8)."""
-    return np.asarray(cKDTree(known).query(asked)[1], dtype=np.intp)
+    return np.array([((known - each) ** 2).sum(axis=1).argmin() for each in asked], dtype=np.intp)
