@@ -16,7 +16,7 @@ try:
 except SystemExit:
     pass
 """
-READING = ("surrofe2.cli.run", "surrofe2.cli.compare",
+READING = ("surrofe2.cli.run", "surrofe2.cli.compare", "surrofe2.cache.cached_law",
            "surrofe2.store.surrogates")  # fmt: skip
 
 
@@ -25,7 +25,7 @@ READING = ("surrofe2.cli.run", "surrofe2.cli.compare",
     [
         (HELP, "torch numba skfem numpy scipy h5py matplotlib pydantic"),
         ("import surrofe2", "torch sklearn skfem scipy.sparse meshio"),
-        (f"import {', '.join(READING)}", "torch sklearn scipy.stats"),
+        (f"import {', '.join(READING)}", "torch sklearn scipy.stats scipy.spatial"),
         ("import surrofe2.cli.compare", "torch numba skfem"),
         ("import surrofe2.problem.mesh", "meshio"),
     ],

@@ -9,15 +9,7 @@ from pathlib import Path
 
 import pytest
 
-IDLE = (
-    "torch",
-    "sklearn",
-    "pydantic",
-    "scipy.stats",
-    "scipy.spatial",
-    "matplotlib",
-    "surrofe2.tissue.dynamics",
-)
+IDLE = ("torch", "sklearn", "pydantic", "scipy.stats", "matplotlib", "surrofe2.tissue.dynamics")
 """What no cached run needs whose answers are all in range."""
 CODE = f"""
 import sys
