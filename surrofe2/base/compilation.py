@@ -39,7 +39,7 @@ os.environ.setdefault("GOMP_SPINCOUNT", "2000")
 if hasattr(ctypes.CDLL(None), "mallopt"):  # not with another C library
     _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
     ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, 32 << 20)
-    ctypes.CDLL(None).mallopt(_TRIM_THRESHOLD, 256 << 20)
+    ctypes.CDLL(None).mallopt(_TRIM_THRESHOLD, 64 << 20)
 
 import numba
 from numba.core.base import BaseContext
