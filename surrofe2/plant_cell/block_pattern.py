@@ -13,6 +13,7 @@ between them::
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -21,8 +22,6 @@ from numpy.typing import NDArray
 Ints = NDArray[np.int32]
 
 HELD = -1
-SPARSE_PAYS_BELOW = 0.8
-"""Groups where they multiply less than this part of what a dense matrix does."""
 
 
 class Pattern(NamedTuple):
@@ -87,12 +86,6 @@ def factorisation_work(pattern: Pattern) -> float:
     return float(work)
 
 
-def sparse_pays(pattern: Pattern) -> bool:
-    """Whether factorisation by groups is predicted to be quicker than that of a dense matrix."""
-    dense = int(pattern.first[-1]) ** 3 / 3.0
-    return factorisation_work(pattern) < SPARSE_PAYS_BELOW * dense
-
-
 def _eliminate(
     neighbours: dict[int, set[int]], weight: dict[int, int]
 ) -> tuple[list[int], dict[int, set[int]]]:
@@ -137,23 +130,15 @@ def _layout(labels: Ints, order: list[int], later: dict[int, set[int]]) -> Patte
     return Pattern(
         group=group,
         column=column,
-        first=np.append(0, np.cumsum(size)).astype(np.int32),
+        first=np.cumsum([0, *size], dtype=np.int32),
         width=width,
         start=start,
         offset=offset,
-        lower=_flat(lower),
-        lower_start=_starts(lower),
-        upper=_flat(upper),
-        upper_start=_starts(upper),
+        lower=np.array([*chain(*lower)], dtype=np.int32),
+        lower_start=np.cumsum([0, *map(len, lower)], dtype=np.int32),
+        upper=np.array([*chain(*upper)], dtype=np.int32),
+        upper_start=np.cumsum([0, *map(len, upper)], dtype=np.int32),
         block=np.where(known, blocks, -1).astype(np.int32),
         stride=stride.astype(np.int32),
         size=total,
     )
-
-
-def _flat(lists: list[list[int]]) -> Ints:
-    return np.array([entry for entries in lists for entry in entries], dtype=np.int32)
-
-
-def _starts(lists: list[list[int]]) -> Ints:
-    return np.append(0, np.cumsum([len(entries) for entries in lists])).astype(np.int32)

@@ -1,33 +1,24 @@
 """Exact derivatives of the particle forces, for a tile of plant cells at once.
 
 With r = F Z and w = Ḟ Z for every pair (Z: material distance, images included), the force on i is
-f(r, w). Each kind of pair states ∂f/∂r and ∂f/∂w once (`central_slopes`, `fluid_slopes`), here as
-(xx, xy, yx, yy), and three passes contract them:
+f(r, w), of fluid f(r, w, V_i, V_j) with V = 1/ρ, which couples all fluid of a plant cell. Each kind
+of pair states its slopes once (`central_slopes`, `fluid_slopes`), tensors as (xx, xy, yx, yy), and
+three passes contract them:
 
-- `force_jacobian`, matrices. With positions moved by δx at fixed (F, Ḟ), velocities follow as
-  L δx, L = Ḟ F⁻¹::
+- `force_jacobian`, matrices, lanes last. With L = Ḟ F⁻¹ and positions moved by δx at fixed (F, Ḟ)::
 
-      δf = (∂f/∂r + ∂f/∂w L) δr                        `matrix`
+      δf = (∂f/∂r + ∂f/∂w L) δr                        `matrix`, see `Pattern`
       δf = ∂f/∂r δF Z + ∂f/∂w δḞ Z  at fixed Z         `columns`
+      columns[2 i + a, 2 b + c, lane]  ∂f_ia/∂F_bc;    columns[2 i + a, 4 + 2 b + c, lane]: ∂/∂Ḟ_bc
 
-- `add_force_gradients`, transposed: how weighted sums of forces Σ_k φ_k·f_k change with x and v. By
-  pairs that is −Σ ρ·f(r, w) with ρ = φ_j − φ_i, so each pair gives (∂f/∂r)ᵀ ρ and (∂f/∂w)ᵀ ρ to i,
-  and their negatives to j.
+- `add_force_gradients`, transposed: slopes of weighted sums Σ_k φ_k·f_k by x and v, four φ at once.
 - `elastic_forces_and_rates`, along one direction: elastic forces f and ḟ = ∂f/∂x · v.
-
-The density couples all fluid of a plant cell. With V = 1/ρ its slope is ∂V/∂x = −V² ∂ρ/∂x, so that
-a pair's f(r, w, V_i, V_j) adds (∂f/∂V) ∂V/∂x.
 
 `add_stiffness_rates` adds K̇ u, the change of the elastic stiffness K = ∂f/∂x along v, times u. For
 a central pair with tension t(|r|), n = r/|r|, w = v_j − v_i, s = n·w, b = t′ − t/|r|, p = u_j − u_i
 and ṅ = (w − s n)/|r|::
 
     K̇ p = b s/|r| p + (t″ − b/|r|) s (n·p) n + b [(n·p) ṅ + (ṅ·p) n]
-
-Layout, lanes last; four fields at once, (4, 2, local, TILE), share all but their own products::
-
-    matrix                           ∂f_ia/∂x_jb of own particles but the held one, see `Pattern`
-    columns[2 i + a, 2 b + c, lane]  ∂f_ia/∂F_bc;    columns[2 i + a, 4 + 2 b + c, lane]: ∂/∂Ḟ_bc
 """
 
 from __future__ import annotations

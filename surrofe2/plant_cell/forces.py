@@ -93,16 +93,6 @@ def central_law(pair, is_bond, weight, c):
     return acting, law
 
 
-@pair_law
-def central_energy(length, inverse, is_bond, c):
-    """Stored energy, pJ."""
-    if is_bond:
-        energy = wall_energy(length, c)
-    else:
-        energy = contact_energy(length, inverse, c)
-    return energy
-
-
 @kernel
 def add_central_forces(x, v, f, pairs, weight, is_bond, c):
     """Add wall tensions (eq. 1) or contact repulsion (eq. 2) to f.
@@ -183,25 +173,20 @@ def add_central_energy(x, pairs, weight, is_bond, c, energy):
     for k in range(pairs.shape[0]):
         rx, ry = difference(x, pairs[k, 0], pairs[k, 1])
         length, inverse = norm(rx, ry)
-        total += weight[k] * central_energy(length, inverse, is_bond, c)
+        energy_of = wall_energy(length, c) if is_bond else contact_energy(length, inverse, c)
+        total += weight[k] * energy_of
     store(load(energy, 0) + total, energy, 0)
 
 
 @kernel
-def add_fluid_energy(x, topology, c, energy):
-    """Add Σ m c_s² ln ρ, pJ."""
+def elastic_energy(x, topology, c, energy):
+    """energy (1, TILE): stored energy of bonds, contacts and fluid, Σ m c_s² ln ρ, pJ."""
+    store(0.0, energy, 0)
+    add_central_energy(x, topology.bonds, topology.bond_weight, True, c, energy)
+    add_central_energy(x, topology.contacts, topology.contact_weight, False, c, energy)
     slope = np.empty((topology.fluid_pairs.shape[0], TILE))
     volume = np.empty((topology.particles - topology.walls, TILE))
     fluid_specific_volume(x, topology, c, slope, volume)
     for p in range(volume.shape[0]):
         for lane in range(TILE):
             energy[0, lane] -= c.fluid_mass * c.sound_speed_squared * np.log(volume[p, lane])
-
-
-@kernel
-def elastic_energy(x, topology, c, energy):
-    """energy (1, TILE): stored energy of bonds, contacts and fluid, pJ."""
-    store(0.0, energy, 0)
-    add_central_energy(x, topology.bonds, topology.bond_weight, True, c, energy)
-    add_central_energy(x, topology.contacts, topology.contact_weight, False, c, energy)
-    add_fluid_energy(x, topology, c, energy)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from surrofe2.base.compilation import kernel
 from surrofe2.base.simd import TILE, any_less, load, store, where_less
 from surrofe2.plant_cell.arrangement import Arrangement, make_arrangement
-from surrofe2.plant_cell.block_pattern import make_pattern, sparse_pays
+from surrofe2.plant_cell.block_pattern import factorisation_work, make_pattern
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tiles import Topology, pack, put_points, unpack
 
@@ -33,6 +33,8 @@ SKIN = 0.2
 BESIDE, FARTHEST = 1.4, 3.0
 """Distances in the reference, in cut-offs, of walls that bound no plant cell together: up to the
 first they have blocks in matrices; beyond the second they are never listed."""
+SPARSE_PAYS_BELOW = 0.8
+"""Groups where they multiply less than this part of what a dense matrix does."""
 _SHIFTS = 128
 """Lattice shifts are smaller than half of this."""
 
@@ -195,9 +197,12 @@ def make_neighbours(
          for first, count in zip(walls + arrangement.fluid_start, counts, strict=False)]
     )  # fmt: skip
     pattern = make_pattern(*interacting_groups(arrangement, contacts[has_block]))
-    if not (sparse or (sparse is None and sparse_pays(pattern))):
+    if sparse is None:
+        dense = int(pattern.first[-1]) ** 3 / 3.0
+        sparse = factorisation_work(pattern) < SPARSE_PAYS_BELOW * dense
+    if not sparse:
         pattern = make_pattern(np.zeros(particles, dtype=np.int32), [])
-    lists = [_sorted(arrangement.bonds), _sorted(contacts)]
+    lists = [pairs[np.lexsort(pairs.T[::-1])] for pairs in (arrangement.bonds, contacts)]
     weights = [np.where(_is_outer(arrangement, pairs), weight, 1.0) for pairs in lists]
     owner, shift, (bonds, contacts) = _localised(lists, particles)
     topology = Topology(
@@ -299,12 +304,8 @@ def _keys(pairs: NDArray[np.integer]) -> NDArray[np.int64]:
 def _is_outer(arrangement: Arrangement, pairs: Ints) -> NDArray[np.bool_]:
     """(k,) whether both particles of pairs (k, 4) lie along one outer wall."""
     of = np.pad(arrangement.outer, (0, arrangement.particles - arrangement.walls))
-    along: NDArray[np.bool_] = (of[pairs[:, 0]] > 0) & (of[pairs[:, 0]] == of[pairs[:, 1]])
-    return along
-
-
-def _sorted(pairs: Ints) -> Ints:
-    return pairs[np.lexsort(pairs.T[::-1])]
+    i, j = of[pairs[:, :2]].T
+    return np.asarray((i > 0) & (i == j))
 
 
 def _localised(lists: list[Ints], particles: int) -> tuple[Ints, Ints, list[Ints]]:

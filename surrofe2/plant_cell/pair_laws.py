@@ -1,24 +1,10 @@
 """Pair laws: walls, contacts, fluid, and the kernel by which the fluid is smoothed.
 
-Force on i, with r = x_j − x_i, n = r/|r|, w = v_j − v_i:
-
-- Walls, spring and dashpot between bonded neighbours (eq. 1): f = [k_w (|r| − l₀) + γ n·w] n. The
-  paper prints γ x·v, which critical damping contradicts, with the sign of x_i − x_j.
-- Contacts of wall particles with fluid and with walls not bonded to them (eq. 2; docs/theory.md
-  (2)), zero beyond x₀; the factor 1 − (r/x₀)⁶ is ours, for the printed dashpot jumps there::
-
-      f = −[λ (|r|⁻⁶ − x₀⁻⁶) − c(|r|) n·w] n
-      c(r) = 2 √(6 λ m_wall / r⁷) (1 − (r/x₀)⁶) · damping ratio
-
-- Fluid by smoothed particle hydrodynamics (eqs. 5 to 9): density by summation over the fluid of the
-  same plant cell, the particle itself included, pressure p = c_s² ρ without a reference density::
-
-      f = m² (W′/|r|) [c_s² (1/ρ_i + 1/ρ_j) r − 2µ/(ρ_i ρ_j) w]
-
-  The viscous part (Morris form) is not central: it makes torque. The elastic part is the gradient
-  of Σ m c_s² ln ρ_i.
-- The kernel is the cubic spline (eq. 5, σ = 10/7π), without a branch: with q₊ = max(q, 0) and
-  s = r/h, W = σ/h² [(2 − s)₊³/4 − (1 − s)₊³].
+Formulas are those of docs/theory.md, forces. The paper prints γ x·v in (1), which critical damping
+contradicts, with the sign of x_i − x_j. The factor 1 − (r/x₀)⁶ of the contacts' dashpot in (2) is
+ours, for the printed one jumps at the cut-off. The viscous part of (8), in Morris's form, is not
+central: it makes torque. The spline (5) has no branch: with q₊ = max(q, 0) and s = r/h,
+W = σ/h² [(2 − s)₊³/4 − (1 − s)₊³].
 """
 
 from __future__ import annotations

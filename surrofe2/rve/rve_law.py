@@ -98,11 +98,6 @@ class RveLaw(Viewed):
             "density": f"{self.density:.4g} ng/µm²",
         }
 
-    def __repr__(self) -> str:
-        cell = self.cell
-        of = f"{cell.cells} {cell.arrangement} cell{'s' * (cell.cells != 1)} {cell.fingerprint}"
-        return f"<RveLaw: {of}, {self.initialisation}, solver {self.settings.solver}>"
-
     @property
     def reference(self) -> ReferenceState:
         """The settled reference state, to be kept and handed to another law of this cell."""

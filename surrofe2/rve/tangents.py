@@ -1,26 +1,18 @@
 """Tangents ∂P/∂F and ∂P/∂Ḟ by the implicit function theorem (not in the paper).
 
-See docs/theory.md, tangents.
-With P = −1/V₀ Σ_k f_k ⊗ z_k over local particles (eq. 54, material positions z) and J the Jacobian
-of the forces that vanish at z, every change δf of forces at fixed z moves z by J F δz = −δf. What
-that does to P is the same for all directions of (F, Ḟ), and is solved for once for each of the four
-components (a, b), with the transposed Jacobian::
+See docs/theory.md, tangents (A11), (A12). With P = −1/V₀ Σ_k f_k ⊗ z_k over local particles (eq.
+54), one adjoint solve for each component (a, b) serves all directions of (F, Ḟ)::
 
     Jᵀ λ_ab = F⁻ᵀ ∂(Σ_k f_ka z_kb)/∂z,        δP_ab = −1/V₀ (Σ_k δf_ka z_kb − λ_ab·δf)
 
-What the velocities do is the initialisation's:
-
-- elastic, constrained runs: v = Ḟ Z, so velocities move with z; the elastic J and δf know no v.
-- slow manifold: v = ∂x_el/∂F : Ḟ whatever z is, which moves with F as below.
-
-How the elastic equilibrium moves with F, and how these motions change with F in turn: with
-x_el = F z_el, f_el(x_el) = 0, K the elastic Jacobian and V_m = ∂x_el/∂F_m::
+Velocities are v = Ḟ Z for elastic (whose J and δf know no v) and constrained runs, and
+v = ∂x_el/∂F : Ḟ for the slow manifold. With K the elastic Jacobian and V_m = ∂x_el/∂F_m, which
+reaches over images with the affine part E_m Z::
 
     K F ∂z_el/∂F_m = −(∂f_el/∂F_m at fixed z),      K V_m = 0
     K ∂V_n/∂F_m = −K̇ V_m,                           K̇: change of K along V_n
 
-K V_m = 0 on own particles, V_m reaching over images with the affine part E_m Z; what changes
-in V_n is the same for a particle and its images. The columns m are F_xx, xy, yx, yy.
+Columns m are F_xx, xy, yx, yy.
 """
 
 from __future__ import annotations

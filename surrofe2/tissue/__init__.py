@@ -14,7 +14,7 @@ from surrofe2.base.public_names import public_names
 
 if TYPE_CHECKING:
     from surrofe2.tissue.dynamics import TissueDynamics
-    from surrofe2.tissue.layout import Tissue, make_mixed_tissue, make_tissue
+    from surrofe2.tissue.layout import Tissue, make_tissue
     from surrofe2.tissue.relaxation import relax
     from surrofe2.tissue.settings import TissueSettings
     from surrofe2.tissue.simulation import ParticleFrames, TissueRun, TissueState, simulate_tissue

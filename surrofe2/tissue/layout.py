@@ -137,29 +137,13 @@ class Tissue:
         return np.ascontiguousarray(np.moveaxis(tiled, 0, 1))
 
 
-def make_tissue(cell: CellParameters, reference: ReferenceState, cells: tuple[int, int]) -> Tissue:
-    """A tissue of n × m copies of one plant cell.
-
-    Args:
-        reference: of one square plant cell, free of stress as part of a tissue.
-        cells: plant cells in x and y.
-
-    Raises:
-        InputError: `cells` are not two positive integers, or the cell is not one square.
-        MismatchError: the reference is of another cell.
-    """
-    if len(cells) != 2 or any(not isinstance(n, int) or n < 1 for n in cells):
-        raise InputError(f"tissue.cells: {cells}; they must be two integers of at least 1")
-    return make_mixed_tissue([cell], [reference], np.zeros(cells, dtype=np.int64))
-
-
-def make_mixed_tissue(
+def make_tissue(
     types: Sequence[CellParameters], references: Sequence[ReferenceState], kind: Ints
 ) -> Tissue:
     """A tissue whose plant cell (a, b) is of the type kind[a, b].
 
     Args:
-        references: of each type.
+        references: of each type, one square plant cell, free of stress as part of a tissue.
 
     Raises:
         InputError: a type is not one square, or not as large or as finely divided as the first.

@@ -160,58 +160,6 @@ def fluid_at(rows, t):
     return FluidConstants(load(rows, t, 0), load(rows, t, 1), load(rows, t, 2), load(rows, t, 3))
 
 
-class ConstantsMaker:
-    """Makes the `PairConstants` of a tissue for any of its pair lists.
-
-    Args:
-        place: (tiles, shifts, TILE) of the plant cell at each of `PairKinds.shifts`, or −1.
-    """
-
-    def __init__(self, tissue: Tissue, kinds: PairKinds, place: Ints) -> None:
-        self._tissue, self._kinds, self._place = tissue, kinds, place
-        # one more type, the last, for plant cells that are not there
-        table = np.array([*tissue.constants, np.zeros(len(Constants._fields))])
-        of = dict(zip(Constants._fields, table.T, strict=True))
-        here, column, row = np.pad(tissue.kind, 1, constant_values=-1), tissue.column, tissue.row
-        own = here[column + 1, row + 1]
-        # the plant cells on both sides of the wall along x, and of the one along y
-        both = np.array([[own, here[column + 1, row]], [own, here[column, row + 1]]])
-        half = 0.5 * np.where((both >= 0).all(axis=1), 1.0, tissue.cell.outer_wall)
-        stiffness = of["wall_stiffness"][both]
-        total = stiffness.sum(axis=1)
-        rest = (stiffness * of["rest_length"][both]).sum(axis=1) / np.maximum(total, 1e-60)
-        damping = of["wall_damping"][both].sum(axis=1)
-        walls = np.stack([half * total, rest, half * damping], axis=2)
-        bonds = tiled(np.stack([walls[axis] for axis in kinds.axis[: kinds.bonds]], axis=1))
-        self._bonds = bonds.reshape(-1, 3, TILE)
-        # by axis, of pairs along such a wall: ½ `outer_wall` on the boundary; of others
-        along = np.where((both >= 0).all(axis=1), 1.0, half)
-        self._weight = np.append(along, np.ones_like(along[:1]), axis=0).reshape(3, -1, TILE)
-        # places without fluid have some, so that kernels may divide
-        fluid = np.stack([of[name][np.maximum(own, 0)] for name in FluidConstants._fields], axis=1)
-        self._fluid = tiled(fluid)
-        part = np.stack(
-            [shares(tissue.cell, tissue.kind == k, column, row) for k in range(len(tissue.types))],
-            axis=2,
-        )
-        part /= np.maximum(part.sum(axis=2, keepdims=True), 1e-3)
-        self._particles = part @ table[:-1, [_REPULSION, _DAMPING]]  # (places, own, 2)
-
-    def make(self, tile: Ints, kind: Ints) -> PairConstants:
-        """For listed contacts, which follow the bonds: the kind of each in its tile, in order."""
-        kinds, here = self._kinds, tile[:, None] * TILE + np.arange(TILE)
-        there = self._place[tile, kinds.shift[kind]]
-        sums = self._particles[here, kinds.i[kind, None]]
-        sums = sums + self._particles[there, kinds.j[kind, None]]
-        contacts = np.moveaxis(0.5 * sums, 1, 2) * self._weight[kinds.axis[kind], tile, None]
-        return PairConstants(
-            bonds=self._bonds,
-            contacts=np.ascontiguousarray(contacts),
-            fluid=self._fluid,
-            cutoff=self._tissue.cell.repulsion_cutoff,
-        )
-
-
 class Grid(NamedTuple):
     """Neighbouring places.
 
@@ -256,16 +204,63 @@ class PairLists(NamedTuple):
 
 
 class PairLister:
-    """Makes `PairLists` for one tissue."""
+    """Makes `PairLists` for one tissue, and the constants of their pairs."""
 
     def __init__(self, tissue: Tissue, skin: float) -> None:
-        self._tissue = tissue
-        self._skin = skin
-        self._kinds = make_pair_kinds(tissue.cell)
-        rings = abs(self._kinds.shifts).max(axis=1)[self._kinds.shift]
-        self._reach = tissue.cell.repulsion_cutoff + skin * np.maximum(rings, 1)
-        self.grid = make_grid(tissue, self._kinds)
-        self._constants = ConstantsMaker(tissue, self._kinds, self.grid.place)
+        self._tissue, self._skin = tissue, skin
+        kinds = self._kinds = make_pair_kinds(tissue.cell)
+        rings = abs(kinds.shifts).max(axis=1)
+        self._reach = tissue.cell.repulsion_cutoff + skin * np.maximum(rings, 1)[kinds.shift]
+        ends = np.array(tissue.place.shape)
+        at = np.stack([tissue.column, tissue.row], axis=1)
+        there = at[:, None] + kinds.shifts
+        inside = ((there >= 0) & (there < ends)).all(axis=2) & (at[:, :1] >= 0)
+        place = tissue.place[tuple(np.where(inside[..., None], there, 0).T)].T
+        exists = tissue.exists.astype(np.float64)
+        count = exists.sum(axis=1)
+        self.grid = Grid(
+            place=tiled(np.where(inside, place, -1)),
+            exists=exists,
+            per_count=np.where(count > 0, 1.0 / np.maximum(count, 1.0), 0.0),
+            next_shifts=np.flatnonzero(rings == 1),
+        )
+        self._set_constants()
+
+    def _set_constants(self) -> None:
+        """Those of bonds and fluid, and what contacts have by their particles and wall lines."""
+        tissue, kinds, column, row = (
+            self._tissue,
+            self._kinds,
+            self._tissue.column,
+            self._tissue.row,
+        )
+        # one more type, the last, for plant cells that are not there
+        table = np.array([*tissue.constants, np.zeros(len(Constants._fields))])
+        of = dict(zip(Constants._fields, table.T, strict=True))
+        here = np.pad(tissue.kind, 1, constant_values=-1)
+        own = here[column + 1, row + 1]
+        # the plant cells on both sides of the wall along x, and of the one along y
+        both = np.array([[own, here[column + 1, row]], [own, here[column, row + 1]]])
+        half = 0.5 * np.where((both >= 0).all(axis=1), 1.0, tissue.cell.outer_wall)
+        stiffness = of["wall_stiffness"][both]
+        total = stiffness.sum(axis=1)
+        rest = (stiffness * of["rest_length"][both]).sum(axis=1) / np.maximum(total, 1e-60)
+        damping = of["wall_damping"][both].sum(axis=1)
+        walls = np.stack([half * total, rest, half * damping], axis=2)
+        bonds = tiled(np.stack([walls[axis] for axis in kinds.axis[: kinds.bonds]], axis=1))
+        self._bonds = bonds.reshape(-1, 3, TILE)
+        # by axis, of pairs along such a wall: ½ `outer_wall` on the boundary; of others
+        along = np.where((both >= 0).all(axis=1), 1.0, half)
+        self._weight = np.append(along, np.ones_like(along[:1]), axis=0).reshape(3, -1, TILE)
+        # places without fluid have some, so that kernels may divide
+        fluid = np.stack([of[name][np.maximum(own, 0)] for name in FluidConstants._fields], axis=1)
+        self._fluid = tiled(fluid)
+        part = np.stack(
+            [shares(tissue.cell, tissue.kind == k, column, row) for k in range(len(tissue.types))],
+            axis=2,
+        )
+        part /= np.maximum(part.sum(axis=2, keepdims=True), 1e-3)
+        self._particles = part @ table[:-1, [_REPULSION, _DAMPING]]  # (places, own, 2)
 
     def make(self, x: Array) -> tuple[PairLists, PairConstants]:
         """Lists at positions x (tiles, 2, own, TILE), µm, and the constants of their pairs.
@@ -297,6 +292,8 @@ class PairLister:
         pairs = np.stack([kinds.i[kind], j], axis=1).astype(np.int32)
         is_bond = kind < kinds.bonds
         place = grid.place[tile_of_image, shift_of_image]
+        counts = tissue.fluid_tiles, tissue.tiles - tissue.fluid_tiles
+        spots = [(np.arange(n) + 0.5) / max(n, 1) for n in counts]
         fold, fold_source, fold_starts = _folds(tissue, place, owner, image_starts, local)
         there, lane = np.divmod(place, TILE)
         source = (there * 2 * local + owner[:, None]) * TILE + lane
@@ -310,12 +307,26 @@ class PairLister:
             fold=fold,
             fold_source=fold_source,
             # tiles with and without fluid mixed, so that equal parts of the order cost the same
-            order=_evenly_mixed(tissue.fluid_tiles, tissue.tiles),
+            order=np.argsort(np.concatenate(spots), kind="stable"),
             local=local,
             fluid_tiles=tissue.fluid_tiles,
             skin=self._skin,
         )
-        return lists, self._constants.make(tile[~is_bond], kind[~is_bond])
+        return lists, self._constants(tile[~is_bond], kind[~is_bond])
+
+    def _constants(self, tile: Ints, kind: Ints) -> PairConstants:
+        """For listed contacts, which follow the bonds: the kind of each in its tile, in order."""
+        kinds, here = self._kinds, tile[:, None] * TILE + np.arange(TILE)
+        there = self.grid.place[tile, kinds.shift[kind]]
+        sums = self._particles[here, kinds.i[kind, None]]
+        sums = sums + self._particles[there, kinds.j[kind, None]]
+        contacts = np.moveaxis(0.5 * sums, 1, 2) * self._weight[kinds.axis[kind], tile, None]
+        return PairConstants(
+            bonds=self._bonds,
+            contacts=np.ascontiguousarray(contacts),
+            fluid=self._fluid,
+            cutoff=self._tissue.cell.repulsion_cutoff,
+        )
 
     def _check_apart(self, x: Array) -> None:
         """Plant cells further apart than RINGS must be out of each other's reach."""
@@ -340,24 +351,6 @@ class PairLister:
             )
 
 
-def make_grid(tissue: Tissue, kinds: PairKinds) -> Grid:
-    """Who is whose neighbour."""
-    column = tissue.column[:, None] + kinds.shifts[:, 0]
-    row = tissue.row[:, None] + kinds.shifts[:, 1]
-    n, m = tissue.place.shape
-    inside = (column >= 0) & (column < n) & (row >= 0) & (row < m)
-    inside &= (tissue.column >= 0)[:, None]
-    there = tissue.place[np.where(inside, column, 0), np.where(inside, row, 0)]
-    exists = tissue.exists.astype(np.float64)
-    count = exists.sum(axis=1)
-    return Grid(
-        place=tiled(np.where(inside, there, -1)),
-        exists=exists,
-        per_count=np.where(count > 0, 1.0 / np.maximum(count, 1.0), 0.0),
-        next_shifts=np.flatnonzero(abs(kinds.shifts).max(axis=1) == 1),
-    )
-
-
 def bonded_particles(tissue: Tissue) -> Ints:
     """(b, 2) numbers of the particles that wall springs join: neighbours on the grid of springs."""
     walls = tissue.outline[: tissue.wall_particles]
@@ -377,12 +370,6 @@ def _starts(tissue: Tissue, tile: Ints) -> Ints:
 def _nowhere(tissue: Tissue, local: int) -> int:
     """Flat index of particles that stay where they are and of a force that is always zero."""
     return tissue.tiles * 2 * local * TILE
-
-
-def _evenly_mixed(first: int, tiles: int) -> Ints:
-    """The numbers below `first` and those from there to `tiles`, evenly mixed."""
-    spots = [(np.arange(n) + 0.5) / max(n, 1) for n in (first, tiles - first)]
-    return np.argsort(np.concatenate(spots), kind="stable")
 
 
 def _folds(

@@ -120,7 +120,7 @@ def stable_step(
         outside: the largest stiffness and damping by mass that what acts on the outline adds, 1/µs²
             and 1/µs.
     """
-    dynamics = TissueDynamics(make_tissue(cell, reference, (2, 2)))
+    dynamics = TissueDynamics(make_tissue([cell], [reference], np.zeros((2, 2), dtype=np.int64)))
     at_rest = dynamics.x
 
     def stiffness(u: Array) -> Array:

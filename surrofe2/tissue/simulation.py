@@ -41,7 +41,7 @@ from surrofe2.run.loop import carry_out
 from surrofe2.run.views import Facts, ViewedRun, course
 from surrofe2.tissue.conditions import Conditions
 from surrofe2.tissue.dynamics import TissueDynamics
-from surrofe2.tissue.layout import make_mixed_tissue
+from surrofe2.tissue.layout import make_tissue
 from surrofe2.tissue.pair_lists import bonded_particles
 from surrofe2.tissue.relaxation import LONGEST, relax, rounded_step, safe_step, stable_step
 from surrofe2.tissue.settings import TissueSettings
@@ -445,7 +445,7 @@ def make_conditions(
             f"tissue: kinds {kind.shape} up to {kind.max()}; it has {cells[0]} × {cells[1]} plant "
             f"cells of {len(types)} types"
         )
-    conditions = Conditions(problem, make_mixed_tissue(types, references, kind))
+    conditions = Conditions(problem, make_tissue(types, references, kind))
     conditions.check_bodies()
     return conditions
 

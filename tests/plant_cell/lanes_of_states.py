@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from surrofe2.base.simd import TILE
-from surrofe2.plant_cell import forces
+from surrofe2.plant_cell import derivatives, forces
 from surrofe2.plant_cell.arrangement import start_positions
 from surrofe2.plant_cell.neighbours import make_neighbours
 from surrofe2.plant_cell.parameters import CellParameters
@@ -42,10 +42,14 @@ class Patch:
         scratch = np.empty((len(self.topology.fluid_pairs), TILE)), np.empty((fluid, TILE))
         return Workspace(x if z is None else z, x, v, np.zeros_like(x), *scratch)
 
-    def dense(self, matrix):
-        """(2n − 2, 2n − 2, TILE): a matrix of one group, without the held particle."""
-        free = 2 * self.topology.particles - 2
-        return matrix.reshape(free, free, TILE)
+    def jacobian(self, F_dot):
+        """(2n − 2, 2n − 2, TILE) of one group, without the held particle, and (2n, 8, TILE)."""
+        n, identity = self.topology.particles, np.broadcast_to(np.eye(2), self.F.shape)
+        J, load = np.empty((self.topology.size, TILE)), np.empty((2 * n, 8, TILE))
+        L = np.ascontiguousarray(np.moveaxis(F_dot @ np.linalg.inv(self.F), 0, -1))
+        at = (self.local(self.z, tensor) for tensor in (self.F, F_dot, identity))
+        derivatives.force_jacobian(self.workspace(*at), L, self.topology, self.constants, J, load)
+        return J.reshape(2 * n - 2, 2 * n - 2, TILE), load
 
     def forces(self, z=None, F=None, F_dot=None, fold=True):
         """(TILE, n, 2)."""

@@ -74,13 +74,9 @@ def test_gradients_are_the_slopes_of_the_weighted_sum(local):
 
 
 def test_gradients_are_the_transposed_jacobian(local):
-    n, F, F_dot = local.topology.particles, local.F, local.F_dot
-    J, columns = np.empty((local.topology.size, TILE)), np.empty((2 * n, 8, TILE))
-    L = np.ascontiguousarray(np.moveaxis(F_dot @ np.linalg.inv(F), 0, -1))
-    Z = local.local(local.z, np.broadcast_to(np.eye(2), F.shape))
-    work = local.workspace(local.x, local.v, Z)
-    derivatives.force_jacobian(work, L, local.topology, local.constants, J, columns)
-    J = local.dense(J)
+    n, (J, columns) = local.topology.particles, local.jacobian(local.F_dot)
+    L = np.moveaxis(local.F_dot @ np.linalg.inv(local.F), 0, -1)
+    Z = local.local(local.z, np.broadcast_to(np.eye(2), local.F.shape))
     weights = np.ascontiguousarray(local.fields[:, :, local.owners])
     by_x, by_v = local.gradients(weights)
     own = weights[:, :, :n].swapaxes(1, 2).reshape(4, 2 * n, TILE)

@@ -26,89 +26,91 @@ def spline_slope(r, h):
     return sigma * np.where(s < 1.0, inner, np.where(s < 2.0, outer, 0.0))
 
 
+def densities(cell, x, fluid_pairs):
+    """(n,) of all particles at x (n, 2), of which those in no pair of fluid mean nothing."""
+    m, h, (i, j, *_) = cell.fluid_particle_mass, cell.smoothing_length, fluid_pairs
+    near, density = m * spline(np.hypot(*(x[j] - x[i]).T), h), np.full(len(x), m * spline(0.0, h))
+    for k in (i, j):
+        np.add.at(density, k, near)
+    return density
+
+
+def pair_forces(cell, rest_length, x, v, pairs):
+    """By kind i, j, r (k, 2), the force on i (k, 2), stored energy and power lost (k,).
+
+    pairs: by kind i, j (k,), the share of the pair that acts, and offsets of x_j and v_j.
+    """
+    c, x0, strength = cell, cell.repulsion_cutoff, cell.repulsion_strength
+    per = 1.0 / densities(c, x, pairs["fluid"])
+    for kind, (i, j, share, offset, drift) in pairs.items():
+        r, w = x[j] + offset - x[i], v[j] + drift - v[i]
+        length = np.hypot(*r.T)
+        n = r / length[:, None]
+        rate = (n * w).sum(axis=1)
+        if kind == "bond":
+            gamma = 2.0 * np.sqrt(c.wall_particle_mass * c.wall_stiffness) * c.wall_damping_ratio
+            stretch = length - rest_length
+            force = (c.wall_stiffness * stretch + gamma * rate)[:, None] * n
+            stored, lost = 0.5 * c.wall_stiffness * stretch**2, gamma * rate**2
+        elif kind == "contact":
+            near = length < x0
+            damping = 2.0 * np.sqrt(6.0 * strength * c.wall_particle_mass / length**7)
+            damping *= near * (1.0 - (length / x0) ** 6) * c.contact_damping_ratio
+            tension = damping * rate - near * strength * (length**-6 - x0**-6)
+            force, lost = tension[:, None] * n, damping * rate**2
+            stored = near * strength * (length**-5 / 5 + length * x0**-6 - 1.2 * x0**-5)
+        else:
+            slope = c.fluid_particle_mass**2 * spline_slope(length, c.smoothing_length) / length
+            pressure = slope * c.sound_speed**2 * (per[i] + per[j])
+            viscous = -2.0 * c.viscosity * slope * per[i] * per[j]
+            force = pressure[:, None] * r + viscous[:, None] * w
+            stored, lost = np.zeros_like(length), viscous * (w * w).sum(axis=1)
+        share = np.broadcast_to(share, length.shape)
+        yield kind, i, j, r, share[:, None] * force, share * stored, share * lost
+
+
 class Twin:
-    """Forces, energy and virial stress of one periodic square cell at material positions z."""
+    """Forces, energy and virial stress of one periodic square cell at material positions z.
+
+    pairs: by kind i, j and the shift of j, (k, 2) columns and rows.
+    """
 
     def __init__(self, cell: CellParameters, rest_length: float) -> None:
         self.cell, self.rest_length = cell, rest_length
-        self.per_side = cell.wall_springs_per_side
-        self.walls = 2 * self.per_side - 1
-        self.particles = self.walls + cell.fluid_particles_per_side**2
-        self.kinds = {pair: self._kind(*pair) for pair in self._pairs()}
-
-    def _pairs(self):
-        """Every unordered pair of a particle with every image, once."""
-        for i in range(self.particles):
-            for j in range(i, self.particles):
-                for shift in IMAGES:
-                    if i < j or shift > (0, 0):
-                        yield i, j, shift
-
-    def _kind(self, i, j, shift):
-        grid_i, grid_j = self._grid(i), self._grid(j)
-        if i >= self.walls:
-            return "fluid" if shift == (0, 0) else None
-        ring = np.array(shift) * self.per_side
-        if j >= self.walls:  # wall i seen from the cell of fluid j, which is shifted
-            at = np.array(grid_i) - ring
-            on_rim = (at >= 0).all() and (at <= self.per_side).all()
-            return "contact" if on_rim else None
-        between = np.abs(np.array(grid_j) + ring - np.array(grid_i))
-        return "bond" if between.sum() == 1 else "contact"
-
-    def _grid(self, i):
-        """Wall particles lie on the lines of a grid of springs; (column, row)."""
-        if i < self.per_side:
-            return (i, 0)
-        return (0, i - self.per_side + 1) if i < self.walls else None
+        per_side = cell.wall_springs_per_side
+        walls = self.walls = 2 * per_side - 1
+        self.particles = walls + cell.fluid_particles_per_side**2
+        # wall particles lie on the lines of a grid of springs: column and row
+        grid = np.zeros((self.particles, 2), dtype=int)
+        grid[:per_side, 0], grid[per_side:walls, 1] = np.arange(per_side), np.arange(1, per_side)
+        i, j, image = np.indices((self.particles, self.particles, len(IMAGES))).reshape(3, -1)
+        a, b = np.array(IMAGES)[image].T
+        once = (i < j) | ((i == j) & ((a > 0) | ((a == 0) & (b > 0))))
+        i, j, shift = i[once], j[once], np.stack([a, b], axis=1)[once]
+        ring = per_side * shift
+        bonded = (j < walls) & (abs(grid[j] + ring - grid[i]).sum(axis=1) == 1)
+        # wall i seen from the cell of fluid j, which is shifted
+        at = grid[i] - ring
+        on_rim = (i < walls) & (j >= walls) & ((at >= 0) & (at <= per_side)).all(axis=1)
+        fluid = (i >= walls) & ~shift.any(axis=1)
+        contact = on_rim | ((j < walls) & ~bonded)
+        kinds = {"bond": bonded, "contact": contact, "fluid": fluid}
+        self.pairs = {kind: (i[of], j[of], shift[of]) for kind, of in kinds.items()}
 
     def evaluate(self, z, F, F_dot, fluctuation=0.0):
         """f (n, 2), elastic energy, Cauchy stress (2, 2); velocities Ḟ z + fluctuation."""
         cell, side = self.cell, self.cell.cell_side
         x, v = z @ F.T, z @ F_dot.T + fluctuation
-        f, energy, virial = np.zeros_like(z), 0.0, np.zeros((2, 2))
-        m, h = cell.fluid_particle_mass, cell.smoothing_length
-        density = np.zeros(self.particles)
-        for i in range(self.walls, self.particles):
-            r = np.linalg.norm(x[self.walls :] - x[i], axis=1)
-            density[i] = m * spline(r, h).sum()
-            energy += m * cell.sound_speed**2 * np.log(density[i])
-        for (i, j, shift), kind in self.kinds.items():
-            if kind is None:
-                continue
-            offset = side * np.array(shift)
-            r = x[j] + F @ offset - x[i]
-            w = v[j] + F_dot @ offset - v[i]
-            length = np.linalg.norm(r)
-            force, stored = getattr(self, f"_{kind}")(r, w, length, density[i], density[j])
-            f[i] += force
-            f[j] -= force
-            energy += stored
-            virial += np.outer(force, r)
+        f, virial = np.zeros_like(z), np.zeros((2, 2))
+        density = densities(cell, x, self.pairs["fluid"])[self.walls :]
+        energy = cell.fluid_particle_mass * cell.sound_speed**2 * np.log(density).sum()
+        pairs = {
+            kind: (i, j, 1.0, side * shift @ F.T, side * shift @ F_dot.T)
+            for kind, (i, j, shift) in self.pairs.items()
+        }
+        for _, i, j, r, force, stored, _ in pair_forces(cell, self.rest_length, x, v, pairs):
+            np.add.at(f, i, force)
+            np.add.at(f, j, -force)
+            energy += stored.sum()
+            virial += force.T @ r
         return f, energy, virial / (np.linalg.det(F) * side**2)
-
-    def _bond(self, r, w, length, *_):
-        c, n = self.cell, r / length
-        gamma = 2.0 * np.sqrt(c.wall_particle_mass * c.wall_stiffness) * c.wall_damping_ratio
-        stretch = length - self.rest_length
-        tension = c.wall_stiffness * stretch + gamma * (n @ w)
-        return tension * n, 0.5 * c.wall_stiffness * stretch**2
-
-    def _contact(self, r, w, length, *_):
-        c, n, x0 = self.cell, r / length, self.cell.repulsion_cutoff
-        if length >= x0:
-            return np.zeros(2), 0.0
-        strength = c.repulsion_strength
-        damping = 2.0 * np.sqrt(6.0 * strength * c.wall_particle_mass / length**7)
-        damping *= (1.0 - (length / x0) ** 6) * c.contact_damping_ratio
-        repulsion = strength * (length**-6 - x0**-6) - damping * (n @ w)
-        energy = strength * (length**-5 / 5 + length * x0**-6 - 1.2 * x0**-5)
-        return -repulsion * n, energy
-
-    def _fluid(self, r, w, length, density_i, density_j):
-        c = self.cell
-        slope = spline_slope(length, c.smoothing_length)
-        m2 = c.fluid_particle_mass**2
-        pressure = c.sound_speed**2 * (1.0 / density_i + 1.0 / density_j)
-        viscous = 2.0 * c.viscosity / (density_i * density_j)
-        return m2 * (pressure * slope * r / length - viscous * slope / length * w), 0.0

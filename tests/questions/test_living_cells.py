@@ -26,13 +26,16 @@ def virials(cell):
     """MPa that wall pairs, wall and fluid, and fluid pairs add to the pressure, over all images."""
     law = RveLaw(cell)
     twin, z, still = Twin(cell, law.rest_length), law.unit_cell.position, np.zeros((2, 2))
-    kinds, found = twin.kinds, {}
+    pairs, found = twin.pairs, {}
     for name, wanted in (
         ("walls", lambda i, j: j < twin.walls),
-        ("contact", lambda i, j: i < twin.walls <= j),
+        ("contact", lambda i, j: (i < twin.walls) & (j >= twin.walls)),
         ("fluid", lambda i, j: i >= twin.walls),
     ):
-        twin.kinds = {pair: kind for pair, kind in kinds.items() if wanted(*pair[:2])}
+        twin.pairs = {
+            kind: [each[wanted(i, j)] for each in (i, j, shift)]
+            for kind, (i, j, shift) in pairs.items()
+        }
         stress = twin.evaluate(z, np.eye(2), still)[2]
         found[name] = -np.trace(stress) / 2.0 / cell.tissue_thickness
     return found

@@ -121,7 +121,7 @@ def test_html_is_whole_and_a_line_says_what_matters(run, stored, surrogate):
         (stored, "<StoredRun: folder ", ["saved", "SoftLaw", "<img alt="]),
         (samples, "<StressSamples: 100, 0 of them failed; cell ", ["100</td>", "bifurcation"]),
         (surrogate, "<SurrogateLaw: cell ", ["error of xy", error]),
-        (law, "<RveLaw: 1 square cell ", ["constrained-runs", f"{law.rest_length:.4g} µm"]),
+        (law, "<RveLaw: plant cell ", ["constrained-runs", f"{law.rest_length:.4g} µm"]),
         (CachedLaw(surrogate, law), "<CachedLaw: 0 hits; <SurrogateLaw: cell ",
          ["0.001 of the spread of stress", "by the fallback"]),
     ]  # fmt: skip

@@ -24,11 +24,6 @@ class Curvatures:
     def __init__(self, cell, rest_length):
         self.twin = Twin(cell, rest_length)
         self.cell, self.walls = cell, self.twin.walls
-        kinds = [(*pair, kind) for pair, kind in self.twin.kinds.items() if kind is not None]
-        self.pairs = {
-            kind: [np.array(part) for part in zip(*(k[:3] for k in kinds if k[3] == kind))]  # noqa: B905
-            for kind in ("bond", "contact", "fluid")
-        }
 
     def at(self, z, F):
         """Forces (m, n, 2), Cauchy stress (m, 2, 2), Hessian (m, 2n − 2, 2n − 2), corner held."""
@@ -36,7 +31,7 @@ class Curvatures:
         x, f, virial = z @ F.transpose(0, 2, 1), np.zeros_like(z), np.zeros((m, 2, 2))
         H = np.zeros((m, n, n, 2, 2))
         density, gradient = self._densities(x)
-        for kind, (i, j, shift) in self.pairs.items():
+        for kind, (i, j, shift) in self.twin.pairs.items():
             offset = self.cell.cell_side * shift @ F.transpose(0, 2, 1)
             r = x[:, j] + offset - x[:, i]
             length = np.linalg.norm(r, axis=2)

@@ -16,7 +16,7 @@ TIGHT = 1e-11
 @cache
 def solver(preset):
     this = law(preset)
-    return Solver(this.cell, this.rest_length, this.unit_cell.position)
+    return Solver(this.cell, this.rest_length)
 
 
 @pytest.mark.parametrize("preset", PRESETS)

@@ -115,9 +115,10 @@ def test_where_no_stable_state_is_found_there_is_no_stress(preset):
     "initialisation",
     ["elastic", "constrained-runs", pytest.param("slow-manifold", marks=pytest.mark.slow)],
 )
-def test_no_solve_fails_near_the_reference(initialisation):
+@pytest.mark.parametrize("count", [400, pytest.param(10_000, marks=pytest.mark.nightly)])
+def test_no_solve_fails_near_the_reference(initialisation, count):
     for preset in PRESETS:
-        F, F_dot = near(preset, 400)
+        F, F_dot = near(preset, count, seed=1)
         assert not law(preset, initialisation).respond(F, F_dot).status.any()
 
 
@@ -233,14 +234,6 @@ def test_states_carry_where_they_left_with_them():
     assert not rest.left.any()
     assert rest.put(np.array([2, 3, 4]), part).left_points.nonzero()[0].tolist() == [2, 4]
     assert not rest.put(np.array([2]), rest.take(np.array([5]))).left.any()
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("preset", PRESETS)
-@pytest.mark.parametrize("initialisation", ["elastic", "constrained-runs", "slow-manifold"])
-def test_none_of_10000_solves_near_the_reference_fails(preset, initialisation):
-    F, F_dot = near(preset, 10_000, seed=1)
-    assert not law(preset, initialisation).respond(F, F_dot).status.any()
 
 
 @pytest.mark.nightly

@@ -6,10 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from surrofe2.base.errors import InputError, SimulationError
+from surrofe2.base.errors import SimulationError
 from surrofe2.law.stress_law import Status
-from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.rve import RveLaw
 from surrofe2.rve.micro_integration import integrate_rve
 from surrofe2.rve.parameter_gradients import parameter_gradients
 from tests.plant_cell.twin import Twin
@@ -116,35 +114,6 @@ def test_warm_start_cold_start_and_mixed_batches_agree():
     np.testing.assert_allclose(mixed.stress, cold.stress, rtol=0, atol=1e-8)
 
 
-def test_accepted_states_are_checked_for_stability_and_renewed():
-    this, state = law("printed", "slow-manifold"), None
-    for stretch in np.linspace(1.0, 1.4, 41):
-        F = np.array([np.diag([stretch, 1.0])])
-        answer = this.respond(F, 0.001 * F, state)
-        accepted = this.accept(F, 0.001 * F, answer)
-        state = accepted.state
-        if state.left.any():
-            break
-    assert accepted.status[0] == Status.OK
-    assert 1.1 < stretch < 1.35
-
-
-def test_at_rest_it_is_the_elastic_equilibrium():
-    F, F_dot = deformations("water")
-    still = np.zeros_like(F_dot)
-    np.testing.assert_allclose(
-        law("water", "slow-manifold").respond(F, still).stress,
-        law("water", "elastic").respond(F, still).stress,
-        rtol=0,
-        atol=1e-8,
-    )
-
-
-def test_it_has_no_iterated_solver():
-    with pytest.raises(InputError, match="with initialisation slow-manifold it must be direct"):
-        RveLaw(CellParameters.preset("printed"), initialisation="slow-manifold", solver="iterated")
-
-
 def test_micro_integration_is_of_fourth_order_where_no_pair_crosses_the_cut_off():
     """A jump of the strain, then free motion; steps of 2, 1 and ½ ns."""
 
@@ -160,11 +129,6 @@ def test_micro_integration_is_of_fourth_order_where_no_pair_crosses_the_cut_off(
 def test_micro_integration_with_too_long_a_step_says_so():
     with pytest.raises((SimulationError, FloatingPointError), match=r"apart|overflow|invalid"):
         integrate_rve(law("printed"), shear, np.array([0.0, 5.0]), 0.02)
-
-
-def test_micro_integration_refuses_times_that_do_not_increase():
-    with pytest.raises(InputError, match="times must increase"):
-        integrate_rve(law("printed"), shear, np.array([0.0, 0.0]))
 
 
 WAY = np.array([[-0.067905, 0.0412889], [-0.117382, 0.00033]])

@@ -2,8 +2,6 @@ import numpy as np
 import pytest
 
 from surrofe2.base.errors import InputError
-from surrofe2.base.simd import TILE
-from surrofe2.plant_cell.derivatives import add_product
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.rve.unit_cell import make_unit_cell
@@ -62,18 +60,6 @@ def test_grid_of_fluid_that_is_no_stable_equilibrium_is_refused(preset):
     cell = CellParameters.preset(preset, fluid_particles_per_side=3, fluid_particle_mass=mass)
     with pytest.raises(InputError, match="no stable equilibrium of the undeformed RVE was found"):
         RveLaw(cell)
-
-
-@pytest.mark.parametrize("shape", [(18, 9, 18), (18, 9, 4), (2, 1, 2)])
-def test_products_of_any_even_width_lane_by_lane(shape):
-    rows, inner, columns = shape
-    rng = np.random.default_rng(1)
-    left, right = rng.normal(size=(rows, inner, TILE)), rng.normal(size=(inner, columns, TILE))
-    total = rng.normal(size=(rows + 3, columns + 2, TILE))
-    expected = total.copy()
-    expected[1 : rows + 1, 1 : columns + 1] += np.einsum("msl,snl->mnl", left, right)
-    add_product(left, right, total.reshape(-1, TILE), columns + 3, columns + 2)
-    np.testing.assert_allclose(total, expected, rtol=0, atol=1e-13)
 
 
 def test_turgor_that_no_wall_can_balance_is_refused():

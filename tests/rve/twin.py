@@ -15,21 +15,8 @@ STEP = 1e-4
 class Solver:
     """Newton for one cell; z (n, 2) material positions, the corner z[0] held at the origin."""
 
-    def __init__(self, cell, rest_length, reference):
+    def __init__(self, cell, rest_length):
         self.twin = Twin(cell, rest_length)
-        self.twin.kinds = {
-            (i, j, shift): kind
-            for (i, j, shift), kind in self.twin.kinds.items()
-            if self._may_meet(i, j, shift, kind, reference)
-        }
-
-    def _may_meet(self, i, j, shift, kind, reference):
-        """Leaves out contacts that are two cut-offs apart: their force is exactly zero."""
-        offset = self.twin.cell.cell_side * np.array(shift)
-        apart = np.linalg.norm(reference[j] + offset - reference[i])
-        return kind is not None and (
-            kind != "contact" or apart < 2.0 * self.twin.cell.repulsion_cutoff
-        )
 
     def forces(self, z, F, F_dot, beyond=0.0):
         return self.twin.evaluate(z, F, F_dot, beyond)[0]

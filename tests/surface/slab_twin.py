@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from tests.plant_cell.twin import Twin, spline
+from tests.plant_cell.twin import pair_forces
 
 
-class SlabTwin(Twin):
+class SlabTwin:
     """Forces of a column of square plant cells with single walls above and below.
 
     Particles are owned by one column or by the next, so their images reach two columns far.
@@ -15,19 +15,12 @@ class SlabTwin(Twin):
         self.rows = rows
         self.start, self.per_side = start, cell.wall_springs_per_side
         self.is_wall = np.arange(len(start)) < rows * (2 * self.per_side - 1) + self.per_side
-        super().__init__(cell, rest_length)
-        self.walls, self.particles = int(self.is_wall.sum()), len(start)
-        every = [
-            (i, j, a)
-            for i in range(self.particles)
-            for j in range(self.particles)
-            for a in (0, 1, 2)
-            if (a > 0 or (a == 0 and i < j))
-        ]
-        self.pairs = [(*pair, *kind) for pair in every if (kind := self._slab_kind(*pair))]
-
-    def _pairs(self):
-        return []
+        self.cell, self.rest_length = cell, rest_length
+        n, kinds = len(start), {"bond": [], "contact": [], "fluid": []}
+        for i, j, a in np.ndindex(n, n, 3):
+            if (a > 0 or i < j) and (kind := self._slab_kind(i, j, a)):
+                kinds[kind[0]].append((i, j, kind[1], a))
+        self.pairs = {kind: np.array(rows).T for kind, rows in kinds.items()}
 
     def _place(self, i, a=0):
         """On the grid of springs."""
@@ -57,23 +50,17 @@ class SlabTwin(Twin):
         """f (n, 2) at x and v, the force that neighbouring columns pull each other with, and its
         moment by the distance from the middle of the slab: the forces of both halves added up.
         """
-        c, side = self.cell, self.cell.cell_side
-        f, resultant, moment, density = np.zeros_like(x), 0.0, 0.0, np.zeros(len(x))
+        side, f, resultant, moment = self.cell.cell_side, np.zeros_like(x), 0.0, 0.0
         middle = 0.5 * (x[:, 1].min() + x[:, 1].max())
-        for i in np.flatnonzero(~self.is_wall):
-            mine = [j for j in np.flatnonzero(~self.is_wall) if self._row(j) == self._row(i)]
-            r = np.linalg.norm(x[mine] - x[i], axis=1)
-            density[i] = c.fluid_particle_mass * spline(r, c.smoothing_length).sum()
-        for i, j, a, kind, share in self.pairs:
-            r = x[j] - x[i] + (a * stretch * side, 0.0)
-            w = v[j] - v[i] + (a * rate * side, 0.0)
-            length = np.linalg.norm(r)
-            if kind == "contact" and length >= c.repulsion_cutoff:
-                continue
-            force = share * getattr(self, f"_{kind}")(r, w, length, density[i], density[j])[0]
-            f[i] += force
-            f[j] -= force
-            resultant += a * force[0]
-            apart = abs(x[i, 1] + 0.5 * r[1] - middle)
-            moment += force[0] * r[0] * apart / (stretch * side)
+        pairs = {
+            kind: (i.astype(int), j.astype(int), share,
+                   *(a[:, None] * np.array([size * side, 0.0]) for size in (stretch, rate)))
+            for kind, (i, j, share, a) in self.pairs.items()
+        }  # fmt: skip
+        for kind, i, j, r, force, *_ in pair_forces(self.cell, self.rest_length, x, v, pairs):
+            np.add.at(f, i, force)
+            np.add.at(f, j, -force)
+            resultant += self.pairs[kind][3] @ force[:, 0]
+            apart = abs(x[i, 1] + 0.5 * r[:, 1] - middle)
+            moment += (force[:, 0] * r[:, 0]) @ apart / (stretch * side)
         return f, resultant, moment

@@ -93,7 +93,7 @@ def test_a_bent_slab_says_where_its_sides_act(preset):
 def columns_of(law, columns):
     """A tissue as wide as the slab: its dynamics, and of each particle column and slab's number."""
     cell, start = law.cell, starts(law)
-    tissue = make_tissue(cell, law.law.reference, (columns, law.rows))
+    tissue = make_tissue([cell], [law.law.reference], np.zeros((columns, law.rows), dtype=int))
     place = tissue.to_particles(tissue.start)
     column = np.floor(place[:, 0] / cell.cell_side + 1e-6)
     start[:, 0] -= np.floor(start[:, 0] / cell.cell_side + 1e-6) * cell.cell_side
@@ -233,7 +233,7 @@ def test_outer_rows_of_a_relaxed_tissue_shrink_as_those_of_the_slab():
     side = law.cell.cell_side
     along = np.abs((start[:, 0] + 1.0) % side - 1.0)  # corners may lie in the next column
     rows = [np.abs(along + np.abs(start[:, 1] - k * side)).argmin() for k in (0, 1)]
-    tissue = make_tissue(law.cell, law.law.reference, (n, m))
+    tissue = make_tissue([law.cell], [law.law.reference], np.zeros((n, m), dtype=int))
     relaxed = relax(TissueDynamics(tissue), 1e-3)
     grid = [np.array([n // 2 * side, k * side]) for k in (0, 1)]
     at = [np.abs(tissue.outline - place).sum(axis=1).argmin() for place in grid]
@@ -272,7 +272,9 @@ def test_an_outer_wall_weighs_in_tissue_and_surface_alike():
     cell = CellParameters.preset("water", outer_wall=1.5)
     n, m, per_side = 3, 2, cell.wall_springs_per_side
     reference = RveLaw(cell).reference
-    beyond = make_tissue(cell, reference, (n, m)).mass.sum() - n * m * cell.mass
+    beyond = (
+        make_tissue([cell], [reference], np.zeros((n, m), dtype=int)).mass.sum() - n * m * cell.mass
+    )
     per_length = slab(outer_wall=1.5).mass
     around = 2 * (n + m) * cell.cell_side
     corners = 0.5 * cell.wall_particle_mass  # a corner has a quarter of a particle, not a half

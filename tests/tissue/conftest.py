@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from surrofe2.plant_cell.parameters import CellParameters
@@ -27,7 +28,8 @@ def tissue_of(reference):
     """tissue_of(cells, preset)."""
 
     def make(cells, preset="printed"):
-        return make_tissue(*reference(preset), cells)
+        cell, at_rest = reference(preset)
+        return make_tissue([cell], [at_rest], np.zeros(cells, dtype=int))
 
     return make
 

@@ -111,8 +111,9 @@ def test_pair_that_comes_close_later_is_seen(tissue_of, reference):
     np.testing.assert_allclose(
         dynamics.forces(), expected[order], rtol=0, atol=1e-9 * abs(expected).max()
     )
-    before, after = (np.hypot(*(at[twin.j] - at[twin.i]).T) for at in (twin.start, there[0]))
-    late = (twin.contact > 0) & (before > cell.repulsion_cutoff + 2 * 0.5)
+    i, j, *_ = twin.pairs["contact"]
+    before, after = (np.hypot(*(at[j] - at[i]).T) for at in (twin.start, there[0]))
+    late = before > cell.repulsion_cutoff + 2 * 0.5
     assert (late & (after < cell.repulsion_cutoff)).sum() > 100
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surrofe2.base.simd import TILE
-from surrofe2.tissue import TissueDynamics, make_mixed_tissue
+from surrofe2.tissue import TissueDynamics, make_tissue
 from tests.plant_cell.twin import Twin
 from tests.tissue.twin import TissueTwin
 
@@ -52,7 +52,7 @@ def any_tissue(request, tissue_of, types):
     """Tissues of one plant cell, and one of two types."""
     if request.param is not None:
         return tissue_of(*request.param)
-    return make_mixed_tissue(*types, np.array([[0, 1], [1, 1], [0, 0]]))
+    return make_tissue(*types, np.array([[0, 1], [1, 1], [0, 0]]))
 
 
 def test_mass_is_that_of_the_macro_scale(any_tissue, types):

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 from surrofe2.base.errors import InputError
-from surrofe2.tissue import TissueDynamics, make_mixed_tissue
+from surrofe2.tissue import TissueDynamics, make_tissue
 from tests.tissue.test_tissue_forces import shaken
 
 
 def tissue_of(types, kind):
-    return make_mixed_tissue(*types, np.array(kind))
+    return make_tissue(*types, np.array(kind))
 
 
 def test_equal_types_are_one_type(types):
     (cell, _), (at_rest, _) = types
     kind = np.array([[0, 1, 0], [1, 1, 0]])
-    one = TissueDynamics(make_mixed_tissue([cell], [at_rest], 0 * kind))
-    two = TissueDynamics(make_mixed_tissue([cell, cell], [at_rest] * 2, kind))
+    one = TissueDynamics(make_tissue([cell], [at_rest], 0 * kind))
+    two = TissueDynamics(make_tissue([cell, cell], [at_rest] * 2, kind))
     x, v = shaken(one.tissue)
     found = []
     for dynamics in (one, two):
@@ -73,4 +73,4 @@ def test_mirrored_types_have_mirrored_forces(types):
 def test_cells_that_cannot_meet_are_refused(types, change):
     cell, at_rest = types[0][0], types[1][0]
     with pytest.raises(InputError, match=rf"^cell\.{next(iter(change))}: .* must share it"):
-        make_mixed_tissue([cell, replace(cell, **change)], [at_rest] * 2, np.array([[0, 1]]))
+        make_tissue([cell, replace(cell, **change)], [at_rest] * 2, np.array([[0, 1]]))

@@ -321,33 +321,6 @@ def test_stiff_plate_shortens_the_step(reference):
     assert abs(done.energies["balance"]).max() < 1e-3 * done.energies["motion"].max()
 
 
-def test_supports_that_contradict_are_named(reference):
-    other = PrescribedMotion(name="other", on="top", displacement=(0.0, 1.0), amplitude=SMOOTH)
-    problem = replace(PRESSED, bodies=(), conditions=(Fixed(name="clamp", on="left"), other))
-    with pytest.raises(
-        InputError, match=r"^other: component y of the particle at \(0, 50\) µm; cl"
-    ):
-        run(reference, problem)
-
-
-def test_region_without_plant_cells_is_named(reference):
-    held = Fixed(name="held", on="seam")
-    seam = Box((18.0, 0.0), (20.0, 50.0))
-    problem = Problem(
-        mesh=rectangle(50.0, 50.0, (4, 4)), conditions=(held,), regions={"seam": seam}
-    )
-    with pytest.raises(InputError, match=r"^region seam: it holds the middle of no plant cell"):
-        run(reference, problem)
-
-
-def test_boundary_without_particles_is_named(reference):
-    patch, upper = Box((2.6, 49.0), (4.9, 51.0)), replace(UPPER, on="patch")
-    mesh = rectangle(50.0, 50.0, (50, 1))
-    problem = Problem(mesh=mesh, conditions=(), bodies=(upper,), boundaries={"patch": patch})
-    with pytest.raises(InputError, match=r"^boundary patch: it holds no wall particle"):
-        run(reference, problem)
-
-
 def test_sides_and_elements_of_a_mesh_pick_what_regions_of_the_plane_do(reference):
     """A boundary and a region of a mesh alone, against the same ones stated by the plane."""
     parts = {"corner": Box((-1.0, 25.0), (1.0, 50.0))}, {"core": Box((25.0, 0.0), (50.0, 25.0))}
@@ -370,11 +343,30 @@ def test_sides_and_elements_of_a_mesh_pick_what_regions_of_the_plane_do(referenc
     )
 
 
-@pytest.mark.parametrize("move", [(1.0, 0.0), (0.0, 0.0)], ids=["away", "not rectangular"])
-def test_mesh_that_is_no_rectangle_at_the_origin_is_named(reference, move):
-    mesh = rectangle(50.0, 50.0, (2, 2))
-    points = mesh.p + np.array(move)[:, None]
-    points[0, points.argmax(axis=1)[0]] += 0.0 if any(move) else 5.0
-    problem = replace(PRESSED, mesh=replace(mesh, doflocs=points))
-    with pytest.raises(InputError, match=r"^mesh: a full tissue needs a rectangle \[0, width\]"):
-        run(reference, problem)
+GRIP = PrescribedMotion(name="other", on="top", displacement=(0.0, 1.0), amplitude=SMOOTH)
+CLAMP = Fixed(name="clamp", on="left")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"conditions": (CLAMP, GRIP)}, r"other: component y of the particle at \(0, 50\) µm; cl"),
+        (
+            {"conditions": (Fixed(name="held", on="seam"),), "mesh": rectangle(50.0, 50.0, (4, 4)),
+             "regions": {"seam": Box((18.0, 0.0), (20.0, 50.0))}},
+            "region seam: it holds the middle of no plant cell",
+        ),
+        (
+            {"bodies": (replace(UPPER, on="patch"),), "mesh": rectangle(50.0, 50.0, (50, 1)),
+             "boundaries": {"patch": Box((2.6, 49.0), (4.9, 51.0))}},
+            "boundary patch: it holds no wall particle",
+        ),
+        (
+            {"mesh": replace(PRESSED.mesh, doflocs=PRESSED.mesh.p + 1.0)},
+            r"mesh: a full tissue needs a rectangle \[0, width\]",
+        ),
+    ],
+)  # fmt: skip
+def test_what_a_tissue_cannot_bear_is_named(reference, changes, message):
+    with pytest.raises(InputError, match=f"^{message}"):
+        run(reference, replace(PRESSED, **{"bodies": (), **changes}))

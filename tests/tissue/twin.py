@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.plant_cell.twin import spline, spline_slope
+from tests.plant_cell.twin import densities, pair_forces
 
 
 class TissueTwin:
@@ -60,65 +60,35 @@ class TissueTwin:
         return sum(0 <= a < n and 0 <= b < m for a, b in around) / len(around)
 
     def _sort_pairs(self):
-        """Factor of every pair (i < j): bonds, contacts, and which fluid shares a cell."""
+        """Every pair (i < j) by kind, and its share: bonds, contacts, fluid of one cell."""
         n, m = self.cells
-        count, walls, per_side = len(self.start), self.walls, self.per_side
-        self.i, self.j = np.triu_indices(count, 1)
-        both_walls = self.j < walls
-        first, second = self.grid[self.i[both_walls]], self.grid[self.j[both_walls]]
-        factor = np.ones(len(first))
+        walls, per_side = self.walls, self.per_side
+        i, j = np.triu_indices(len(self.start), 1)
+        both_walls, fluid = j < walls, i >= walls
+        first, second = self.grid[i[both_walls]], self.grid[j[both_walls]]
+        share = np.ones(len(i))
         for axis, last in ((0, n * per_side), (1, m * per_side)):
             for edge in (0, last):
-                factor[(first[:, axis] == edge) & (second[:, axis] == edge)] = 0.5
-        bonded = abs(first - second).sum(axis=1) == 1
-        self.bond, self.contact = np.zeros(len(self.i)), np.zeros(len(self.i))
-        self.bond[both_walls] = factor * bonded
-        self.contact[both_walls] = factor * ~bonded
-        mixed = (self.i < walls) & (self.j >= walls)
-        lower = self.home[self.j[mixed] - walls] * per_side
-        at = self.grid[self.i[mixed]]
-        self.contact[mixed] = ((at >= lower) & (at <= lower + per_side)).all(axis=1)
-        fluid = self.i >= walls
-        same = (self.home[self.i[fluid] - walls] == self.home[self.j[fluid] - walls]).all(axis=1)
-        self.fluid = np.zeros(len(self.i))
-        self.fluid[fluid] = same
+                on_edge = (first[:, axis] == edge) & (second[:, axis] == edge)
+                share[np.flatnonzero(both_walls)[on_edge]] = 0.5
+        bonded = np.zeros(len(i), dtype=bool)
+        bonded[both_walls] = abs(first - second).sum(axis=1) == 1
+        mixed = ~both_walls & ~fluid
+        touching = both_walls & ~bonded
+        lower, at = self.home[j[mixed] - walls] * per_side, self.grid[i[mixed]]
+        touching[mixed] = ((at >= lower) & (at <= lower + per_side)).all(axis=1)
+        same = np.zeros(len(i), dtype=bool)
+        same[fluid] = (self.home[i[fluid] - walls] == self.home[j[fluid] - walls]).all(axis=1)
+        kinds = {"bond": bonded, "contact": touching, "fluid": same}
+        self.pairs = {kind: (i[of], j[of], share[of], 0.0, 0.0) for kind, of in kinds.items()}
 
     def evaluate(self, x, v):
         """f (n, 2), elastic energy and power lost to damping."""
-        c, i, j = self.cell, self.i, self.j
-        r, w = x[j] - x[i], v[j] - v[i]
-        length = np.hypot(*r.T)
-        unit = r / length[:, None]
-        rate = (unit * w).sum(axis=1)
-        stretch = length - self.rest_length
-        gamma = 2.0 * np.sqrt(c.wall_particle_mass * c.wall_stiffness) * c.wall_damping_ratio
-        force = self.bond * (c.wall_stiffness * stretch + gamma * rate)
-        energy = (self.bond * 0.5 * c.wall_stiffness * stretch**2).sum()
-        lost = (self.bond * gamma * rate**2).sum()
-
-        x0, strength = c.repulsion_cutoff, c.repulsion_strength
-        touching = self.contact * (length < x0)
-        damping = 2.0 * np.sqrt(6.0 * strength * c.wall_particle_mass / length**7)
-        damping *= (1.0 - (length / x0) ** 6) * c.contact_damping_ratio
-        force -= touching * (strength * (length**-6 - x0**-6) - damping * rate)
-        stored = strength * (length**-5 / 5 + length * x0**-6 - 1.2 * x0**-5)
-        energy += (touching * stored).sum()
-        lost += (touching * damping * rate**2).sum()
-        total = force[:, None] * unit
-
-        m, h = c.fluid_particle_mass, c.smoothing_length
-        fluid = self.fluid > 0
-        density = np.full(len(x), m * spline(0.0, h))
-        for k in (i, j):
-            np.add.at(density, k[fluid], m * spline(length[fluid], h))
-        energy += m * c.sound_speed**2 * np.log(density[self.walls :]).sum()
-        slope = m * m * spline_slope(length, h) / length * self.fluid
-        per = 1.0 / density
-        pressure = slope * c.sound_speed**2 * (per[i] + per[j])
-        viscous = -2.0 * c.viscosity * slope * per[i] * per[j]
-        total += pressure[:, None] * r + viscous[:, None] * w
-        lost += (viscous * (w * w).sum(axis=1)).sum()
-        f = np.zeros_like(x)
-        np.add.at(f, i, total)
-        np.add.at(f, j, -total)
+        c, f, lost = self.cell, np.zeros_like(x), 0.0
+        density = densities(c, x, self.pairs["fluid"])[self.walls :]
+        energy = c.fluid_particle_mass * c.sound_speed**2 * np.log(density).sum()
+        for _, i, j, _, force, stored, power in pair_forces(c, self.rest_length, x, v, self.pairs):
+            np.add.at(f, i, force)
+            np.add.at(f, j, -force)
+            energy, lost = energy + stored.sum(), lost + power.sum()
         return f, energy, lost
