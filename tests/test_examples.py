@@ -15,7 +15,7 @@ import skfem
 from surrofe2 import CellParameters, Fixed, Problem, RveLaw, Traction, find_rest, simulate
 from surrofe2.problem.amplitude import Constant
 from surrofe2.recipe.recipe import load_recipe
-from surrofe2.workflow.comparison import compare_runs
+from surrofe2.report.comparison import compare_runs
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.laws import law_by_region
 from surrofe2.workflow.rest import rest_study

@@ -8,9 +8,9 @@ from shutil import copy
 import pytest
 
 from surrofe2.recipe.recipe import load_recipe
+from surrofe2.report.comparison import compare_runs
 from surrofe2.store.surrogates import read_surrogate
 from surrofe2.surrogate.settings import CalibrationSettings
-from surrofe2.workflow.comparison import compare_runs
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.train import train_surrogate

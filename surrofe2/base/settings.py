@@ -36,6 +36,7 @@ REMOVED: dict[str, str] = {
     "walks now",
     "calibration.corners": "leave it out; a quarter of the walks end in corners",
     "calibration.small": "leave it out; a quarter of the walks stay near rest",
+    "samples.add": "leave it out; give harvests to `surrofe2 train --add`",
     "calibration.share": "call it calibration.alpha",
 }
 """Keys that recipes had in earlier versions, as "section.key", and what to do instead."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,7 +14,6 @@ from surrofe2.cli import console
 from surrofe2.questions import memory as memory_of
 from surrofe2.questions import moduli as moduli_of
 from surrofe2.questions import stability as stability_of
-from surrofe2.questions.memory import MemorySettings
 from surrofe2.report.study import NamedCell, Study, keep_study
 from surrofe2.rve import INITIALISATIONS
 from surrofe2.store.store import keep
@@ -29,9 +28,6 @@ def moduli(
         float | None,
         typer.Option(metavar="MPa", help="Wanted turgor instead of the fluid's mass."),
     ] = None,
-    tables: Annotated[
-        bool, typer.Option("--tables", help="Also how they change with turgor, walls, particles.")
-    ] = False,
     memory: Annotated[
         Path | None,
         typer.Option(
@@ -43,7 +39,7 @@ def moduli(
     period: Annotated[
         float,
         typer.Option(metavar="µs", help="--memory: period of the fastest motion expected."),
-    ] = MemorySettings().period,
+    ] = memory_of.PERIOD,
     stability: Annotated[
         Path | None,
         typer.Option(
@@ -59,38 +55,43 @@ def moduli(
     From the exact tangents of the stress at F = I. The turgor is the mean of c_s² ρ over the fluid
     particles, over the tissue's thickness; it is set by the fluid's mass.
 
-    Example: surrofe2 moduli --cell water --tables
+    Example: surrofe2 moduli --cell water
     """
     of = NamedCell.of(cell)
     if turgor is not None:
         of = NamedCell(moduli_of.with_turgor(of.cell, turgor), of.name, of.source)
 
-    def make() -> dict[str, Any]:
-        return _moduli(of, initialisation, tables)
-
+    was_there = False
     if out is None:
-        make()
-        was_there = False
+        _moduli(of, initialisation)
     else:
-        identity = of.identity({"initialisation": initialisation, "tables": tables})
+        identity = of.identity({"initialisation": initialisation})
+        make = partial(_moduli, of, initialisation)
         _, was_there = keep(out, identity, make, fresh=fresh)
     if was_there:
         console.print_line(f"{out}: there already")
     else:
         console.done(out, f"elastic and viscous, of {of}")
     if memory is not None:
-        settings = MemorySettings(period=period)
-
-        def remember(progress: Callable[[float], None]) -> Study:
-            return memory_of.describe(memory_of.memory(of.cell, settings, progress=progress))
-
-        _study("memory", of, memory, asdict(settings), fresh, remember)
+        _study(
+            "memory",
+            of,
+            memory,
+            {"period": period},
+            fresh,
+            lambda progress: memory_of.describe(
+                memory_of.memory(of.cell, period, progress=progress)
+            ),
+        )
     if stability is not None:
-
-        def chart(progress: Callable[[float], None]) -> Study:
-            return stability_of.stability(of.cell, progress=progress)
-
-        _study("stability", of, stability, {}, fresh, chart)
+        _study(
+            "stability",
+            of,
+            stability,
+            {},
+            fresh,
+            lambda progress: stability_of.stability(of.cell, progress=progress),
+        )
 
 
 def _study(
@@ -120,35 +121,22 @@ def _study(
     console.print_line(f"{folder}: {files}")
 
 
-def _moduli(of: NamedCell, initialisation: str, tables: bool) -> dict[str, Any]:
+def _moduli(of: NamedCell, initialisation: str) -> dict[str, Any]:
     """Compute and show them; what a file says of them."""
-    names = INITIALISATIONS if initialisation == "all" else (initialisation,)
-    method = "slow-manifold" if initialisation == "all" else initialisation
-    found, over = {}, {}
-    with console.on_interrupt("nothing was changed"), console.stages() as stage:
-        with stage("moduli", len(names), "initialisations") as report:
-            pressure = moduli_of.turgor(of.cell)
-            for name in names:
-                found[name] = moduli_of.cell_moduli(of.cell, name)
-                report(len(found), "")
-        for name, change in moduli_of.CHANGES.items() if tables else ():
-            values = change[1](of.cell)
-            with stage(f"over {name}", len(values), "plant cells") as report:
-                over[name] = moduli_of.changed_cells(of.cell, method, change, values, report)
+    names, found = INITIALISATIONS if initialisation == "all" else (initialisation,), {}
+    with console.working("moduli", len(names), "initialisations", "nothing was changed") as report:
+        pressure = moduli_of.turgor(of.cell)
+        for name in names:
+            found[name] = moduli_of.cell_moduli(of.cell, name)
+            report(len(found), "")
     console.print_line(
         f"{of}, fluid particles of {of.cell.fluid_particle_mass:.5g} ng: turgor "
         f"{pressure.mean:.4g} MPa (mean of c_s² ρ), {pressure.virial:.4g} MPa (virial of the "
         f"fluid), {pressure.walls:.4g} MPa (carried by the walls)"
     )
     shown = moduli_of.moduli_tables(of.cell, found)
-    shown |= {f"Over {name}, {method}: MPa, MPa µs": table for name, table in over.items()}
     for title, table in shown.items():
         console.show_table(title, table)
-    for name, table in over.items():
-        for row in table.rows:
-            if "trouble" in row:
-                value = row[moduli_of.CHANGES[name][0]]
-                console.print_line(f"{name} {value:.4g}: {row['trouble']}")
     return {
         "fingerprint": of.cell.fingerprint,
         "turgor_mean_MPa": pressure.mean,

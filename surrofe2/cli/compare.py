@@ -8,9 +8,8 @@ from typing import Annotated
 import typer
 
 from surrofe2.cli import console
-from surrofe2.report.comparison import Comparison, audit_sentence
+from surrofe2.report.comparison import COMPARISON_FILES, Comparison, audit_sentence, compare_runs
 from surrofe2.store.run_folder import caches_of
-from surrofe2.workflow.comparison import COMPARISON_FILES, compare_runs, missing_notes
 
 REPORT = "report.html"
 
@@ -42,8 +41,6 @@ def compare(
     folder = runs[0].parent / "comparison" if out is None else out
     if len(runs) > 1:
         show_comparison(compare_runs(runs, folder, fresh=fresh))
-        for message in missing_notes(runs):
-            console.print_line(message)
     page = write_report(runs, folder / REPORT)
     files = [*COMPARISON_FILES, page.name] if len(runs) > 1 else [page.name]
     console.done(folder, ", ".join(files))

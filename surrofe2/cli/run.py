@@ -57,10 +57,6 @@ def run(
             "the same cell are merged. Default: an empty one.",
         ),
     ] = None,
-    no_harvest: Annotated[
-        bool,
-        typer.Option("--no-harvest", help="Do not keep the RVE stresses in DIR/harvest.h5."),
-    ] = False,
     cell_fields: Annotated[
         bool,
         typer.Option(
@@ -70,13 +66,6 @@ def run(
         ),
     ] = False,
     initialisation: console.Initialisation = None,
-    solver: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="How constrained runs are solved, direct or iterated; default: the recipe's.",
-        ),
-    ] = None,
     integrator: Annotated[
         Literal["explicit", "implicit"] | None,
         typer.Option(
@@ -118,7 +107,7 @@ def run(
         study = open_study(recipe, threads)
         study = replace(
             study,
-            rve=changed(study.rve, initialisation=initialisation, solver=solver),
+            rve=changed(study.rve, initialisation=initialisation),
             cache=changed(study.cache, tolerance=tolerance, audit=audit),
             macro=changed(study.macro, integrator=integrator),
         )
@@ -129,7 +118,6 @@ def run(
                 out,
                 surrogates=files_by_cell(study, surrogate or ()),
                 tables=table or (),
-                harvest=not no_harvest,
                 fresh=fresh,
                 report=report,
             )

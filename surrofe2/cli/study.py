@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -25,9 +24,8 @@ from surrofe2.workflow.workers import executor_of
 def new(
     name: Annotated[Path, typer.Argument(metavar="NAME", help="Of the recipe, .toml is added.")],
     example: Annotated[
-        str | None,
-        typer.Option(metavar="KIND", help=f"{', '.join(KINDS)}; default: you are asked."),
-    ] = None,
+        str, typer.Option(metavar="KIND", help=f"{', '.join(KINDS)}; default: bar.")
+    ] = "bar",
     fresh: console.Fresh = False,
 ) -> None:
     """Write a recipe to start from, with unit and meaning of each key.
@@ -40,26 +38,11 @@ def new(
 
     Next: surrofe2 check press.toml
     """
-    kind = _chosen_kind() if example is None else example
     path = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
-    first, *others = write_recipe(path, kind, fresh=fresh)
+    first, *others = write_recipe(path, example, fresh=fresh)
     beside = "".join(f", with {other}" for other in others)
-    console.done(first, f"recipe of {KINDS[kind]}{beside}", timed=False)
+    console.done(first, f"recipe of {KINDS[example]}{beside}", timed=False)
     console.print_line(f"next: surrofe2 check {path}, after changes; then generate, train, run")
-
-
-def _can_ask() -> bool:
-    return sys.stdin.isatty() and not console.is_quiet()
-
-
-def _chosen_kind() -> str:
-    """The kind that the user chooses by its number or name."""
-    if not _can_ask():
-        raise InputError(f"--example: missing; it must be one of {', '.join(KINDS)}")
-    for k, (kind, about) in enumerate(KINDS.items(), 1):
-        console.print_line(f"{k}  {kind:8} {about}")
-    answer = str(typer.prompt("Which kind of problem", default="1"))
-    return list(KINDS)[int(answer) - 1] if answer in map(str, range(1, len(KINDS) + 1)) else answer
 
 
 def check(

@@ -12,7 +12,7 @@ All are two-dimensional; divided by the thickness of the tissue they are in MPa 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,9 +27,6 @@ from surrofe2.rve import RveLaw
 from surrofe2.rve.particles import look_into
 
 Array = NDArray[np.float64]
-
-FACTORS = (0.5, 0.75, 1.0, 1.5, 2.0)
-"""Of turgor and wall stiffness in the tables."""
 
 MODULI: Mapping[str, Callable[[Array], float]] = {
     "C11": lambda C: C[0, 0],
@@ -143,104 +140,11 @@ def moduli_tables(cell: CellParameters, found: Mapping[str, CellModuli]) -> dict
                 {"initialisation": method, **_moduli_of(getattr(each, kind) / over)}
                 for method, each in found.items()
             ]
-            columns = Quantity("initialisation", "", ""), *_columns(MODULI)
+            columns: list[Quantity[Any]] = [Quantity("initialisation", "", "")]
+            columns += [Quantity(name, "", ".4g") for name in MODULI]
             tables[f"{kind.capitalize()} moduli, {of}{unit}"] = Table(columns, rows)
     return tables
 
 
-def _columns(shown: Container[str], kind: str = "") -> list[Quantity[Any]]:
-    """One for each modulus; `kind` goes before the name."""
-    return [Quantity(f"{kind}{k}", "", ".4g" if k in shown else None) for k in MODULI]
-
-
-def _moduli_of(C: Array, kind: str = "") -> dict[str, float]:
-    return {f"{kind}{name}": float(modulus(C)) for name, modulus in MODULI.items()}
-
-
-def with_wall_springs(cell: CellParameters, n: float) -> CellParameters:
-    """n springs per side, the wall as a whole kept: stiffness ∝ n, particle mass and λ ∝ 1/n.
-
-    Repulsion between second neighbours along a wall grows with n all the same, for its cut-off
-    does not shrink with the spacing.
-    """
-    r = n / cell.wall_springs_per_side
-    return replace(
-        cell,
-        wall_springs_per_side=int(n),
-        wall_stiffness=cell.wall_stiffness * r,
-        wall_particle_mass=cell.wall_particle_mass / r,
-        repulsion_strength=cell.repulsion_strength / r,
-    )
-
-
-def with_fluid_particles(cell: CellParameters, n: float) -> CellParameters:
-    """n fluid particles per side, the fluid as a whole kept: mass and λ ∝ 1/n², h ∝ 1/n."""
-    r = n / cell.fluid_particles_per_side
-    return replace(
-        cell,
-        fluid_particles_per_side=int(n),
-        fluid_particle_mass=cell.fluid_particle_mass / r**2,
-        smoothing_length=cell.smoothing_length / r,
-        repulsion_strength=cell.repulsion_strength / r**2,
-    )
-
-
-Change = tuple[str, Callable[[CellParameters], Sequence[float]], Callable[..., CellParameters]]
-"""A parameter that is changed: heading with unit, values about a cell's own, cell of a value."""
-CHANGES: Mapping[str, Change] = {
-    "turgor": ("turgor (MPa)", lambda cell: [k * turgor(cell).mean for k in FACTORS], with_turgor),
-    "wall stiffness": (
-        "wall stiffness (N/m)",
-        lambda cell: [k * cell.wall_stiffness for k in FACTORS],
-        lambda cell, stiffness: replace(cell, wall_stiffness=stiffness),
-    ),
-    "wall particles": ("wall springs per side", lambda cell: (6, 8, 10, 12, 14), with_wall_springs),
-    "fluid particles": (
-        "fluid particles per side",
-        lambda cell: (2, 4, 6, 8),
-        with_fluid_particles,
-    ),
-}
-"""Turgor by the fluid's mass; the damping constant of the wall follows its stiffness (eq. 1)."""
-
-
-def changed_cells(
-    cell: CellParameters,
-    initialisation: str,
-    change: Change,
-    values: Sequence[float],
-    progress: Callable[[float], None] = lambda done: None,
-) -> Table[Mapping[str, Any]]:
-    """Moduli over a parameter in MPa and MPa µs; those of some are in files alone.
-
-    Args:
-        change: one of `CHANGES`.
-        progress: called with the number of values that are done.
-    """
-    (heading, _, make), t = change, cell.tissue_thickness
-    rows: list[Mapping[str, Any]] = []
-    for value in values:
-        try:
-            new = make(cell, value)
-            found, pressure = cell_moduli(new, initialisation), turgor(new)
-            computed = {
-                "mean turgor": pressure.mean,
-                "virial turgor": pressure.virial,
-                "l₀/spring": RveLaw(new).rest_length / new.spring_length,
-                **_moduli_of(found.elastic / t),
-                **_moduli_of(found.viscous / t, "viscous "),
-            }
-            rows.append({heading: value, **computed})
-        except InputError as error:
-            rows.append({heading: value, "trouble": str(error)})
-        progress(len(rows))
-    columns: list[Quantity[Mapping[str, Any]]] = [
-        Quantity(heading, "", ".4g"),
-        Quantity("mean turgor", "MPa", ".4g"),
-        Quantity("virial turgor", "MPa", None),
-        Quantity("l₀/spring", "", ".4g"),
-        *_columns(("bulk", "shear", "shear 45°", "young")),
-        *_columns(("shear",), "viscous "),
-        Quantity("trouble", "", None),
-    ]
-    return Table(columns, rows)
+def _moduli_of(C: Array) -> dict[str, float]:
+    return {name: float(modulus(C)) for name, modulus in MODULI.items()}

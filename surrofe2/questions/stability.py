@@ -45,7 +45,6 @@ WAYS: Mapping[str, tuple[tuple[float, float, float], float]] = {
 
 _BATCH, _MARCH, _CLOSE = 128, 2.5e-3, 1e-5
 
-
 PLANES: Mapping[str, tuple[str, str, tuple[int, int], tuple[float, float]]] = {
     "stretch": ("no shear", "stretch $F_{yy}$", (1, 1), STRETCH),
     "shear": ("$F_{yy}$ = 1", "shear $F_{xy}$", (0, 1), SHEAR),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -29,7 +29,7 @@ REST = "rest"
 """As a region of a cell: what no other cell fills, unless the mesh has a region of that name."""
 SECTIONS = ("range", "samples", "training")
 """Sections that a cell may have; what they leave out is as in the recipe's section."""
-_OWN = (("samples", "file"), ("samples", "add"), ("training", "file"))
+_OWN = (("samples", "file"), ("training", "file"))
 """Files that cells cannot share."""
 ALIASES = {"ghysels2009": "printed", "ghysels2009-light": "water"}
 """Presets by the paper that they are of."""
@@ -49,7 +49,6 @@ class SampleSettings:
     seed: int = setting(1, "of the sequence", least=0)
     tangents: bool = setting(False, "whether ∂P/∂F and ∂P/∂Ḟ are sampled with the stress")
     file: str | None = setting(None, "of the data set, relative to the recipe")
-    add: tuple[str, ...] = setting((), "harvests that training takes in besides the data set")
 
     def __post_init__(self) -> None:
         check_settings(self, "samples")
@@ -144,28 +143,38 @@ def _cell_type(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]])
         raise InputError(where, f"{quoted(name)}; a name must be of letters, digits, _ and -")
     if not isinstance(entries, dict):
         raise InputError(where, f"{quoted(entries)}; it must be a section [{where}]")
-    entries, sections, regions = dict(entries), dict[str, Mapping[str, Any]](shared), ()
-    if name:
+    extras = ("preset", "regions", *SECTIONS) if name else ("preset",)
+    constants = {key: value for key, value in entries.items() if key not in extras}
+    preset = entries.get("preset", "printed")
+    preset, cell = faults.take(_cell, constants, preset, where, extras) or ("", None)
+    regions = faults.take(_regions, entries.get("regions", [name]), where) if name else ()
+    sections = dict(shared)
+    for section in SECTIONS if name else ():
         with faults.noted():
-            stated = entries.pop("regions", [name])
-            regions = check_value(f"{where}.regions", stated, tuple[str, ...], {})
-            if not regions:
-                raise InputError(f"{where}.regions", "[]; it must name a region of the mesh")
-        for section in SECTIONS:
-            with faults.noted():
-                own = entries.pop(section, {})
-                check_table(f"{where}.{section}", own)
-                if merged := {**shared.get(section, {}), **own}:
-                    sections[section] = merged
-    with faults.noted():
-        preset = check_value(f"{where}.preset", entries.pop("preset", "printed"), str, {})
-        preset = ALIASES.get(preset, preset)
-        extras = ("preset", "regions", *SECTIONS) if name else ("preset",)
-        make = partial(CellParameters.preset, preset)
-        cell = build(make, entries, where, extras, of=CellParameters)
+            own = entries.get(section, {})
+            check_table(f"{where}.{section}", own)
+            if merged := {**shared.get(section, {}), **own}:
+                sections[section] = merged
     settings = faults.take(_settings, sections, f"{where}." if name else "")
     faults.check()
     return CellType(preset=preset, cell=cell, regions=regions, **settings)
+
+
+def _cell(
+    constants: Mapping[str, Any], preset: Any, where: str, extras: tuple[str, ...]
+) -> tuple[str, Any]:
+    """A preset and the plant cell that it is with other constants."""
+    preset = check_value(f"{where}.preset", preset, str, {})
+    preset = ALIASES.get(preset, preset)
+    make = partial(CellParameters.preset, preset)
+    return preset, build(make, constants, where, extras, of=CellParameters)
+
+
+def _regions(stated: Any, where: str) -> tuple[str, ...]:
+    regions: tuple[str, ...] = check_value(f"{where}.regions", stated, tuple[str, ...], {})
+    if not regions:
+        raise InputError(f"{where}.regions", "[]; it must name a region of the mesh")
+    return regions
 
 
 def _settings(sections: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, Any]:
@@ -190,22 +199,25 @@ def points_of_cells(mesh: skfem.Mesh, types: Mapping[str, CellType]) -> dict[str
     Raises:
         InputError: there is no such region, or an element is of no cell or of two.
     """
-    filled, rests = {}, []
+    known, filled = mesh.subdomains or {}, dict[str, Index]()
     for name, each in types.items():
-        known = mesh.subdomains or {}
         parts = [part for part in each.regions if part in known or part != REST]
-        rests += [name] * (not each.regions or len(parts) < len(each.regions))
         inside = [region(mesh, part, f"cells.{name}.regions") for part in parts]
         filled[name] = np.unique(np.concatenate([np.zeros(0, np.int64), *inside]))
     others = np.setdiff1d(np.arange(mesh.nelements), np.concatenate([*filled.values()]))
-    for name in rests:
-        filled[name] = np.union1d(filled[name], others)
-    for name, elements in filled.items():
-        if not elements.size:
+    for name, each in types.items():
+        if _takes_rest(each, known):
+            filled[name] = np.union1d(filled[name], others)
+        if not filled[name].size:
             raise InputError(
                 f"cells.{name}.regions", f"{REST}; the other cells fill the whole mesh"
             )
     return points_by_region(mesh.with_subdomains(filled), tuple(filled), "cells")
+
+
+def _takes_rest(cell: CellType, known: Container[str]) -> bool:
+    """Whether a cell fills what no other does."""
+    return not cell.regions or (REST in cell.regions and REST not in known)
 
 
 def kinds_of_cells(
@@ -234,7 +246,7 @@ def kinds_of_cells(
                 )
             kind[inside] = k
     for k, each in enumerate(types.values()):
-        if not each.regions or (REST in each.regions and REST not in known):
+        if _takes_rest(each, known):
             kind[kind < 0] = k
     if (kind < 0).any():
         raise InputError("cells", f"none fills the plant cell at {at(kind < 0)}; give it a type")

@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from copy import deepcopy
 from typing import Any
 
@@ -18,7 +18,8 @@ from surrofe2.base.settings import unknown
 _NAMED = ("cells", "conditions", "bodies", "watch")
 """Sections in which users name what there is."""
 _SPAN = re.compile(r"([^:]+):([^:]+):(\d{1,6})(:log)?")
-_PAIRS = {"]": "[", "}": "{"}
+_PART = re.compile(r"""(?:"[^"]*"|'[^']*'|\[(?:\[[^\]]*\]|[^\]])*\]|\{[^}]*\}|[^,])+""")
+"""What stands between commas that are in no quotes and brackets."""
 _LONGEST = 120
 """Characters of a name of a file, but for its digest and its end."""
 
@@ -71,43 +72,22 @@ def listed_values(name: str, text: str) -> list[Any]:
     ratios.
 
     Args:
-        name: whose values they are, for the sentence.
+        name: whose values they are, for the message.
 
     Raises:
         InputError: there is none, one is there twice, or a span is not of numbers.
     """
-    values = [value for part in _parts(text) for value in _values(name, part)]
+    parts = _PART.findall(text)
+    if ",".join(parts) != text or not text:
+        raise InputError(f"{name}: {quoted(text)}; nothing stands between two commas")
+    values = [value for part in parts for value in _values(name, part.strip())]
     for k, value in enumerate(values):
         if value in values[:k]:
             raise InputError(f"{name}: {quoted(value)}; it is there twice")
-    if not values:
-        raise InputError(f"{name}: {quoted(text)}; it must be values between commas")
     return values
 
 
-def _parts(text: str) -> Iterator[str]:
-    """What stands between commas that are in no brackets and no quotes."""
-    part, brackets, quote = "", "", ""
-    for sign in text:
-        if quote:
-            quote = "" if sign == quote else quote
-        elif sign in "\"'":
-            quote = sign
-        elif sign in "[{":
-            brackets += sign
-        elif sign in "]}" and brackets.endswith(_PAIRS[sign]):
-            brackets = brackets[:-1]
-        if sign == "," and not (brackets or quote):
-            yield part.strip()
-            part = ""
-        else:
-            part += sign
-    yield part.strip()
-
-
 def _values(name: str, part: str) -> list[Any]:
-    if not part:
-        raise InputError(f"{name}: {quoted(part)}; nothing stands between two commas")
     if span := _SPAN.fullmatch(part):
         return _span(name, part, span)
     try:

@@ -200,10 +200,6 @@ class Recipe:
         """Where the trained surrogate lies."""
         return self._path_of("training", self.training_file, "trained surrogate (.h5)")
 
-    def added_paths(self) -> tuple[Path, ...]:
-        """Harvests that training takes in besides the data set."""
-        return tuple(Path(os.path.normpath(self.path.parent / name)) for name in self.samples.add)
-
     def _path_of(self, section: str, file: str | None, what: str) -> Path:
         if file is None:
             raise InputError(

@@ -16,8 +16,17 @@ from surrofe2.plant_cell.parameters import PRESETS
 from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.run.charts import Curve, Panel, draw_panels, encoded
 from surrofe2.run.displacement_curve import CurveDifference, DisplacementCurve, difference
-from surrofe2.store.run_folder import RunRecord, StoredRun, balance_of, caches_of, presets_of
-from surrofe2.store.store import flat, write_bytes
+from surrofe2.store.run_folder import (
+    RunRecord,
+    StoredRun,
+    balance_of,
+    caches_of,
+    presets_of,
+    read_run,
+)
+from surrofe2.store.store import digest, flat, keep, write_bytes
+
+COMPARISON_FILES = ("comparison.json", "comparison.png")
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,10 +106,6 @@ class Comparison:
                 rows.append(row | relative if force.scale else row)
         return Table(FORCE_QUANTITIES, rows)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for comparison.json."""
-        return asdict(self)
-
 
 def order_runs(runs: Sequence[StoredRun]) -> list[StoredRun]:
     """The reference first: the first full tissue, else by RVEs, else the first of all.
@@ -134,6 +139,22 @@ def compare(runs: Sequence[StoredRun]) -> Comparison:
                 )
     compared = (compared_run(run, reference) for run in (reference, *others))
     return Comparison(reference.name, load, next(compared), tuple(compared))
+
+
+def compare_runs(
+    folders: Sequence[str | Path], out: str | Path, *, fresh: bool = False
+) -> Comparison:
+    """Compare the runs in these folders; comparison.json and comparison.png go into `out`."""
+    out, runs = Path(out), [read_run(folder) for folder in folders]
+    result = compare(runs)
+    of = {run.name: digest(run.folder / "run.json")[:16] for run in runs}
+
+    def make() -> dict[str, Any]:
+        write_comparison_plot(out / COMPARISON_FILES[1], runs)
+        return asdict(result)
+
+    keep(out / COMPARISON_FILES[0], {"of": of}, make, folder=out, fresh=fresh)
+    return result
 
 
 def _load_of(run: StoredRun) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from surrofe2.macro import MetRange, simulate
 from surrofe2.macro.history import NO_EXTREMES, widen_extremes
 from surrofe2.recipe.recipe import Recipe, load_recipe
 from surrofe2.run.loop import Report, no_report
-from surrofe2.store.samples import check_harvest, read_data_set, read_harvest
+from surrofe2.store.samples import read_data_set
 from surrofe2.store.surrogates import check_surrogate, read_surrogate
 from surrofe2.surrogate.deformation_paths import WatchedLaw
 from surrofe2.workflow import laws
@@ -74,7 +74,6 @@ def study_faults(recipe: Recipe, kinds: Sequence[str], *, fresh: bool = False) -
             checks.append(part.sampling_range)
         if "cached" in kinds:
             checks += [part.data_path, part.training_path]
-            checks += [partial(_check_harvest, part, path) for path in part.added_paths()]
             checks += [] if fresh else [partial(_check_files, part)]
     faults = []
     for check in checks:
@@ -102,10 +101,6 @@ def _check_table(recipe: Recipe, kinds: Sequence[str]) -> None:
         raise InputError('rve.solver: "iterated"; tables need tangents, so "direct"')
     if "table" in kinds and recipe.macro.integrator == "implicit":
         raise InputError('macro.integrator: "implicit"; tables have no tangents; take "explicit"')
-
-
-def _check_harvest(part: Recipe, path: Path) -> None:
-    check_harvest(path, read_harvest(path), part.cell, part.rve.initialisation)
 
 
 def _check_files(part: Recipe) -> None:

@@ -18,10 +18,9 @@ from surrofe2.report.grid import Grid, grid_row, write_grid_plot
 from surrofe2.run.loop import Stage, no_stage
 from surrofe2.store.run_folder import read_run
 from surrofe2.store.store import locked_folder, write_json, write_text
-from surrofe2.workflow.generate import generate_data_set, wanted_count
 from surrofe2.workflow.laws import use_threads
 from surrofe2.workflow.run import run_study
-from surrofe2.workflow.train import is_trained, train_surrogate
+from surrofe2.workflow.train import is_trained, learn
 from surrofe2.workflow.workers import Processes
 
 GRID_FILES = ("grid.csv", "grid.json", "grid.png")
@@ -237,9 +236,7 @@ def _learn(threads: int | None, fresh: bool, task: GridTask, stage: Stage) -> No
     if task.is_own and is_trained(recipe):
         return
     fresh = fresh and not task.is_own
-    with stage(f"generate {name}", wanted_count(recipe, fresh=fresh), "samples") as report:
-        generate_data_set(recipe, fresh=fresh, report=report)
-    train_surrogate(recipe, fresh=fresh, stage=lambda what, *of: stage(f"{what} {name}", *of))
+    learn(recipe, fresh=fresh, stage=lambda what, *of: stage(f"{what} {name}", *of))
 
 
 def _run(out: Path, threads: int | None, fresh: bool, task: GridTask, stage: Stage) -> None:

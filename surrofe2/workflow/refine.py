@@ -37,9 +37,9 @@ from surrofe2.store.store import (
     write_json,
 )
 from surrofe2.workflow import laws
-from surrofe2.workflow.generate import CHUNK, generate_data_set, wanted_count
+from surrofe2.workflow.generate import CHUNK
 from surrofe2.workflow.run import HARVEST, of_cell, origin_of, run_study
-from surrofe2.workflow.train import STRESSES, Trained, train_surrogate
+from surrofe2.workflow.train import STRESSES, Trained, learn, train_surrogate
 
 Array = NDArray[np.float64]
 
@@ -224,9 +224,7 @@ def _train(recipe: Recipe, out: Path, done: Sequence[Round], k: int, stage: Stag
     name = recipe.cell_name
     recipe, grown = _learnt_from(recipe, out, done)
     if not grown:
-        with stage(f"generate {name}".strip(), wanted_count(recipe), "samples") as report:
-            generate_data_set(recipe, report=report)
-        return train_surrogate(recipe, stage=stage)
+        return learn(recipe, stage=stage)[1]
     return train_surrogate(
         recipe,
         add=[out / f"round-{row.round}" / of_cell(_NEW, name) for row in grown],

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.report.comparison import compare, order_runs
@@ -53,24 +52,12 @@ def load_runs(folders: Sequence[str | Path]) -> ReportData:
 def _load(run: StoredRun) -> RunData:
     folder = run.folder
     has_fields = (folder / f"{FIELDS}.h5").exists()
+    events = folder / EVENTS
+    lines = read_bytes(events).decode("utf-8").splitlines() if events.exists() else []
     zooms = sorted(folder.glob("zoom-*/zoom.png"))[:_MOST_PICTURES]
     return RunData(
         run=run,
         fields=read_fields(folder, [DISPLACEMENT_NAME], OF_ELEMENTS) if has_fields else None,
-        events=_events(folder / EVENTS),
+        events=[json.loads(line) for line in lines],
         particles={path.parent.name: read_bytes(path) for path in zooms},
     )
-
-
-def _events(path: Path) -> list[Mapping[str, Any]]:
-    """Whole lines of a log; what was cut off at its end is left out."""
-    if not path.exists():
-        return []
-    found: list[Mapping[str, Any]] = []
-    for line in read_bytes(path).decode("utf-8", "replace").splitlines():
-        try:
-            event = json.loads(line)
-        except ValueError:
-            continue
-        found += [event] if isinstance(event, dict) else []
-    return found

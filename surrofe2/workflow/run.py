@@ -92,7 +92,6 @@ def run_study(
     *,
     surrogates: Mapping[str, Path] = NO_FILES,
     tables: Sequence[Path] = (),
-    harvest: bool = True,
     fresh: bool = False,
     report: Report = no_report,
 ) -> RunRecord:
@@ -101,13 +100,12 @@ def run_study(
     Args:
         surrogates: files by name of the cell, instead of the recipe's.
         tables: files of tables to start from; the run's own are written into the folder.
-        harvest: whether RVE answers of a cached run are kept in the folder.
         report: called with the time reached in µs.
 
     Raises:
         SimulationError: the run could not be carried on; the folder holds it up to there.
     """
-    study = _Study(recipe, kind, folder, surrogates, tables, harvest)
+    study = _Study(recipe, kind, folder, surrogates, tables)
     with RunFolder.open(folder, study.record, study.store, fresh=fresh) as run:
         if run.is_finished:
             return run.record
@@ -142,7 +140,6 @@ class _Study:
         folder: Path,
         surrogates: Mapping[str, Path],
         tables: Sequence[Path],
-        harvest: bool,
     ) -> None:
         if kind == "table" and recipe.macro.integrator == "implicit":
             raise InputError(
@@ -151,7 +148,7 @@ class _Study:
             )
         self.recipe, self.folder, self.before = recipe, folder, seconds_compiling()
         self.harvests: dict[str, HarvestWriter] = {}
-        taker = self._harvest if harvest and kind in ("cached", "table") else lambda part: None
+        taker = self._harvest if kind in ("cached", "table") else lambda part: None
         problem = recipe.problem()
         chosen = choose_laws(recipe, kind, problem.mesh, surrogates, tables, taker)
         self.law, self.tables = chosen.law, chosen.tables

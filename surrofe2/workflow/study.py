@@ -7,15 +7,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from surrofe2.recipe.recipe import Recipe
-from surrofe2.report.comparison import Comparison
+from surrofe2.report.comparison import Comparison, compare_runs
 from surrofe2.run.loop import Stage
 from surrofe2.store.run_folder import RunRecord
 from surrofe2.workflow.check import refuse_faults
-from surrofe2.workflow.comparison import compare_runs
-from surrofe2.workflow.generate import data_summary, generate_data_set, wanted_count
+from surrofe2.workflow.generate import data_summary
 from surrofe2.workflow.report import write_report
 from surrofe2.workflow.run import run_study, run_summary
-from surrofe2.workflow.train import is_trained, large_errors, train_surrogate, training_summary
+from surrofe2.workflow.train import is_trained, large_errors, learn, training_summary
 
 log = logging.getLogger(__name__)
 
@@ -58,13 +57,8 @@ def run_recipe(
         if not (fresh or part.data_path().exists()) and is_trained(part):  # it needs no data set
             tell(f"{place(2)} surrogate {path}: already trained")
             continue
-        what, count = f"generate {part.cell_name}".rstrip(), wanted_count(part, fresh=fresh)
-        with stage(f"{place(1)} {what}", count, "samples") as report:
-            data = generate_data_set(part, fresh=fresh, report=report)
+        data, trained = learn(part, fresh=fresh, stage=stage)
         tell(f"{place(1)} data set {data.path}: {data_summary(data)}")
-        trained = train_surrogate(
-            part, fresh=fresh, stage=lambda what, *of: stage(f"{place(2)} {what}", *of)
-        )
         tell(f"{place(2)} surrogate {path}: {training_summary(trained)}; {trained.bound}")
         warning = large_errors(part, trained)
         if warning is not None:

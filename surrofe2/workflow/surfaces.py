@@ -97,22 +97,15 @@ def surface_record(problem: Problem) -> dict[str, Any]:
 def _law_record(law: SurfaceLaw) -> dict[str, Any]:
     if not isinstance(law, TabulatedSurface | SlabLaw):
         return {"kind": type(law).__name__}
-    record: dict[str, Any] = {
+    names = ["initialisation", "rows"]
+    if isinstance(law, TabulatedSurface):
+        names += ["stretch", "rate", "error", "spread"]
+    return {
         "kind": "slab" if isinstance(law, SlabLaw) else "table",
         "cell_fingerprint": law.cell.fingerprint,
         "outer_wall": law.cell.outer_wall,
-        "initialisation": law.initialisation,
+        **{name: getattr(law, name) for name in names},
     }
-    if law.rows:
-        record["rows"] = law.rows
-    if isinstance(law, TabulatedSurface):
-        record |= {
-            "stretch": law.stretch,
-            "rate": law.rate,
-            "error": law.error,
-            "spread": law.spread,
-        }
-    return record
 
 
 def surface_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:

@@ -31,7 +31,13 @@ from surrofe2.workflow.calibrate import (
     shaped_bound,
     shaping_truths,
 )
-from surrofe2.workflow.generate import counts_of, training_samples
+from surrofe2.workflow.generate import (
+    Generated,
+    counts_of,
+    generate_data_set,
+    training_samples,
+    wanted_count,
+)
 
 if TYPE_CHECKING:
     from surrofe2.surrogate.training import TrainingState
@@ -76,7 +82,7 @@ def train_surrogate(
 
     Args:
         fresh: start over, whatever is there.
-        add: harvests to train on too, besides those that the recipe names.
+        add: harvests to train on too.
         range: of the surrogate, where it is not the recipe's.
         stage: begins the display of a stage.
 
@@ -86,10 +92,10 @@ def train_surrogate(
     if find_spec("torch") is None:
         raise InputError("training needs PyTorch, which is not installed: pip install torch")
     path, unfinished = recipe.training_path(), unfinished_training(recipe)
-    counts, harvests = counts_of(recipe), [*recipe.added_paths(), *add]
+    counts = counts_of(recipe)
 
     def take(count: int) -> StressSamples:
-        samples = training_samples(recipe, count, harvests, stage=stage)
+        samples = training_samples(recipe, count, add, stage=stage)
         return samples if range is None else replace(samples, range=range)
 
     surrogate, begun, fingerprint = None, _Begun(), ""
@@ -137,7 +143,7 @@ def train_surrogate(
             surrogate = replace(
                 surrogate,
                 reference=read_reference(recipe.data_path(), recipe.cell),
-                seconds={**_seconds_of_data(recipe, harvests), "training": seconds},
+                seconds={**_seconds_of_data(recipe, add), "training": seconds},
             )
             write_surrogate(surrogate, path)
             remove(unfinished)
@@ -147,6 +153,16 @@ def train_surrogate(
         surrogate = replace(surrogate, seconds={**surrogate.seconds, "calibration": meter.seconds})
         write_surrogate(surrogate, path)
     return trained(surrogate, kept=False)
+
+
+def learn(
+    recipe: Recipe, *, fresh: bool = False, stage: Stage = no_stage
+) -> tuple[Generated, Trained]:
+    """Make the data set and the surrogate of a recipe's cell, whatever is missing of both."""
+    what, count = f"generate {recipe.cell_name}".rstrip(), wanted_count(recipe, fresh=fresh)
+    with stage(what, count, "samples") as report:
+        data = generate_data_set(recipe, fresh=fresh, report=report)
+    return data, train_surrogate(recipe, fresh=fresh, stage=stage)
 
 
 def is_trained(recipe: Recipe) -> bool:

@@ -34,21 +34,15 @@ from surrofe2.workflow.laws import true_law
 
 Array = NDArray[np.float64]
 
+FIELDS_OF_MOTION = (F_DOT_NAME, F_NAME)
 _AT_ONCE = 512
 """RVEs whose particles are computed together: 40 MB for one plant cell each."""
 
 
 @dataclass(frozen=True, slots=True)
 class Zoom:
-    """The RVE of one element over time.
-
-    Attributes:
-        point: that was asked for, unloaded, µm.
-        element: number of its element. motion: the fields of the run.
-        seen: the particles at these times.
-        is_rest: whether the run is a rest.
-        cell: name of its plant cell, of several.
-    """
+    """The RVE `seen` at the times of the fields of a run, `motion`, in an element at an unloaded
+    `point`, µm; `cell` is the name of its plant cell, of several."""
 
     point: tuple[float, float]
     element: int
@@ -80,7 +74,7 @@ def zoom_into(folder: str | Path, point: tuple[float, float]) -> Zoom:
         raise InputError(f"{folder}: of the full tissue, whose fields are its particles already")
     if not (folder / "fields.h5").exists():
         raise FileError(f"{folder}: the run is {record.status} and has no fields")
-    motion = read_motion(folder)
+    motion = read_fields(folder, FIELDS_OF_MOTION, (CELL,))
     element, _ = find_element(motion.points, motion.cells, np.array(point))
     recipes = recipes_of(record)
     name, recipe = [*recipes.items()][cell_numbers(motion, recipes)[element]]
@@ -118,11 +112,7 @@ def write_zoom(found: Zoom, out: str | Path, report: Report = no_report) -> None
 
 
 def recipes_of(record: RunRecord) -> dict[str, Recipe]:
-    """Cell and initialisation of a run as a recipe for each of its cells by name, "" of one.
-
-    Raises:
-        InputError: the run was by a law without plant cells.
-    """
+    """Cell and initialisation of a run as a recipe for each of its cells by name, "" of one."""
     stored = record.recipe
     cells: Mapping[str, Any] = stored.get("cells") or {"": stored.get("cell", {})}
     if not all("preset" in cell for cell in cells.values()):
@@ -141,21 +131,8 @@ def recipes_of(record: RunRecord) -> dict[str, Recipe]:
     }
 
 
-def read_motion(folder: Path) -> StoredFields:
-    """The mesh of a run, F and Ḟ of its elements, and their plant cells where there are several.
-
-    Raises:
-        FileError: fields.h5 is missing, damaged, or without Ḟ.
-    """
-    return read_fields(folder, (F_DOT_NAME, F_NAME), (CELL,))
-
-
 def cell_numbers(motion: StoredFields, recipes: Mapping[str, Recipe]) -> NDArray[np.int64]:
-    """(e,) number of the recipe of each element's cell.
-
-    Raises:
-        FileError: there are several cells and the fields do not say which is where.
-    """
+    """(e,) number of the recipe of each element's cell."""
     if len(recipes) == 1:
         return np.zeros(len(motion.cells), np.int64)
     if CELL not in motion.values:
@@ -176,7 +153,7 @@ def add_cell_fields(folder: Path) -> int:
     """
     recipes = recipes_of(read_record(folder))
     with locked_folder(folder):
-        motion = read_motion(folder)
+        motion = read_fields(folder, FIELDS_OF_MOTION, (CELL,))
         F, F_dot = motion.values[F_NAME], motion.values[F_DOT_NAME]
         numbers = cell_numbers(motion, recipes)
         values: dict[str, Array] = {}

@@ -76,16 +76,3 @@ def test_what_is_there_is_not_written_over(invoke, tmp_path):
 def test_kinds_are_told(invoke, tmp_path):
     refused = invoke("new", tmp_path / "a", "--example", "bra")
     assert refused.stderr.startswith("error: --example: 'bra': unknown kind; did you mean bar?")
-    asked = invoke("new", tmp_path / "a")
-    assert asked.stderr == f"error: --example: missing; it must be one of {', '.join(KINDS)}\n"
-
-
-@pytest.mark.parametrize(
-    ("answer", "kind"), [("3\n", "contact"), ("mesh\n", "mesh"), ("\n", "bar")]
-)
-def test_the_kind_is_asked_for(invoke, tmp_path, monkeypatch, answer, kind):
-    monkeypatch.setattr("surrofe2.cli.study._can_ask", lambda: True)
-    asked = invoke("new", tmp_path / "a", input=answer)
-    assert asked.exit_code == 0, asked.output
-    assert "3  contact  a block between two plates" in asked.output
-    assert f"recipe of {KINDS[kind]}" in asked.output

@@ -17,10 +17,16 @@ from surrofe2.cli import app, console
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
-from surrofe2.store.fields import CELL, F_DOT_NAME, F_NAME
+from surrofe2.store.fields import CELL, F_DOT_NAME, F_NAME, read_fields
 from surrofe2.store.run_folder import read_record
 from surrofe2.store.store import locked_folder
-from surrofe2.workflow.zoom import cell_numbers, extremes_of, read_motion, recipes_of, zoom_into
+from surrofe2.workflow.zoom import (
+    FIELDS_OF_MOTION,
+    cell_numbers,
+    extremes_of,
+    recipes_of,
+    zoom_into,
+)
 from tests.cli.test_cell_types import BAR as SEVERAL_CELLS
 from tests.conftest import RECIPE, ROOT
 
@@ -50,7 +56,7 @@ def looked(study):
 @pytest.fixture(scope="module")
 def seen(study):
     recipe, run = study
-    motion = read_motion(run)
+    motion = read_fields(run, FIELDS_OF_MOTION, (CELL,))
     settings = load_recipe(recipe)
     law = RveLaw(settings.cell, settings.rve)
     return motion, law.particles(*(motion.values[name][:, 3] for name in (F_NAME, F_DOT_NAME)))
@@ -154,7 +160,7 @@ def test_several_cells_are_looked_into_by_the_cell_of_the_point(tmp_path):
     for y, name in ((75.0, "skin"), (25.0, "flesh")):
         found = zoom_into(run, (25.0, y))
         assert found.cell == name
-        motion = read_motion(run)
+        motion = read_fields(run, FIELDS_OF_MOTION, (CELL,))
         law = RveLaw(cells[name], load_recipe(path).rve)
         own = law.particles(*(motion.values[T][:, found.element] for T in (F_NAME, F_DOT_NAME)))
         # its reference is settled anew: the same but for rounding

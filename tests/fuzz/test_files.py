@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import asdict
 from time import perf_counter
 
 import numpy as np
@@ -43,7 +44,7 @@ def run(folder):
 
 def compared_run(path):
     found = read_run(path.parent)
-    json.dumps(compare([found, found]).to_dict())
+    json.dumps(asdict(compare([found, found])))
     return found.record, found.curve.displacement, found.history, found.record.compared()
 
 

@@ -14,13 +14,12 @@ WATER = CellParameters.preset("water")
 
 @pytest.fixture(scope="module")
 def found():
-    return memory.memory(WATER, memory.MemorySettings(after=2.0, micro_step=2e-3))
+    return memory.memory(WATER, after=2.0, micro_step=2e-3)
 
 
 def test_pasts_meet_in_F_and_rate_and_the_difference_fades(found):
-    settings = found.settings
-    steady = steady_shear(settings.rate)
-    away = returning(steady, settings.stretch, settings.shear, settings.period)
+    steady = steady_shear(memory.RATE)
+    away = returning(steady, found.period)
     for a, b in zip(steady(-1e-9), away(-1e-9), strict=True):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-9)
     assert np.abs(steady(-3.0)[0] - away(-3.0)[0]).max() > 1e-3
@@ -34,12 +33,13 @@ def test_pasts_meet_in_F_and_rate_and_the_difference_fades(found):
 
 
 def test_verdict_turns_where_the_past_matters(found):
-    strict = replace(found, settings=replace(found.settings, tolerance=1e-6))
+    strict = replace(found, tolerance=1e-6)
     assert not strict.sound
     assert strict.verdict.endswith("do not cache them")
 
 
 def test_fading_time():
     t = np.linspace(0.0, 10.0, 1001)
-    assert memory.fading_time(t, np.exp(-t / 2.0), np.exp(-1.0)) == pytest.approx(2.0, abs=0.02)
-    assert memory.fading_time(t, np.ones_like(t), 0.5) is None
+    fading = memory.Memory(17.0, t, np.exp(-t / 2.0), 1.0)
+    assert fading.fading_time() == pytest.approx(2.0, abs=0.02)
+    assert memory.Memory(17.0, t, np.ones_like(t), 1.0).fading_time(0.5) is None

@@ -6,10 +6,8 @@ import pytest
 from surrofe2.base.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.questions.moduli import (
-    CHANGES,
     MODULI,
     cell_moduli,
-    changed_cells,
     turgor,
     voigt,
     with_turgor,
@@ -62,26 +60,3 @@ def test_turgor_can_be_given_instead_of_mass():
     assert back.fluid_particle_mass == pytest.approx(0.27, rel=1e-8)
     with pytest.raises(InputError, match=r"turgor: -1\.0; it must be positive"):
         with_turgor(CELLS["water"], -1.0)
-
-
-def changed(preset, name, values):
-    return changed_cells(CELLS[preset], "elastic", CHANGES[name], values)
-
-
-def test_tables():
-    factors = [k * turgor(CELLS["water"]).mean for k in (1.0, 1.5)]
-    low, high = changed("water", "turgor", factors).to_records()
-    assert high["mean_turgor"] == pytest.approx(1.5 * low["mean_turgor"], rel=1e-8)
-    assert high["shear"] > low["shear"]
-    stiffness = CELLS["printed"].wall_stiffness
-    soft, stiff = changed("printed", "wall stiffness", (stiffness, 1.5 * stiffness)).to_records()
-    assert stiff["bulk"] > soft["bulk"]
-    table = changed("water", "fluid particles", (4, 6))
-    same, none = table.rows
-    known = cell_moduli(CELLS["water"], "elastic").elastic / CELLS["water"].tissue_thickness
-    assert same["bulk"] == MODULI["bulk"](known)
-    assert none.keys() == {"fluid particles per side", "trouble"}
-    assert "no stable equilibrium" in none["trouble"]
-    headings, texts = table.for_people()
-    assert headings[0] == "fluid particles per side"
-    assert texts[1][1:-1] == ["–"] * (len(headings) - 2)

@@ -269,7 +269,7 @@ BOX = "box = [0.0, 100.0, 100.0, 100.0]"
         ('on = "top"\nposition = [0.0', 'on = "lid"\nposition = [0.0', "bodies.plate.on: lid; no "),
         ("tip = [200.0, 50.0]", "tip = [201.0, 50.0]", "watch.tip: (201, 50) µm; it must lie with"),
         ("frames = 5", "output_interval = 21.0", "time.output_interval: 21.0; it must be at most "),
-        ("frames = 5", "output_interval = 1e-6", "problem.output_interval: 1e-06 µs; it must be a"),
+        ("frames = 5", "output_interval = 1e-6", "problem.output_interval: 1e-06; it must be fin"),
         ("[time]", "[load]\nwidth = 9.0\n[time]", "load: [load] states the paper's bar, [mesh] an"),
         ("[time]", "[macro]\nelements = [4, 4]\n[time]", "macro.elements: [4, 4]; it stands in [m"),
         ("stretch = [0.95, 1.05]", "stretch = [1.02, 1.05]", "range.stretch: (1.02, 1.05); it mus"),

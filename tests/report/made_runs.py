@@ -48,7 +48,7 @@ def made_runs(recipe, folder):
     write_record(cached, replace(record, surrogate=surrogate, cache=cache_report()))
     events = [{"t": 0.5, "event": "fell back", "why": EVIL}, {"t": 1.0, "event": "came back"}]
     lines = "\n".join(map(json.dumps, events))
-    (cached / "events.jsonl").write_text(f'{lines}\n{{"t": 2.0, "cut o', encoding="utf-8")
+    (cached / "events.jsonl").write_text(f"{lines}\n", encoding="utf-8")
     return [true, cached]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -80,7 +80,7 @@ def test_a_run_without_rve_solves_has_no_ratio(make_run):
         [make_run("rve", "rve", 0.0, 30.0, 1000), make_run("s", "surrogate", 0.0, 2.0, 0)]
     )
     assert result.runs[0].speed_up["rve_solves"] is None
-    json.dumps(plain(result.to_dict()), allow_nan=False)
+    json.dumps(plain(asdict(result)), allow_nan=False)
     tissue = make_run("t", "tissue", 0.0, 30.0, 0), make_run("rve", "rve", 0.0, 2.0, 1000)
     assert compare(tissue).runs[0].speed_up["rve_solves"] is None
 
