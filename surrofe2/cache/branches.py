@@ -94,7 +94,7 @@ class CachedState:
         return {
             "count": np.array(self.count),
             "limit": np.array(self.limit),
-            "reach": np.empty(0) if self.reach is None else self.reach,
+            "reach": as_array(self.reach),
             "points": self.on_fallback.points,
             "why": self.on_fallback.why,
             "before": before,
@@ -140,6 +140,11 @@ class Narrowed:
         self, F: Array, F_dot: Array, limit: float
     ) -> tuple[NDArray[np.int8], Array]:
         return self.lookup(F, F_dot, limit)[1:]
+
+
+def as_array(reach: Array | None) -> Array:
+    """A reach as an array, empty where there is none."""
+    return np.empty(0) if reach is None else reach
 
 
 def trusted(surrogate: Surrogate, reach: Array | None, share: float = 1.0) -> Surrogate | Narrowed:
@@ -188,9 +193,8 @@ def choose_branches(
         rising = (risk_ahead > STAY * limit) & (risk_ahead > state.risk)
         ahead = np.where((ahead == 0) & rising, NOT_TRUSTED, ahead)
     leaving = np.where(free, ahead, np.int8(0))
-    both = reach is not None and state.reach is not None
-    same = np.array_equal(reach, state.reach) if both else reach is state.reach  # type: ignore[arg-type]
-    if limit < state.limit or not same:
+    is_same = reach is state.reach or np.array_equal(as_array(reach), as_array(state.reach))
+    if limit < state.limit or not is_same:
         now = known.lookup(F, F_dot, limit)[1]
         leaving = np.where(free & (leaving == 0), now, leaving)
     if not len(points):

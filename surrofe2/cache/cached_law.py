@@ -142,7 +142,6 @@ class CachedLaw(Viewed):
         self._audit = Audit(surrogate, self.fallback, own.audit, own.seed, allowed)
         self._trust = Trust()
         self._window = Window(0.0, 0, self._trust.limit)
-        self._reach: Array | None = None
         self._decisions: list[dict[str, Any]] = []
         self._marked: CachedState | None = None
         if not surrogate.is_calibrated and np.isfinite(allowed):
@@ -154,20 +153,17 @@ class CachedLaw(Viewed):
             )
 
     def history(self) -> dict[str, Any]:
+        own, record = self.settings, self._audit.record
         return {
             "tolerance": {
-                "share": self.settings.tolerance,
-                "relative": self.settings.relative,
+                "share": own.tolerance,
+                "relative": own.relative,
                 "spread": self.surrogate.stress_spread,
-                "absolute": self._audit.record.tolerance,
+                "absolute": record.tolerance,
             },
             "accepted": dict(self._counts),
             "left_range": {name: dict(left) for name, left in self._left_range.items()},
-            "audit": {
-                "share": self.settings.audit,
-                "seed": self.settings.seed,
-                **self._audit.record.to_dict(),
-            },
+            "audit": {"share": own.audit, "seed": own.seed, **record.to_dict()},
             "trust": self._trust.to_dict(),
         }
 
@@ -219,7 +215,7 @@ class CachedLaw(Viewed):
         if is_over:
             self._run_audit()
         if not (window.stands or window.failed or trust.is_off):
-            self._fail(window)
+            trust.fail(self._counts["steps"], window)
         return False if window.failed else (True if is_over else None)
 
     def roll_back(self, t: float) -> CachedState:
@@ -235,11 +231,7 @@ class CachedLaw(Viewed):
             before["carried"] = []  # under another factor it says nothing
         at = window.begin, window.step, self._trust.limit
         self._window = Window(*at, before, list(before["carried"]))
-        return replace(self._marked, limit=self._trust.limit, reach=self._reach)
-
-    def _fail(self, window: Window) -> None:
-        self._trust.fail(self._counts["steps"], window)
-        self._reach = np.array(self._trust.reach) if self._trust.reach else None
+        return replace(self._marked, limit=self._trust.limit, reach=self._trust.reaches)
 
     def _decide(self, t: float, decision: str) -> None:
         step, limit = self._counts["steps"], self._trust.limit
@@ -270,7 +262,6 @@ class CachedLaw(Viewed):
         self._counts = dict(values["counts"])
         self._left_range = dict(values["left_range"])
         self._trust = Trust(**values["trust"])
-        self._reach = np.array(self._trust.reach) if self._trust.reach else None
         self._window = Window(**values["window"])
         self._decisions = list(values["decisions"])
         self._audit.restore(part_of(arrays, "audit"), values["audit"])
@@ -287,50 +278,33 @@ class CachedLaw(Viewed):
             F, F_dot = check_deformation(F, F_dot)
         if tangents:
             require_tangents(self)
-        given, count = state, len(F)
-        if given is None:
-            state = CachedState(count, limit=self._trust.limit, reach=self._reach)
-        else:
-            state = check_state(given, count)
+        count, is_first = len(F), state is None
+        if state is None:
+            state = CachedState(count, limit=self._trust.limit, reach=self._trust.reaches)
+        state = check_state(state, count)
         stress, status, risk = look_up(self.surrogate, F, F_dot, state)
-        missed = status.nonzero()[0]
-        if not len(missed) and not len(state.on_fallback):
-            slopes = self.surrogate.tangents(F, F_dot) if tangents else None
-            after = replace(state, risk=risk)
-            return StressResponse(
-                stress,
-                status,
-                after,
-                {**NO_EFFORT, "hits": count},
-                slopes,
-                sources=partial(self._sources, after),
+        missed, known = status.nonzero()[0], state.on_fallback
+        effort, slopes, switched = {**NO_EFFORT, "hits": count}, None, None
+        if len(missed) or len(known):
+            check_deformation(F, F_dot)  # hits are in range, hence finite and det F > 0
+            why = status[missed]
+            answer = answer_both(self.fallback, F, F_dot, known, missed, tangents=tangents)
+            known = PointSet(
+                np.concatenate([known.points, missed]),
+                np.concatenate([known.why, why]),
+                answer.state,
             )
-        check_deformation(F, F_dot)  # hits are in range, hence finite and det F > 0
-        why = status[missed]
-        answer = answer_both(self.fallback, F, F_dot, state.on_fallback, missed, tangents=tangents)
-        known = PointSet(
-            np.concatenate([state.on_fallback.points, missed]),
-            np.concatenate([state.on_fallback.why, why]),
-            answer.state,
-        )
-        switched = None
-        if given is not None and len(missed):
-            switched = np.zeros(count, dtype=np.int8)
-            switched[missed] = why
-        stress[known.points], status[known.points] = answer.stress, answer.status
-        risk[missed] = np.inf
+            if len(missed) and not is_first:
+                switched = np.zeros(count, dtype=np.int8)
+                switched[missed] = why
+            stress[known.points], status[known.points] = answer.stress, answer.status
+            risk[missed] = np.inf
+            effort, slopes = added(effort_of(count, known.why), answer.effort), answer.tangents
         after = replace(state, on_fallback=known, risk=risk)
-        return StressResponse(
-            stress,
-            status,
-            after,
-            added(effort_of(count, known.why), answer.effort),
-            tangents_of_both(self.surrogate, F, F_dot, after, answer.tangents)
-            if tangents
-            else None,
-            switched,
-            sources=partial(self._sources, after),
-        )
+        if tangents:
+            slopes = tangents_of_both(self.surrogate, F, F_dot, after, slopes)
+        sources = partial(self._sources, after)
+        return StressResponse(stress, status, after, effort, slopes, switched, sources=sources)
 
     def _sources(self, state: CachedState) -> Sources:
         """Where an answer came from, `state` being the one that it carries."""
@@ -395,15 +369,13 @@ class CachedLaw(Viewed):
         """Count points beyond the range by quantity, and keep the farthest value of each."""
         if self.surrogate.range is None:
             return
-        found = zip(*farthest_out(self.surrogate.range, F, F_dot), strict=True)
-        for which, value, bound in found:
-            if which < 0:
-                continue
-            new = {"points": 0, "farthest": float(value), "bound": float(bound)}
-            left = self._left_range.setdefault(QUANTITIES[which], new)
-            left["points"] += 1
-            if abs(value - bound) > abs(left["farthest"] - left["bound"]):
-                left["farthest"], left["bound"] = float(value), float(bound)
+        for which, value, bound in zip(*farthest_out(self.surrogate.range, F, F_dot), strict=True):
+            if which >= 0:
+                new = {"points": 0, "farthest": float(value), "bound": float(bound)}
+                left = self._left_range.setdefault(QUANTITIES[which], new)
+                left["points"] += 1
+                if abs(value - bound) > abs(left["farthest"] - left["bound"]):
+                    left["farthest"], left["bound"] = float(value), float(bound)
 
     def _distribute(self, F: Array, F_dot: Array, stress: Array, known: PointSet) -> None:
         """Give the fallback's answers to whoever keeps or learns them."""
@@ -422,14 +394,12 @@ class CachedLaw(Viewed):
         result = self._audit.run(whole=whole)
         if result is None:
             return
-        asked, is_one_of_several = result.asked, beyond_bifurcation(result.state, len(result.error))
+        asked, is_one = result.asked, ~beyond_bifurcation(result.state, len(result.error))
         if self.on_true_answer is not None:
-            kept = ~is_one_of_several
-            why = np.full(int(kept.sum()), AUDIT, dtype=np.int8)
-            self.on_true_answer(
-                asked.F[kept], asked.F_dot[kept], result.stress[kept], result.status[kept], why
-            )
-        wrong = (result.broken & (result.status == 0) & ~is_one_of_several).nonzero()[0]
+            kept = asked.F[is_one], asked.F_dot[is_one], result.stress[is_one]
+            why = np.full(int(is_one.sum()), AUDIT, dtype=np.int8)
+            self.on_true_answer(*kept, result.status[is_one], why)
+        wrong = (result.broken & (result.status == 0) & is_one).nonzero()[0]
         if len(wrong):
             state = None if result.state is None else result.state.take(wrong)
             self.surrogate.learn(asked.F[wrong], asked.F_dot[wrong], result.stress[wrong], state)
@@ -446,7 +416,7 @@ class CachedLaw(Viewed):
         if window.stands:
             trust.stand()
         else:
-            self._fail(window)
+            trust.fail(self._counts["steps"], window)
         self._window = Window(0.0, self._counts["steps"], trust.limit)
 
     def restart_step(
@@ -464,14 +434,13 @@ class CachedLaw(Viewed):
         self, F: Array, F_dot: Array, response: StressResponse, state: CachedState
     ) -> Acceptance:
         """Choose the branches of the next step, looking ahead to where it will end."""
-        limit, known = self._trust.limit, state.on_fallback
-        stress = response.stress
+        limit, known, stress = self._trust.limit, state.on_fallback, response.stress
         if self._trust.is_off:
             leaving = np.where(state.free(), np.int8(Status.NOT_TRUSTED), np.int8(0))
             stay = np.ones(len(known), dtype=bool)
         else:
             leaving, of_surrogate, status, returning = choose_branches(
-                self.surrogate, F, F_dot, state, limit, self._reach
+                self.surrogate, F, F_dot, state, limit, self._trust.reaches
             )
             self._counts["in_domain"] += int((status != Status.OUT_OF_RANGE).sum())
             stay = ~returning
@@ -491,7 +460,7 @@ class CachedLaw(Viewed):
                 after = after.and_also(fresh.points, fresh.why, fresh.state)
         return Acceptance(
             response.status,
-            CachedState(state.count, after, limit, self._reach, None, (F, F_dot)),
+            CachedState(state.count, after, limit, self._trust.reaches, None, (F, F_dot)),
             None if stress is response.stress else stress,
         )
 

@@ -94,13 +94,13 @@ class Window:
     def add(
         self,
         points: NDArray[np.intp],
-        is_wrong: NDArray[np.bool_],
+        broken: NDArray[np.bool_],
         error: Array,
         risk: Array,
         x: Array,
     ) -> None:
         """Take note of audits: all (k,), and inputs x (k, 7)."""
-        self.audits += np.column_stack([points, is_wrong, error, risk, np.abs(x)]).tolist()
+        self.audits += np.column_stack([points, broken, error, risk, np.abs(x)]).tolist()
 
     @property
     def wrong(self) -> list[list[float]]:
@@ -165,6 +165,11 @@ class Trust:
     def limit(self) -> float:
         """What a risk may be at most; negative: nothing is trusted."""
         return -1.0 if self.is_off else 1.0 / self.factor
+
+    @property
+    def reaches(self) -> Array | None:
+        """`reach` (7,); None: as far as the surrogate says."""
+        return np.array(self.reach) if self.reach else None
 
     def fail(self, step: int, window: Window) -> None:
         """Answer none of the window's violations any more: raise the factor or narrow the reach,

@@ -33,8 +33,6 @@ FIELDS, POINTS = "fields", "points"
 """Names of the two files of elements or particles, and of those of points of the law."""
 _KINDS = {1: "Polyvertex", 2: "Polyline", 4: "Quadrilateral", 6: "Triangle_6"}
 """What XDMF calls cells of so many points; those of six have the middles of their sides."""
-_RANKS = {1: "Scalar", 2: "Vector", 3: "Tensor"}
-"""What XDMF calls data of so many axes."""
 
 
 def write_fields(
@@ -70,9 +68,8 @@ def invariants(stress: Array) -> dict[str, Array]:
     """Of (…, 2, 2) stresses in the plane, µN/µm, free across it: pressure −(σ₁ + σ₂)/2,
     √(σ₁² − σ₁σ₂ + σ₂²) of von Mises, largest shear (σ₁ − σ₂)/2.
     """
-    mean = 0.5 * (stress[..., 0, 0] + stress[..., 1, 1])
-    off = 0.5 * (stress[..., 0, 1] + stress[..., 1, 0])
-    shear = np.hypot(0.5 * (stress[..., 0, 0] - stress[..., 1, 1]), off)
+    xx, yy, off = stress[..., 0, 0], stress[..., 1, 1], stress[..., 0, 1] + stress[..., 1, 0]
+    mean, shear = 0.5 * (xx + yy), 0.5 * np.hypot(xx - yy, off)
     return {
         "pressure_in_plane_uN_per_um": -mean,
         "von_mises_in_plane_uN_per_um": np.sqrt(mean**2 + 3.0 * shear**2),
@@ -177,10 +174,9 @@ def _item(name: str, values: NDArray[Any], file: str = f"{FIELDS}.h5") -> str:
 
 
 def _attribute(name: str, centre: str, item: str, rank: int) -> str:
-    return (
-        f'<Attribute Name="{name}" AttributeType="{_RANKS[rank]}" Center="{centre}">'
-        f"{item}</Attribute>\n"
-    )
+    kind = {1: "Scalar", 2: "Vector", 3: "Tensor"}[rank]
+    head = f'<Attribute Name="{name}" AttributeType="{kind}" Center="{centre}">'
+    return f"{head}{item}</Attribute>\n"
 
 
 def add_to_elements(folder: Path, added: Series) -> None:
@@ -241,17 +237,16 @@ def read_fields(
             raise ValueError("t or cells: empty, or of points that are not there")
         values = {}
         for what in (*needed, *others):
-            if f"{what}.0" not in file:
-                continue
-            first = file[f"{what}.0"]
-            if first.dtype.kind not in "if":
-                raise ValueError(f"{what}.0: {first.dtype}; it must be numbers")
-            is_motion = what in (DISPLACEMENT_NAME, VELOCITY_NAME)
-            axes = 2 if what in _TENSORS else int(is_motion)
-            shape = (len(points if is_motion else cells), *(3,) * axes)
-            whole = [stored.array(f"{what}.{k}", shape, first.dtype) for k in range(len(t))]
-            in_plane: tuple[Any, ...] = (..., *(slice(2),) * axes)
-            values[what] = np.stack(whole)[in_plane].astype(np.float64)
+            if f"{what}.0" in file:
+                kind = file[f"{what}.0"].dtype
+                if kind.kind not in "if":
+                    raise ValueError(f"{what}.0: {kind}; it must be numbers")
+                is_motion = what in (DISPLACEMENT_NAME, VELOCITY_NAME)
+                axes = 2 if what in _TENSORS else int(is_motion)
+                shape = (len(points if is_motion else cells), *(3,) * axes)
+                whole = [stored.array(f"{what}.{k}", shape, kind) for k in range(len(t))]
+                in_plane: tuple[Any, ...] = (..., *(slice(2),) * axes)
+                values[what] = np.stack(whole)[in_plane].astype(np.float64)
         return StoredFields(points[:, :2], cells, t, values)
 
 

@@ -236,7 +236,7 @@ class Stored:
         return value
 
     def optional(self, name: str) -> float | None:
-        """A number of the header; None where it does not say."""
+        """A number of the header, or None."""
         return self.number(name) if name in self.file.attrs else None
 
     @property

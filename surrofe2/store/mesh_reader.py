@@ -14,6 +14,7 @@ import io
 import os
 import resource
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
@@ -75,10 +76,10 @@ def converted(stored: meshio.Mesh) -> skfem.Mesh:
 
 def _kind_of_elements(names: list[str], counts: list[int]) -> str:
     """The one kind of elements among the blocks."""
-    found: dict[str, int] = {}
+    found = Counter[str]()
     for name, count in zip(names, counts, strict=True):
         if name not in (*_LINES, "vertex") and count:
-            found[name] = found.get(name, 0) + count
+            found[name] += count
     foreign = [name for name in found if name not in _SURFACES]
     if foreign:
         raise MeshError(
@@ -122,11 +123,6 @@ def _check(stored: meshio.Mesh) -> None:
             raise ValueError(f"cells of {what} that are not there; there are {count}")
 
 
-def _tags(stored: meshio.Mesh) -> list[Any]:
-    """The number of the physical group of each cell, by block."""
-    return stored.cell_data.get("gmsh:physical", [])
-
-
 def _groups(stored: meshio.Mesh) -> Groups:
     """Named groups of lines and surfaces."""
     groups = dict(_physical_groups(stored))
@@ -150,7 +146,7 @@ def _physical_groups(stored: meshio.Mesh) -> Iterator[tuple[str, tuple[Index, ..
     named = {(int(dim), int(tag)): name for name, (tag, dim) in stored.field_data.items()}
     tagged = [
         (1 if each.type in _LINES else 0 if each.type == "vertex" else 2, np.asarray(tags))
-        for each, tags in zip(stored.cells, _tags(stored), strict=False)
+        for each, tags in zip(stored.cells, stored.cell_data.get("gmsh:physical", []), strict=False)
     ]
     for dimension, tags in tagged:
         for tag in np.unique(tags):

@@ -133,29 +133,23 @@ class RunRecord:
 
     def compared(self) -> dict[str, Any]:
         """Everything the numbers depend on, by the names a recipe uses."""
-        flat: dict[str, Any] = {
-            f"{name}.{key}": self.recipe[name][key]
-            for name in (*_SECTIONS, *(() if self.law in _WITHOUT_CACHE else ("cache",)))
-            for key in self.recipe.get(name, {})
+        recipe, rest = self.recipe, self.recipe.get("rest", {})
+        sections = (*_SECTIONS, *(() if self.law in _WITHOUT_CACHE else ("cache",)))
+        return {
+            **{f"{name}.{key}": v for name in sections for key, v in recipe.get(name, {}).items()},
+            **{
+                f"cells.{name}": {k: v for k, v in cell.items() if k not in _OF_TRAINING}
+                for name, cell in recipe.get("cells", {}).items()
+            },
+            **{name: list(recipe[name]) for name in _NAMED_ENTRIES if name in recipe},
+            "rest.factor": rest.get("factor"),  # of other runs, whose law may be the same, nothing
+            "rest.load_steps": rest.get("load_steps"),
+            "law": self.law,
+            "initialisation": self.initialisation,
+            "solver": self.solver,
+            "surrogate": self.surrogate and self.surrogate["fingerprint"],
+            "version": self.package_version,
         }
-        for name, cell in self.recipe.get("cells", {}).items():
-            flat[f"cells.{name}"] = {k: v for k, v in cell.items() if k not in _OF_TRAINING}
-        names = {name: list(self.recipe[name]) for name in _NAMED_ENTRIES if name in self.recipe}
-        surrogate = self.surrogate and self.surrogate["fingerprint"]
-        rest = self.recipe.get("rest", {})  # of other runs, whose law may be the same, nothing
-        return (
-            flat
-            | names
-            | {
-                "rest.factor": rest.get("factor"),
-                "rest.load_steps": rest.get("load_steps"),
-                "law": self.law,
-                "initialisation": self.initialisation,
-                "solver": self.solver,
-                "surrogate": surrogate,
-                "version": self.package_version,
-            }
-        )
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -364,21 +358,13 @@ def describe_platform() -> dict[str, str]:
     for name in ("numpy", "scipy", "numba", "torch"):
         with suppress(PackageNotFoundError):  # runs do without torch
             libraries[name] = version(name)
-    return {
-        "processor": processor(),
-        "cores": str(os.cpu_count()),
-        "system": platform.system(),
-        "python": platform.python_version(),
-        **libraries,
-    }
+    machine = {"processor": processor(), "cores": str(os.cpu_count()), "system": platform.system()}
+    return {**machine, "python": platform.python_version(), **libraries}
 
 
 def caches_of(cache: Mapping[str, Any] | None) -> dict[str, Mapping[str, Any]]:
     """The reports in a record's `cache` by name of the cell, which is "" where there is one."""
-    if not cache:
-        return {}
-    found: dict[str, Mapping[str, Any]] = cache.get("cells", {"": cache})
-    return found
+    return dict(cache.get("cells", {"": cache})) if cache else {}
 
 
 def presets_of(recipe: Mapping[str, Any]) -> str:
@@ -458,9 +444,8 @@ def write_curves(
         for k, (name, u) in enumerate(curves.items())
         for axis, column in zip("xy", u.T, strict=True)
     }
-    moved = {
-        f"{name}_{'uN' if name.startswith('force ') else 'um'}": history[name] for name in history
-    }
+    units = {name: "uN" if name.startswith("force ") else "um" for name in history}
+    moved = {f"{name}_{units[name]}": values for name, values in history.items()}
     works = {f"{name}_pJ": values for name, values in energies.items()}
     for name, columns in ((file, points), ("history.csv", moved), ("energies.csv", works)):
         write_columns(folder / name, {clock: t, **columns})
@@ -522,9 +507,8 @@ def made_for(record: RunRecord) -> float | None:
     if record.surrogate is None:
         return None if record.law in ("cached", "surrogate") else 0.0
     seconds = record.surrogate.get("seconds", {})
-    if record.law != "table" and not any(name.startswith("data") for name in seconds):
-        return None
-    return float(sum(seconds.values())) if seconds else None
+    is_known = record.law == "table" or any(name.startswith("data") for name in seconds)
+    return float(sum(seconds.values())) if seconds and is_known else None
 
 
 def balance_of(record: RunRecord, true: RunRecord) -> Balance | None:

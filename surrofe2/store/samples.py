@@ -9,6 +9,7 @@ alone it is kept in the cache folder.
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -186,41 +187,23 @@ class DataSetWriter(SampleWriter):
 
     def status_counts(self) -> dict[int, int]:
         """How many rows so far have each status code."""
-        codes, counts = np.unique(self.to_arrays()["status"], return_counts=True)
-        return {int(code): int(n) for code, n in zip(codes, counts, strict=True)}
+        return dict(sorted(Counter(self.to_arrays()["status"].tolist()).items()))
 
-    def store(self, status: str = "writing", arrays: Arrays | None = None, **more: Any) -> None:
+    def store(self, status: str = "writing", arrays: Arrays | None = None) -> None:
         """Write the rows that there are, to resume from."""
         known = {"status": status, "completed": self.completed, "seconds": self.meter.seconds}
         reference = self.header.reference
         carried = {} if reference is None else _reference_arrays(reference)
-        self.write(carried | (arrays or {}), **known, **more)
+        self.write(carried | (arrays or {}), **known)
 
     def finish(self) -> StressSamples:
-        """Write all rows, the list of those that failed and the fingerprint; as read back.
-
-        Raises:
-            InputError: rows are missing.
-        """
-        of = self.header
-        missing = of.count - self.completed
-        if missing:
-            raise InputError(f"{self.path}: {missing} samples are missing; it cannot be finished")
+        """Write all rows, none of which is missing, and which failed; as read back."""
         if not self.is_finished:
-            rows, entries = self.to_arrays(), of.entries()
-            failed = np.flatnonzero(rows["status"])
-            reasons = np.array([describe(code) for code in rows["status"][failed]], object)
-            found = _samples(
-                rows,
-                cell=of.cell,
-                initialisation=entries["initialisation"],
-                range=of.range,
-                seed=of.seed,
-                rest_length=entries.get("rest_length"),
-            )
+            status = self.to_arrays()["status"]
+            failed = np.flatnonzero(status)
+            reasons = np.array([describe(code) for code in status[failed]], object)
             self._is_stored = False  # if so, as one that is not finished
-            lists = {"failed/index": failed, "failed/reason": reasons}
-            self.store("finished", lists, fingerprint=found.fingerprint)
+            self.store("finished", {"failed/index": failed, "failed/reason": reasons})
             self.is_finished = True
         return read_data_set(self.path)
 
@@ -298,21 +281,15 @@ def read_data_set(path: str | Path) -> StressSamples:
                 f"{path}: unfinished, {stored.number('completed'):g} of {stored.number('count'):g} "
                 "samples; continue it with `surrofe2 generate RECIPE`"
             )
-        samples = _samples(
-            stored.arrays(),
+        rows: dict[str, Any] = stored.arrays()
+        rows[LEFT] = rows[LEFT].astype(np.bool_)
+        return StressSamples(
+            **rows,
             **stored.whose,
             range=stored.range,
             seed=int(stored.number("seed")),
             rest_length=stored.optional("rest_length"),
         )
-        if samples.fingerprint != stored.text("fingerprint"):
-            raise ValueError("fingerprint: not that of its samples")
-        return samples
-
-
-def _samples(rows: Arrays, **whose: Any) -> StressSamples:
-    arrays: dict[str, Any] = {**rows, LEFT: rows[LEFT].astype(np.bool_)}
-    return StressSamples(**arrays, **whose)
 
 
 class Harvest(NamedTuple):

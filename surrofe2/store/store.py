@@ -27,6 +27,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import asdict, is_dataclass
 from datetime import datetime
+from glob import escape
 from pathlib import Path
 from secrets import token_hex
 from typing import Any
@@ -44,8 +45,6 @@ NO_DIGEST = "0" * 64
 """What stands in a file before it is sealed."""
 _WORD = SEAL.encode()
 _DIGEST = re.compile(rb"(?<=[\"\0])" + _WORD + rb"\W{1,12}([0-9a-f]{64})")
-
-_PARTIAL = re.compile(r"\..+\.[0-9a-f]{8}\.partial", re.DOTALL)
 
 WORD = re.compile(r"[A-Za-z0-9_.+-]{0,64}")
 """Texts of files that may go into sources and names of files."""
@@ -67,16 +66,11 @@ def reported(path: Path, action: str) -> Iterator[None]:
 
 def leftovers(path: Path) -> list[Path]:
     """Files in which processes that were killed were writing `path`; others still hold theirs."""
-    try:
-        beside = sorted(each for each in path.parent.iterdir() if _PARTIAL.fullmatch(each.name))
-    except (FileNotFoundError, NotADirectoryError):
-        return []
     left = []
-    for each in beside:
-        if each.name[1 : -len(".12345678.partial")] == path.name:
-            with suppress(OSError), each.open("rb") as file:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                left.append(each)
+    for each in sorted(path.parent.glob(f".{escape(path.name)}.{'[0-9a-f]' * 8}.partial")):
+        with suppress(OSError), each.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            left.append(each)
     return left
 
 
@@ -168,10 +162,8 @@ def check_seal(path: Path, content: bytes) -> None:
         begin, end = _place(content)
     except ValueError:
         raise FileError(f"{path}: no SHA-256 in it; it is damaged, foreign or older") from None
-    digest = hashlib.sha256(content[:begin])
-    digest.update(NO_DIGEST.encode())
-    digest.update(memoryview(content)[end:])
-    if digest.hexdigest().encode() != content[begin:end]:
+    whole = b"".join((content[:begin], NO_DIGEST.encode(), content[end:]))
+    if hashlib.sha256(whole).hexdigest().encode() != content[begin:end]:
         raise FileError(f"{path}: damaged, or changed since it was written: see its SHA-256")
 
 
@@ -244,10 +236,9 @@ def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
 
 def read_columns(path: Path) -> dict[str, np.ndarray]:
     """Columns (m,) by their headings; a FileError where it is no such table."""
-    content = read_bytes(path)
     names: list[str] = []
     try:
-        names, *rows = csv.reader(content.decode().splitlines() or [""])
+        names, *rows = csv.reader(read_text(path).splitlines() or [""])
         table = np.array([[float(entry) for entry in row] for row in rows])
         return dict(zip(names, table.reshape(len(rows), len(names)).T, strict=True))
     except (ValueError, csv.Error):
@@ -312,7 +303,6 @@ def keep(
         FileError: it is damaged or foreign, or another process makes it.
     """
     lock = file_lock(path) if folder is None else folder_lock(folder)
-
     if fresh:
         check_replaceable(path, f"file of {', '.join(identity)}", SEAL, *identity)
 
@@ -324,15 +314,14 @@ def keep(
         return entries
 
     there = None if lock.exists() else stored()
-    if there is not None:
-        return there, True
-    with _locked(lock, folder or path):
-        there = stored()
-        if there is not None:
-            return there, True
-        entries = {**identity, **make()}
-        write_json(path, entries)
-    return entries, False
+    if there is None:
+        with _locked(lock, folder or path):
+            there = stored()
+            if there is None:
+                entries = {**identity, **make()}
+                write_json(path, entries)
+                return entries, False
+    return there, True
 
 
 def folder_lock(folder: Path) -> Path:
@@ -404,12 +393,11 @@ def _taken(lock: Path, output: Path) -> io.FileIO | None:
 
 
 def _my_signature() -> bytes:
-    command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])[:100]
     me = {
         "process": os.getpid(),
         "host": platform.node(),
         "since": datetime.now().astimezone().isoformat(timespec="seconds"),
-        "command": command,
+        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])[:100],
     }
     return json.dumps(plain(me)).encode()
 

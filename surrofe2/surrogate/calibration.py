@@ -211,12 +211,8 @@ def _fit_scale(law: SurrogateLaw, near: Array, shaping: Sequence[Truth], spread:
     floor[-1] = _LEAST_SCALE * largest
     basis, error = np.concatenate(bases), np.concatenate(errors) / largest
     for _ in range(_TIMES):
-        kinds = [
-            (each / s[:, None]).mean(axis=0)
-            for each, s in zip(bases, before, strict=True)
-            if len(s)
-        ]
-        cost = np.sum(kinds, axis=0)
+        pairs = zip(bases, before, strict=True)
+        cost = np.sum([(each / s[:, None]).mean(axis=0) for each, s in pairs if len(s)], axis=0)
         found = _smallest_cover(cost / cost.max(), basis, error, floor / largest)
         before = [each @ found for each in bases]
     return largest * found

@@ -111,8 +111,7 @@ class Calibration:
 
 def scaled_inputs(F: Array, F_dot: Array, scale: Array) -> Array:
     """(n, 7) scaled components of U − I and RᵀḞ."""
-    scaled: Array = to_inputs(F, F_dot)[0] / scale
-    return scaled
+    return np.asarray(to_inputs(F, F_dot)[0] / scale)
 
 
 def all_inputs(x: Array, near: Array) -> Array:
@@ -160,8 +159,7 @@ def values_of(products: list[Product], x: Array, near: Array) -> Array:
 
 def local_scale(scale: Array, near: Array, x: Array) -> Array:
     """s (n,) in µN/µm at scaled inputs (n, 7); it never falls on the way out from (I, 0)."""
-    values: Array = values_of(scale_products(), x, near) @ scale
-    return values
+    return np.asarray(values_of(scale_products(), x, near) @ scale)
 
 
 def tolerance_coefficients(
@@ -210,14 +208,11 @@ def _fit_boundary(good: Array, bad: Array, square: bool) -> Array:
     shortfall = 0.0
     for fold in np.arange(_FOLDS):
         unseen = np.arange(len(bad)) % _FOLDS == fold
-        if not unseen.any() or unseen.all():
-            continue
-        others = _logistic(basis_good, basis_bad[~unseen])
-        edge = (basis_bad[~unseen] @ others).min()
-        shortfall = max(shortfall, edge - (basis_bad[unseen] @ others).min())
-    edge = (basis_bad @ coefficients).min()
-    margin = shortfall + _MARGIN
-    coefficients[0] -= edge - margin
+        if unseen.any() and not unseen.all():
+            others = _logistic(basis_good, basis_bad[~unseen])
+            edge = (basis_bad[~unseen] @ others).min()
+            shortfall = max(shortfall, edge - (basis_bad[unseen] @ others).min())
+    coefficients[0] -= (basis_bad @ coefficients).min() - (shortfall + _MARGIN)
     return coefficients
 
 
@@ -230,12 +225,7 @@ def _logistic(good: Array, bad: Array) -> Array:
         return np.zeros(basis.shape[1])
     from sklearn.linear_model import LogisticRegression  # a second, which runs do without
 
-    model = LogisticRegression(
-        C=1.0 / _RIDGE,
-        fit_intercept=False,
-        solver="newton-cholesky",
-        max_iter=_MOST_ITERATIONS,
-    )
+    how = {"solver": "newton-cholesky", "max_iter": _MOST_ITERATIONS}
+    model = LogisticRegression(C=1.0 / _RIDGE, fit_intercept=False, **how)
     weight = np.where(failed == 1, 0.5 / len(bad), 0.5 / len(good))
-    coefficients: Array = model.fit(basis, failed, sample_weight=weight).coef_[0]
-    return coefficients
+    return np.asarray(model.fit(basis, failed, sample_weight=weight).coef_[0])

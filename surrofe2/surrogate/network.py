@@ -180,13 +180,12 @@ class StressNetwork(torch.nn.Module):
 
     def baseline(self, x: torch.Tensor) -> torch.Tensor:
         """The polynomial part (n, 4), µN/µm, at scaled inputs."""
-        values = x.new_zeros(len(x), 4)
-        monomials = self.features.monomials
-        if monomials:
-            owner = torch.tensor([component for _, component in monomials])
-            shapes = products(x, [product for product, _ in monomials])
-            values = values.index_add(1, owner, shapes * self.coefficients)
-        return values
+        values, monomials = x.new_zeros(len(x), 4), self.features.monomials
+        if not monomials:
+            return values
+        owner = torch.tensor([component for _, component in monomials])
+        shapes = products(x, [product for product, _ in monomials])
+        return values.index_add(1, owner, shapes * self.coefficients)
 
     def baseline_columns(self, x: torch.Tensor) -> torch.Tensor:
         """(n, 4, m): what a unit of each coefficient adds to P̂, where there is a baseline."""
@@ -198,12 +197,8 @@ class StressNetwork(torch.nn.Module):
     def rest_coefficients(self, slopes: torch.Tensor) -> NDArray[np.float64]:
         """Coefficients that give the baseline these slopes (4, 7) at rest; NaN: of higher order."""
         P = slopes.numpy()
-        return np.array(
-            [
-                P[component, product[0]] if len(product) == 1 else np.nan
-                for product, component in self.features.monomials
-            ]
-        )
+        entries = self.features.monomials
+        return np.array([P[k, one[0]] if len(one) == 1 else np.nan for one, k in entries])
 
     def _near_invariants(self, x: torch.Tensor) -> torch.Tensor:
         """(n, 3) that tell states near rest apart, see `features`."""

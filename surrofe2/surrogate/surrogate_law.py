@@ -137,11 +137,9 @@ class SurrogateLaw(Viewed):
         tangents too."""
         F, F_dot = check_deformation(F, F_dot)
         stress, status, _ = self.lookup(F, F_dot)
-        slopes = None
-        if tangents:
-            slopes = self.tangents(F, F_dot)
-            for values in (slopes.P_by_F, slopes.P_by_F_dot):
-                values[status != Status.OK] = np.nan
+        slopes = self.tangents(F, F_dot) if tangents else None
+        if slopes is not None:
+            slopes.P_by_F[status != 0] = slopes.P_by_F_dot[status != 0] = np.nan
         lost = np.flatnonzero(status == Status.OUT_OF_RANGE)[:1] if status.any() else ()
         reasons = {int(k): self._why_out(F[[k]], F_dot[[k]]) for k in lost}
         return StressResponse(
@@ -270,15 +268,9 @@ def errors_of(answer: Array, samples: StressSamples) -> dict[str, Any]:
     scale = np.where(spread > _ROUNDING * largest, spread, largest)
     error = np.abs(found - exact) / scale
     names = (*COMPONENTS, "xx", "xy", "yx", "yy")
-    figures = {
-        "spread": spread,
-        "rms": np.sqrt((error**2).mean(axis=0)),
-        "worst": error.max(axis=0),
-    }
-    named = {
-        key: {name: float(value) for name, value in zip(names, values, strict=True)}
-        for key, values in figures.items()
-    }
+    rms, worst = np.sqrt((error**2).mean(axis=0)), error.max(axis=0)
+    figures = {"spread": spread, "rms": rms, "worst": worst}
+    named = {k: dict(zip(names, each.tolist(), strict=True)) for k, each in figures.items()}
     return {"points": len(R), **named}
 
 

@@ -220,12 +220,12 @@ class _Minimisation:
         """All that is needed to carry on after so many iterations."""
         found = {f"network.{k}": v.numpy().copy() for k, v in self.network.state_dict().items()}
         state = self.optimiser.state[self.parameters[0]]
-        for name in _LISTS if state else ():
-            entries = state[name]
-            found[f"optimiser.{name}"] = torch.stack(entries).numpy() if entries else np.empty(0)
-        for name in (*_NUMBERS, *_VECTORS) if state else ():
-            values = torch.as_tensor(state[name], dtype=torch.float64)
-            found[f"optimiser.{name}"] = values.numpy().copy()
+        for name, value in state.items():
+            if name in _LISTS:
+                found[f"optimiser.{name}"] = torch.stack(value).numpy() if value else np.empty(0)
+            elif name in (*_NUMBERS, *_VECTORS):
+                values = torch.as_tensor(value, dtype=torch.float64)
+                found[f"optimiser.{name}"] = values.numpy().copy()
         return TrainingState(self.identity, done, found)
 
     def restore(self, state: TrainingState) -> int:
@@ -249,20 +249,18 @@ class _Minimisation:
             parts[part][key] = torch.from_numpy(np.array(array))
         self.network.load_state_dict(parts["network"])
         found = parts["optimiser"]
-        size = sum(each.numel() for each in self.parameters)
-        steps = len(found["old_dirs"]) if found else 0
+        if not found:
+            return
+        size, steps = sum(each.numel() for each in self.parameters), len(found["old_dirs"])
         shapes = {"old_dirs": (steps, size), "old_stps": (steps, size), "ro": (steps,)}
         shapes |= dict.fromkeys(_VECTORS, (size,))
         for name, values in found.items():
             single = name in _NUMBERS and values.numel() == 1
             if steps and not single and tuple(values.shape) != shapes[name]:
                 raise ValueError(name)
-        for name in _LISTS if found else ():
-            found[name] = list(found[name])
-        for name in _NUMBERS if found else ():
-            found[name] = found[name].item()
-        for name in ("func_evals", "n_iter") if found else ():
-            found[name] = int(found[name])
+        found |= {name: list(found[name]) for name in _LISTS}
+        found |= {name: found[name].item() for name in _NUMBERS}
+        found |= {name: int(found[name]) for name in ("func_evals", "n_iter")}
         self.optimiser.state[self.parameters[0]].update(found)
 
 
@@ -373,14 +371,11 @@ def fit_baseline(network: StressNetwork, data: Data, settings: TrainingSettings)
 
 def _sloped(
     network: StressNetwork, x: torch.Tensor, slopes: torch.Tensor, root: float
-) -> list[tuple[torch.Tensor, torch.Tensor]]:
-    parts = []
+) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
     for k in range(x.shape[1]):
         direction = torch.zeros_like(x)
         direction[:, k] = root
-        slope = along(network.baseline_columns, (x,), (direction,))[1]
-        parts.append((slope, root * slopes[:, :, k]))
-    return parts
+        yield along(network.baseline_columns, (x,), (direction,))[1], root * slopes[:, :, k]
 
 
 def _solve(gram: np.ndarray, right: np.ndarray) -> np.ndarray:

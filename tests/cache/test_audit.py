@@ -60,20 +60,6 @@ def test_all_are_audited_and_every_error_is_found():
     json.dumps(cached.report(), allow_nan=False)
 
 
-def test_a_share_is_audited_spread_over_time_and_points():
-    kept = []
-    cached = law(
-        audit=0.1, on_true_answer=lambda F, F_dot, stress, status, why: kept.append((F, why))
-    )
-    walk(cached, 100)
-    assert cached.report()["audit"]["audited"] == pytest.approx(400, abs=60)
-    assert {code for _, why in kept for code in why} == {1}
-    # The k-th step has shears up to 0.002 k: audits of all times and points are among them.
-    shears = np.concatenate([F for F, _ in kept])[:, 0, 1]
-    assert np.ptp(shears) > 0.3
-    assert len(np.unique(shears)) > 300
-
-
 def test_audits_wait_for_each_other_and_none_is_forgotten():
     class Counting(Truth):
         sizes = ()
@@ -129,14 +115,6 @@ def test_every_answer_is_audited_with_the_same_probability():
     assert (abs(by_step - 50 * 80) < 4.0 * scatter).all()
 
 
-def test_without_a_fraction_nothing_is_audited():
-    cached = law(audit=0.0)
-    walk(cached, 20)
-    audit = cached.report()["audit"]
-    assert audit["audited"] == 0
-    assert audit["wrong_at_most"] is None
-
-
 @dataclass
 class Warm(Truth):
     """Keeps F as its state and notes what it was given to start from."""
@@ -148,16 +126,6 @@ class Warm(Truth):
         self.asked.append((F.copy(), state))
         answer = super().respond(F, F_dot)
         return StressResponse(answer.stress, answer.status, PointStates(F.copy()))
-
-
-def test_an_audit_starts_from_the_last_one_of_its_point():
-    truth = Warm()
-    walked = walk(law(audit=1.0, truth=truth), 3)
-    (_, first), (F, second), (_, third) = truth.asked
-    assert first is None
-    assert np.array_equal(second.F, walked[0][0])
-    assert np.array_equal(F, walked[1][0])
-    assert np.array_equal(third.F, walked[1][0])
 
 
 def test_an_audit_of_other_points_starts_from_the_nearest_of_the_last_batch():

@@ -1,14 +1,18 @@
 """Which part answers which point, what is counted, and what becomes of the fallback's state."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pytest
 
+from surrofe2 import LoadCase
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.cache import CachedLaw, CacheSettings
-from surrofe2.law.stress_law import Acceptance, Status, StressResponse
+from surrofe2.law.stress_law import SURROGATE, Acceptance, Status, StressResponse
+from surrofe2.macro import MacroSettings, simulate
 from surrofe2.plant_cell.parameters import CellParameters
-from tests.laws import CELL, Surrogate, TrueLaw, exact, stretched
+from tests.laws import CELL, Learnt, PointStates, Surrogate, TrueLaw, Truth, exact, stretched
 
 
 @pytest.fixture
@@ -95,15 +99,6 @@ def test_a_refused_step_changes_nothing():
     assert cached.report()["audit"]["audited"] == 0
     assert not kept
     assert not learnt
-
-
-def test_without_a_miss_the_fallback_rests(cached, fallback):
-    answer = cached.respond(*stretched(1.0, 1.2))
-    accepted = cached.accept(*stretched(1.0, 1.2), answer)
-    cached.respond(*stretched(1.0, 1.2), accepted.state)
-    assert not fallback.asked
-    assert not fallback.accepted
-    assert not accepted.status.any()
 
 
 def test_asked_twice_it_says_the_same(cached, fallback):
@@ -237,3 +232,83 @@ def test_other_parameters_or_initialisation_are_refused():
     assert "\n" not in str(error.value)
     with pytest.raises(MismatchError, match="of initialisation elastic, the fallback of cauchy"):
         CachedLaw(Surrogate(), TrueLaw(initialisation="cauchy-born"))
+
+
+@dataclass(frozen=True)
+class Branch(PointStates):
+    """A state beyond a bifurcation where F₁₁ > 1.6."""
+
+    def take(self, indices):
+        return Branch(self.F[indices])
+
+    def put(self, indices, state):
+        return Branch(super().put(indices, state).F)
+
+    @property
+    def left_points(self):
+        return self.F[:, 0, 0] > 1.6
+
+
+class Leaving(TrueLaw):
+    """Leaves at accepted steps where F₁₁ > 1.6, and has a stress of 7 everywhere from there."""
+
+    def respond(self, F, F_dot, state=None, *, tangents=False):
+        answer = super().respond(F, F_dot, state)
+        return replace(answer, state=Branch(F.copy()))
+
+    def accept(self, F, F_dot, response):
+        left = response.state.left_points
+        stress = np.where(left[:, None, None], 7.0, response.stress)
+        return Acceptance(response.status, response.state, stress, left)
+
+
+def test_stress_beyond_a_bifurcation_is_passed_on_but_neither_kept_nor_learnt():
+    kept, learnt, surrogate = [], [], Surrogate()
+    surrogate.learn = lambda F, F_dot, stress, state: learnt.append(F[:, 0, 0].tolist())
+    cached = CachedLaw(
+        surrogate, Leaving(), on_true_answer=lambda F, *_: kept.append(F[:, 0, 0].tolist())
+    )
+    F, F_dot = stretched(1.1, 1.7, 1.55)
+    first = cached.respond(F, F_dot)
+    accepted = cached.accept(F, F_dot, first)
+    assert accepted.left_bifurcation.tolist() == [False, True, False]
+    assert (accepted.stress[1] == 7.0).all()
+    np.testing.assert_array_equal(accepted.stress[[0, 2]], first.stress[[0, 2]])
+    assert kept == learnt == [[1.55]]
+
+
+def strain(F):
+    return abs(F - np.eye(2)).max(axis=(1, 2))
+
+
+def law_by_strain(tolerance=0.01):
+    """Out of range above a strain of 0.02, bound above the tolerance from 0.01 on."""
+    surrogate = Learnt(
+        error=lambda F, F_dot: np.zeros(len(F)),
+        bound=lambda F, F_dot: strain(F),
+        outside=lambda F: strain(F) > 0.02,
+    )
+    return CachedLaw(surrogate, Truth(), CacheSettings(tolerance=tolerance / 10.0, audit=0.0))
+
+
+def test_sources_and_risks_of_an_answer():
+    F = np.tile(np.eye(2), (3, 1, 1))
+    F[:, 0, 1] = 0.005, 0.015, 0.025
+    told = law_by_strain().respond(F, 0.0 * F).sources()
+    assert told.source.tolist() == [SURROGATE, Status.NOT_TRUSTED, Status.OUT_OF_RANGE]
+    np.testing.assert_allclose(told.risk, [0.5, 0.0, 0.0])
+
+
+def test_frames_keep_the_largest_of_each_element():
+    load = LoadCase(duration=20.0, body_force=(0.0, -0.2), elements=(4, 2))
+    frames = simulate(load, law_by_strain(), MacroSettings(frames=6)).frames
+    assert frames.source.shape == frames.risk.shape == (len(frames.t), 8)
+    assert (frames.source[0] == SURROGATE).all()
+    hit = frames.source == SURROGATE
+    assert 0 < hit.sum() < hit.size
+    known = {SURROGATE, Status.NOT_TRUSTED, Status.OUT_OF_RANGE}
+    assert known.issuperset(frames.source.ravel())
+    assert (frames.risk <= 1.0).all()
+    # Of the points of an element the middle one is among those whose largest risk is told.
+    middle = strain(frames.F.reshape(-1, 2, 2)).reshape(hit.shape)
+    assert (frames.risk[hit] >= middle[hit] / 0.01 * (1.0 - 1e-12)).all()

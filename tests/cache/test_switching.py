@@ -16,13 +16,9 @@ from tests.laws import Learnt, Truth, shear_error
 from tests.macro.bars import equations_of_bar
 
 LOAD_CASE = LoadCase(
-    width=60.0,
-    height=40.0,
-    watched=(60.0, 20.0),
-    elements=(2, 3),
-    duration=12.0,
+    width=60.0, height=40.0, watched=(60.0, 20.0), elements=(2, 3), duration=12.0,
     output_interval=0.25,
-)
+)  # fmt: skip
 SETTINGS = MacroSettings(frames=5)
 TOLERANCE = 0.01  # of a spread of 10: 0.1 µN/µm
 

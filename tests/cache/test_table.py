@@ -5,11 +5,12 @@ import pytest
 
 from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import sample
-from surrofe2.base.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
-from surrofe2.base.tensors import stress_error, to_components, to_inputs, transpose
-from surrofe2.cache import StressTable, sampled_spread
+from surrofe2.base.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonical_image
+from surrofe2.base.tensors import from_inputs, stress_error, to_components, to_inputs, transpose
+from surrofe2.cache import CachedLaw, sampled_spread
+from surrofe2.cache.table.records import input_slopes, merged
 from surrofe2.law.stress_law import Status
-from tests.cache.tables import RANGE, SPREAD, make, states, taught
+from tests.cache.tables import RANGE, make, states, taught
 from tests.laws import PointStates, SquareLaw, square_stress
 
 
@@ -130,10 +131,6 @@ def test_a_record_at_the_edge_of_a_sector_is_valid_across_it():
     assert status[0] == 0
     assert 0.0 < bound[0] <= table.tolerance
     assert stress_error(stress, square_stress(sides[1], rate))[0] <= table.tolerance
-    nothing = StressTable(SquareLaw(), table.tolerance, RANGE, SPREAD)
-    nothing.symmetry = "none"
-    taught(sides[0], rate, nothing)
-    assert nothing.lookup(sides[1], rate)[1][0] == 0
 
 
 def test_without_symmetry_images_are_told_apart():
@@ -250,7 +247,70 @@ def test_what_cannot_be_a_table():
         sampled_spread(SquareLaw(fails_above=0.1), RANGE)
 
 
-def test_spread_is_that_of_the_samples():
-    stress = square_stress(*sample(RANGE, 512, 1))
-    expected = np.sqrt(((stress - stress.mean(axis=0)) ** 2).sum(axis=(1, 2)).mean())
-    assert sampled_spread(SquareLaw(), RANGE) == pytest.approx(expected, rel=5e-3)
+def test_canonical_image_is_in_one_sector():
+    x = to_inputs(*states(400))[0]
+    image = canonical_image(x)
+    assert set(image) == {0, 1, 2, 3}
+    home = x * INPUT_SIGNS[image]
+    assert (home[:, 1] >= 0.0).all()
+    assert (home[:, 2] >= 0.0).all()
+
+
+def test_slopes_are_derivatives_along_the_inputs():
+    F, F_dot = states(20)
+    x, R = to_inputs(F, F_dot)
+    law = SquareLaw()
+    answer = law.respond(F, F_dot, tangents=True)
+    slopes = input_slopes(R, *answer.tangents.cauchy(F, answer.stress))
+    for i in range(7):
+        step = np.zeros(7)
+        step[i] = 1e-5
+        sides = [
+            to_components(transpose(R) @ square_stress(*from_inputs(x + sign * step, R)) @ R)
+            for sign in (1.0, -1.0)
+        ]
+        expected = (sides[0] - sides[1]) / 2e-5
+        np.testing.assert_allclose(slopes[:, :, i], expected, atol=1e-6)
+
+
+def test_merged_tables_know_what_both_know():
+    first, second = taught(*states(100)), taught(*sample(RANGE, 100, 9))
+    both = make()
+    both.restore(merged(first.records, second.records, both.tolerance, 4))
+    assert first.size < both.size <= first.size + second.size
+    F, F_dot = sample(RANGE, 1000, 10)
+    known = [table.lookup(F, F_dot)[1] == 0 for table in (first, second, both)]
+    assert (known[0] | known[1])[known[2]].mean() == 1.0
+    assert known[2].sum() > max(known[0].sum(), known[1].sum())
+    again = merged(both.records, first.records, both.tolerance, 4)
+    assert len(again.centre) == both.size
+
+
+def test_a_merged_table_is_cut_where_the_other_knows_better():
+    F, F_dot = states(200)
+    table, sound = taught(F, F_dot), taught(*sample(RANGE, 300, 4))
+    slope = table.records.slope.copy()
+    slope[:, 0, 0] += 20.0
+    records = merged(sound.records, table.records._replace(slope=slope), table.tolerance, 4)
+    volume = np.linalg.det(records.curvature)
+    before = np.concatenate([np.linalg.det(t.records.curvature) for t in (sound, table)])
+    assert volume.sum() > 1.5 * before.sum()
+
+
+def test_a_cached_law_teaches_its_table_only_at_kept_steps():
+    law, kept = SquareLaw(fails_above=1.2), []
+    cached = CachedLaw(make(law), law, on_true_answer=lambda *answers: kept.append(answers))
+    F, F_dot = states(20, angle=0.0)
+    answer = cached.respond(F, F_dot)
+    assert cached.surrogate.size == 0
+    assert not kept
+    cached.accept(F, F_dot, answer)
+    assert cached.surrogate.size > 0
+    np.testing.assert_array_equal(kept[0][2], square_stress(F, F_dot))
+    assert not kept[0][4].any()
+    beyond = F.copy()
+    beyond[0, 0, 0] = 1.5
+    count = cached.surrogate.size
+    cached.accept(beyond, F_dot, cached.respond(beyond, F_dot))
+    assert cached.surrogate.size == count
+    assert len(kept) == 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from surrofe2.store.surrogates import write_surrogate
-from tests.surrogate.networks import make_law
+from tests.surrogate.twins import make_law
 
 
 @pytest.fixture

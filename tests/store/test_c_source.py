@@ -14,13 +14,9 @@ import pytest
 
 from surrofe2.base.errors import FileError, InputError
 from surrofe2.law.stress_law import Status
-from surrofe2.macro import MacroSettings, find_rest
-from surrofe2.problem.conditions import Fixed, PrescribedMotion, Traction
-from surrofe2.problem.mesh import rectangle
-from surrofe2.problem.problem import Problem
 from surrofe2.store.c_source import c_header, c_source
 from surrofe2.store.surrogates import read_surrogate, write_surrogate
-from tests.surrogate.networks import make_law, with_bound
+from tests.surrogate.twins import make_law, with_bound
 
 COMPILER = shutil.which("cc") or shutil.which("gcc")
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler is here")
@@ -143,17 +139,6 @@ def test_what_is_not_a_number_is_out_of_range(tmp_path):
     assert (respond(F, np.zeros_like(F))[1] == Status.OUT_OF_RANGE).all()
 
 
-def test_the_source_says_whose_it_is():
-    law = make_law()
-    text = c_source(law)
-    assert law.cell.fingerprint in text
-    assert law.data_fingerprint in text
-    assert max(len(line) for line in text.split("static const")[0].splitlines()) <= 100
-
-
-FORTRAN = pytest.mark.skipif(shutil.which("gfortran") is None, reason="no Fortran compiler is here")
-
-
 def umat_of(law, folder):
     """The example of a UMAT for a law: (σ (3,) xx, yy, xy, its slope (3, 3), pnewdt) of a step."""
     (folder / "law.c").write_text(c_source(law), encoding="utf-8")
@@ -188,32 +173,7 @@ def umat_of(law, folder):
     return umat
 
 
-@FORTRAN
-def test_the_umat_finds_the_element_at_rest_of_our_implicit_solver(tmp_path):
-    """One element, stretched along x and pulled across; a step so long that no rate is left."""
-    law, stretch, wanted, dt = make_law(), 1.005, 1.001, 1e12
-    umat, F = umat_of(law, tmp_path), np.diag([stretch, wanted])[None]
-    pull = float(law.respond(F, 0.0 * F).first_piola(F)[0, 1, 1])
-    held = (
-        Fixed(on="left", components="x"),
-        Fixed(on="bottom", components="y"),
-        PrescribedMotion(on="right", displacement=(10.0 * (stretch - 1.0), None)),
-        Traction(on="top", traction=(0.0, pull)),
-    )
-    problem = Problem(mesh=rectangle(10.0, 10.0, (1, 1)), conditions=held)
-    rest = find_rest(problem, law, MacroSettings(newton_tolerance=1e-11))
-    width = 1.0
-    for _ in range(12):
-        stress, slope, _ = umat(np.eye(2), np.diag([stretch, width]), dt)
-        rise = stretch * (slope[1, 1] - stress[1]) / width
-        width -= (stretch * stress[1] - pull) / rise
-    assert np.abs(rest.F - np.diag([stretch, width])).max() < 1e-8
-    exact = law.respond(rest.F[:1], 0.0 * rest.F[:1]).stress[0]
-    stress = umat(np.eye(2), rest.F[0], dt)[0]
-    assert np.abs(stress - exact[[0, 1, 0], [0, 1, 1]]).max() < 1e-8 * np.abs(exact).max()
-
-
-@FORTRAN
+@pytest.mark.skipif(shutil.which("gfortran") is None, reason="no Fortran compiler is here")
 def test_the_example_of_an_abaqus_umat(tmp_path):
     """A strip that is stretched, turned and free across: solved by UMAT as by the law itself."""
     law, dt = make_law(), 2.0

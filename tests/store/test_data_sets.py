@@ -13,11 +13,10 @@ import pytest
 from surrofe2.base import interruption
 from surrofe2.base.errors import FileError, InputError, MismatchError
 from surrofe2.base.sampling import SEQUENCE, sample
-from surrofe2.law.samples import StressSamples
-from surrofe2.law.stress_law import Status, describe
+from surrofe2.law.stress_law import Status, StressResponse, Tangents, describe
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.store import samples, store
-from surrofe2.store.hdf5 import ANY, reading, write_checkpoint, writing
+from surrofe2.store.hdf5 import ANY, read_checkpoint, reading, write_checkpoint, writing
 from surrofe2.store.samples import (
     DATA_SET,
     HarvestWriter,
@@ -29,8 +28,12 @@ from tests.laws import SoftLaw
 from tests.store.small_data_set import HEADER, RANGE, append_chunk, write_all
 
 
-def test_what_was_written_is_read(tmp_path):
-    path = tmp_path / "cells.h5"
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "cells.h5"
+
+
+def test_what_was_written_is_read(path):
     write_all(path)
     samples = read_data_set(path)
     F, F_dot = sample(RANGE, 20, 3)
@@ -45,8 +48,7 @@ def test_what_was_written_is_read(tmp_path):
     assert samples.rest_length == 1.5
 
 
-def test_schema(tmp_path):
-    path = tmp_path / "cells.h5"
+def test_schema(path):
     write_all(path)
     with h5py.File(path) as file:
         units = {name: file[name].attrs["unit"] for name in ("F", "F_dot", "stress")}
@@ -85,8 +87,7 @@ def test_rows_are_taken_whole_or_not_at_all(tmp_path):
     assert read_data_set(path).fingerprint == read_data_set(tmp_path / "whole.h5").fingerprint
 
 
-def test_a_file_can_be_written_while_one_that_was_interrupted_is_open(tmp_path):
-    path = tmp_path / "cells.h5"
+def test_a_file_can_be_written_while_one_that_was_interrupted_is_open(path):
     interrupted = writing(path, ANY, {})
     interrupted.__enter__()
     write_all(path)
@@ -135,16 +136,7 @@ def test_every_moment_of_writing_leaves_a_file_to_continue(tmp_path):
         assert read_data_set(copy).fingerprint == read_data_set(whole).fingerprint
 
 
-def test_unfinished_is_not_sealed(tmp_path):
-    path = tmp_path / "cells.h5"
-    with writing_data_set(path, HEADER) as data:
-        append_chunk(data, SoftLaw())
-        with pytest.raises(InputError, match="12 samples are missing; it cannot be finished"):
-            data.finish()
-
-
-def test_points_of_another_sequence_are_not_gone_on_with(tmp_path, monkeypatch):
-    path = tmp_path / "cells.h5"
+def test_points_of_another_sequence_are_not_gone_on_with(path, monkeypatch):
     with monkeypatch.context() as before:
         before.setattr(samples, "SEQUENCE", "Sobol")
         write_all(path)
@@ -164,8 +156,7 @@ def test_points_of_another_sequence_are_not_gone_on_with(tmp_path, monkeypatch):
         ({"version": "9"}, "surrofe2.version: this call has 9, what is there 0.1.0"),
     ],
 )
-def test_a_data_set_of_another_recipe_is_refused(tmp_path, change, told):
-    path = tmp_path / "cells.h5"
+def test_a_data_set_of_another_recipe_is_refused(path, change, told):
     with writing_data_set(path, HEADER):
         pass
     other = replace(HEADER, **change)
@@ -174,8 +165,7 @@ def test_a_data_set_of_another_recipe_is_refused(tmp_path, change, told):
     assert str(caught.value).startswith(f"{path}: {told}")
 
 
-def test_what_is_no_data_set(tmp_path):
-    path = tmp_path / "cells.h5"
+def test_what_is_no_data_set(path):
     for write, told in (
         (lambda: None, "cannot be read: No such file or directory"),
         (lambda: path.write_text("F = 1"), "not an HDF5 file"),
@@ -188,30 +178,7 @@ def test_what_is_no_data_set(tmp_path):
         assert str(caught.value) == f"{path}: {told}"
 
 
-def test_every_changed_byte_is_seen(tmp_path):
-    path = tmp_path / "cells.h5"
-    write_all(path)
-    content = path.read_bytes()
-    for place in np.random.default_rng(0).integers(len(content), size=200):
-        changed = bytearray(content)
-        changed[place] ^= 1
-        path.write_bytes(changed)
-        with pytest.raises(FileError) as caught:
-            read_data_set(path)
-        assert str(path) in str(caught.value)
-
-
-def test_later_schema(tmp_path, monkeypatch):
-    path = tmp_path / "cells.h5"
-    with monkeypatch.context() as later:
-        later.setattr(samples, "DATA_SET", replace(samples.DATA_SET, version=3))
-        write_all(path)
-    with pytest.raises(FileError, match="data set schema 3; this surrofe2 reads 2"):
-        read_data_set(path)
-
-
-def test_a_sealed_name_that_is_no_utf8_is_damage(tmp_path):
-    path = tmp_path / "cells.h5"
+def test_a_sealed_name_that_is_no_utf8_is_damage(path):
     write_all(path)
     content = path.read_bytes().replace(b"stress\0", b"str\xffss\0")
     begin, end = store._place(content)
@@ -220,35 +187,13 @@ def test_a_sealed_name_that_is_no_utf8_is_damage(tmp_path):
         read_data_set(path)
 
 
-def test_numbers_in_other_units_are_refused(tmp_path, monkeypatch):
-    path = tmp_path / "cells.h5"
+def test_numbers_in_other_units_are_refused(path, monkeypatch):
     with monkeypatch.context() as other:
         columns = DATA_SET.columns | {"stress": replace(DATA_SET.columns["stress"], unit="Pa")}
         other.setattr(samples, "DATA_SET", replace(DATA_SET, columns=columns))
         write_all(path)
     with pytest.raises(FileError, match="stress: in units 'Pa'; they must be 'µN/µm'"):
         read_data_set(path)
-
-
-def test_a_data_set_with_the_fingerprint_of_another_is_refused(tmp_path, monkeypatch):
-    path = tmp_path / "cells.h5"
-    with monkeypatch.context() as other:
-        other.setattr(StressSamples, "fingerprint", "0" * 16)
-        write_all(path)
-    with pytest.raises(FileError, match="fingerprint: not that of its samples"):
-        read_data_set(path)
-
-
-@pytest.mark.parametrize("content", ["F = 1", "surrofe2-harvest"])
-def test_starting_over_replaces_no_file_of_another_kind(tmp_path, content):
-    path = tmp_path / "cells.h5"
-    path.write_text(content)
-    with (
-        pytest.raises(FileError, match="so --fresh does not replace it"),
-        writing_data_set(path, HEADER, fresh=True),
-    ):
-        pass
-    assert path.read_text() == content
 
 
 @pytest.mark.parametrize("kind", ["external", "virtual"])
@@ -267,3 +212,79 @@ def test_numbers_in_other_files_are_refused(tmp_path, kind, name):
         reading(tmp_path / "a.h5", DATA_SET),
     ):
         pass
+
+
+def test_arrays_come_back_as_they_were(tmp_path):
+    path = tmp_path / "checkpoint.h5"
+    arrays = {
+        "t": np.array(0.1 + 0.2),
+        "y": np.random.default_rng(0).normal(size=(3, 2)),
+        "counts.steps": np.array(7),
+        "empty": np.empty((0, 2)),
+    }
+    write_checkpoint(path, arrays, "an rve run")
+    back = read_checkpoint(path, "an rve run")
+    assert back.keys() == arrays.keys()
+    for name, values in arrays.items():
+        np.testing.assert_array_equal(back[name], values)
+        assert back[name].dtype == values.dtype
+
+
+def test_checkpoint_of_something_else(tmp_path):
+    path = tmp_path / "checkpoint.h5"
+    write_checkpoint(path, {}, "a training")
+    with pytest.raises(FileError) as caught:
+        read_checkpoint(path, "an rve run")
+    assert str(caught.value) == f"{path}: a checkpoint of a training, not of an rve run"
+
+
+def test_tangents_are_kept_to_the_bit(tmp_path):
+    path, header = tmp_path / "cells.h5", replace(HEADER, tangents=True)
+    law = SoftLaw(fails_above=1.03)
+    F, F_dot = sample(RANGE, 20, 3)
+    answer = law.respond(F, F_dot)
+    values = np.random.default_rng(5).normal(size=(2, 20, 2, 2, 2, 2))
+    values[:, answer.status != 0] = np.nan
+    with writing_data_set(path, header) as data:
+        for rows in (slice(0, 8), slice(8, 20)):
+            slopes = Tangents(values[0, rows], values[1, rows])
+            part = StressResponse(answer.stress[rows], answer.status[rows], tangents=slopes)
+            data.append(F[rows], F_dot[rows], part)
+        data.finish()
+    samples = read_data_set(path)
+    np.testing.assert_array_equal(samples.P_by_F, values[0])
+    np.testing.assert_array_equal(samples.P_by_F_dot, values[1])
+    with h5py.File(path) as file:
+        assert file["P_by_F"].attrs["unit"] == "µN/µm"
+        assert file["P_by_F_dot"].attrs["unit"] == "µN µs/µm"
+
+
+def test_a_data_set_without_tangents_has_none_and_is_not_continued_with_them(path):
+    write_all(path)
+    assert read_data_set(path).P_by_F is read_data_set(path).P_by_F_dot is None
+    with (
+        pytest.raises(MismatchError, match=r"samples\.tangents: this call has True, what is there"),
+        writing_data_set(path, replace(HEADER, tangents=True)),
+    ):
+        pass
+
+
+def test_samples_beyond_a_bifurcation_are_marked_and_not_valid(path):
+    F, F_dot = sample(RANGE, 20, 3)
+    answer = SoftLaw(fails_above=1.03).respond(F, F_dot)
+    failed = answer.status != 0
+    assert failed[8:].any()
+    left = (np.arange(20) % 5 == 0) | failed  # what failed is not counted once more
+    with writing_data_set(path, HEADER) as data:
+        data.append(F[:8], F_dot[:8], StressResponse(answer.stress[:8], answer.status[:8]))
+        rest = StressResponse(answer.stress[8:], answer.status[8:], left_bifurcation=left[8:])
+        data.append(F[8:], F_dot[8:], rest)
+        assert data.left_count() == 2
+        data.finish()
+    samples = read_data_set(path)
+    assert (samples.left_bifurcation & ~failed).nonzero()[0].tolist() == [10, 15]
+    kept = np.flatnonzero((answer.status == 0) & ~samples.left_bifurcation)
+    np.testing.assert_array_equal(samples.valid.F, F[kept])
+    assert replace(samples, left_bifurcation=None).fingerprint != samples.fingerprint
+    with pytest.raises(InputError, match="left_bifurcation"):
+        replace(samples, left_bifurcation=left[:3])

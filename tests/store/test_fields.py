@@ -9,7 +9,6 @@ import meshio
 import numpy as np
 import pytest
 
-from surrofe2.base.errors import FileError
 from surrofe2.store.fields import (
     DISPLACEMENT_NAME,
     F_DOT_NAME,
@@ -21,8 +20,8 @@ from surrofe2.store.fields import (
     add_to_elements,
     read_fields,
     write_fields,
-    write_particle_fields,
     write_point_fields,
+    write_series,
 )
 
 NODES = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
@@ -84,20 +83,6 @@ def test_fields_read_back(tmp_path, frames):
         np.testing.assert_array_equal(read.values[name], values)
 
 
-def test_fields_of_particles_have_no_motion_of_elements(tmp_path):
-    motion = SimpleNamespace(
-        t=np.zeros(1), displacement=np.zeros((1, 4, 2)), velocity=np.zeros((1, 4, 2))
-    )
-    write_particle_fields(tmp_path, NODES, QUADS[:, :2], np.ones(4, bool), motion)
-    with pytest.raises(FileError) as caught:
-        read_fields(tmp_path, [F_DOT_NAME])
-    path = tmp_path / "fields.h5"
-    assert (
-        str(caught.value) == f"{path}: no deformation_rate_1_per_us in it; run it again "
-        "with --fresh"
-    )
-
-
 def test_one_grid_a_time_and_no_mesh_beside_them(tmp_path, frames):
     write_fields(tmp_path, NODES, QUADS, frames)
     (domain,) = ElementTree.parse(tmp_path / "fields.xdmf").getroot()
@@ -130,28 +115,6 @@ def test_invariants_of_known_stresses(tmp_path, frames):
         np.testing.assert_allclose(in_quads[f"{name}_in_plane_uN_per_um"][0], [value], rtol=1e-13)
 
 
-def test_triangles_with_six_nodes(tmp_path):
-    nodes = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    zero = np.zeros((1, 6, 2))
-    tensors = np.zeros((1, 1, 2, 2))
-    frames = SimpleNamespace(
-        t=np.zeros(1),
-        displacement=zero,
-        velocity=zero,
-        stress=tensors,
-        F=tensors,
-        F_dot=tensors,
-        source=np.empty((1, 0)),
-        risk=np.empty((1, 0)),
-        dissipated=np.empty((1, 0)),
-    )
-    write_fields(tmp_path, nodes, np.arange(6)[None], frames)
-    with meshio.xdmf.TimeSeriesReader(tmp_path / "fields.xdmf") as reader:
-        points, cells = reader.read_points_cells()
-    assert (cells[0].type, cells[0].data.tolist()) == ("triangle6", [[0, 1, 2, 3, 4, 5]])
-    np.testing.assert_array_equal(points[:, :2], nodes)
-
-
 def test_points_of_the_law_read_back(tmp_path):
     """A cloud of six points of two elements at two times; what has no points is left out."""
     numbers = np.random.default_rng(1)
@@ -179,3 +142,12 @@ def test_points_of_the_law_read_back(tmp_path):
     np.testing.assert_array_equal(of_points["element"], [0, 0, 0, 1, 1, 1])
     np.testing.assert_array_equal(of_points["displacement_um"][:, :2], values[DISPLACEMENT_NAME][1])
     np.testing.assert_array_equal(of_points[SOURCE_NAME], values[SOURCE_NAME][1])
+
+
+def test_triangles_with_six_nodes(tmp_path):
+    nodes = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    write_series(tmp_path, nodes, np.arange(6)[None], np.zeros(1), {}, {})
+    with meshio.xdmf.TimeSeriesReader(tmp_path / "fields.xdmf") as reader:
+        points, cells = reader.read_points_cells()
+    assert (cells[0].type, cells[0].data.tolist()) == ("triangle6", [[0, 1, 2, 3, 4, 5]])
+    np.testing.assert_array_equal(points[:, :2], nodes)

@@ -5,7 +5,6 @@ import fcntl
 import json
 import os
 
-import numpy as np
 import pytest
 
 from surrofe2.base.errors import FileError
@@ -16,7 +15,6 @@ from surrofe2.store.store import (
     file_lock,
     keep,
     locked_file,
-    plain,
     read_json,
     remove,
     sealed,
@@ -94,16 +92,6 @@ def test_names_that_are_not_utf8_are_kept_as_escapes(tmp_path):
     assert read_json(path) == {"r\\udcff.toml": "r\\udcff.toml"}
     write_text(path, name)
     assert path.read_text() == "r\\udcff.toml"
-
-
-def test_plain_values_are_strict_json():
-    value = {"a": np.float64(1.5), 2: (np.arange(2), float("inf")), "n": None, "b": True}
-    assert json.loads(json.dumps(plain(value), allow_nan=False)) == {
-        "a": 1.5,
-        "2": [[0, 1], "inf"],
-        "n": None,
-        "b": True,
-    }
 
 
 @pytest.mark.parametrize(("text", "what"), [("{", "not a JSON file"), ("[]", "not a JSON object")])

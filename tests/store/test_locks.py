@@ -88,13 +88,6 @@ def test_the_lock_of_a_killed_process_is_taken_over_with_a_remark(tmp_path, hold
     assert len(caplog.records) == 1
 
 
-def test_a_stopped_process_keeps_its_lock(tmp_path, holder):
-    holder.send_signal(signal.SIGSTOP)
-    with pytest.raises(FileError, match=f"in use by process {holder.pid} "):
-        locked_folder(tmp_path / "out").__enter__()
-    holder.send_signal(signal.SIGCONT)
-
-
 def test_a_process_that_stalls_as_it_signs_keeps_its_lock(tmp_path, holder):
     out = tmp_path / "out"
     folder_lock(out).write_bytes(b"")

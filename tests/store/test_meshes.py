@@ -172,17 +172,9 @@ def test_what_meshio_cannot_read(tmp_path, written, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_mesh_that_no_tissue_has(tmp_path):
-    """All that `check_mesh` finds is found in files too."""
-    path, points = tmp_path / "wrong.vtu", np.array([[0.0, 0], [1, 0], [0.1, 0.1], [0, 1]])
-    meshio.Mesh(np.pad(points, ((0, 0), (0, 1))), [("quad", [[0, 1, 2, 3]])]).write(path)
-    told = "wrong.vtu: mesh: element 0 at (0.275, 0.275) µm is inverted; its corners must go round"
-    assert refusal(path).startswith(told)
-
-
 def test_numbers_that_a_file_has_no_points_for(written):
     """meshio would make an array of as many entries as the largest number of a node."""
-    path = written(changed(QUADS, ("6\n12\n0 0 0", "6\n4000000000\n0 0 0")))
+    path = written(changed(QUADS, ("6 12\n0 0 0", "6 4000000000\n0 0 0")))
     assert "reading it takes more than 2 GB" in refusal(path, FileError)
     vtk = path.with_suffix(".vtk")
     vtk.write_text(

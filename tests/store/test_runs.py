@@ -32,11 +32,6 @@ def curve():
     return DisplacementCurve(t, np.stack([0.1 * t, -np.sqrt(t)], axis=1))
 
 
-def test_record_comes_back(tmp_path, record):
-    write_record(tmp_path, record)
-    assert read_record(tmp_path) == record
-
-
 def write(folder, curve, energies=None):
     write_curves(folder, curve.t, {"tip": curve.displacement}, {}, energies or {})
 
@@ -97,12 +92,6 @@ def test_fresh_replaces_no_file_that_is_not_of_a_run(tmp_path, record, name):
     assert {path.name: path.read_text() for path in folder.iterdir()} == {name: "mine"}
 
 
-def test_a_run_with_a_checkpoint_resumes(tmp_path, record):
-    write_record(tmp_path, replace(record, status="interrupted"))
-    (tmp_path / "checkpoint.h5").touch()
-    assert opened(tmp_path, replace(record, threads=1)).resumes
-
-
 def test_a_run_without_a_checkpoint_starts_with_nothing_of_another(tmp_path, record, curve):
     folder = tmp_path / "run"
     write(folder, curve)
@@ -119,6 +108,7 @@ def test_a_record_in_other_units_or_of_another_schema_is_refused(tmp_path, recor
     for change, message in (
         ({"units": {**entries["units"], "time": "s"}}, "numbers of the run: in units "),
         ({"schema_version": 2}, "run schema 2; this surrofe2 reads 3"),
+        ({"schema": "foreign"}, "not the record of a surrofe2 run"),
     ):
         write_json(tmp_path / "run.json", entries | change)
         with pytest.raises(FileError, match=message):
@@ -131,13 +121,6 @@ def test_unfinished_run_is_not_read(tmp_path, record, curve):
     with pytest.raises(InputError) as caught:
         read_run(tmp_path)
     assert str(caught.value) == f"{tmp_path}: the run is interrupted; its command resumes it"
-
-
-def test_foreign_record(tmp_path):
-    write_json(tmp_path / "run.json", {})
-    with pytest.raises(FileError) as caught:
-        read_record(tmp_path)
-    assert str(caught.value) == f"{tmp_path / 'run.json'}: not the record of a surrofe2 run"
 
 
 @pytest.mark.parametrize(

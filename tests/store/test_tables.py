@@ -12,7 +12,7 @@ import pytest
 from surrofe2.base.errors import FileError, MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.store.hdf5 import ANY, writing
-from surrofe2.store.samples import HarvestWriter, Origin, check_harvest, read_harvest
+from surrofe2.store.samples import HarvestWriter, Origin, read_harvest
 from surrofe2.store.tables import check_table, read_table, write_table
 from tests.cache.tables import make, states, taught
 
@@ -113,15 +113,3 @@ def test_a_harvest_goes_on_from_what_it_held(tmp_path):
     again(*answers(2, start=3.0))
     again.flush()
     np.testing.assert_array_equal(read_harvest(again.path).F, answers(5)[0])
-
-
-def test_a_harvest_of_other_parameters_is_not_added(tmp_path):
-    path = tmp_path / "harvest.h5"
-    writer = HarvestWriter(path, HEADER)
-    writer(*answers(3))
-    writer.flush()
-    water = replace(HEADER, cell=CellParameters.preset("water"))
-    with pytest.raises(MismatchError, match=r"harvested for cell\.fluid_particle_mass = 2\.7"):
-        check_harvest(path, read_harvest(path), water.cell, "constrained-runs")
-    with pytest.raises(MismatchError, match="initialisation constrained-runs, not elastic"):
-        check_harvest(path, read_harvest(path), CELL, "elastic")

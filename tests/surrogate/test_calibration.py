@@ -7,7 +7,7 @@ import pytest
 
 from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import SamplingRange, sample
-from surrofe2.base.tensors import stress_error, stress_spread, unrotated
+from surrofe2.base.tensors import stress_spread, unrotated
 from surrofe2.store.store import plain
 from surrofe2.store.surrogates import read_surrogate, write_surrogate
 from surrofe2.surrogate import calibration
@@ -51,36 +51,15 @@ def calibrated(law, samples):
 
 @pytest.mark.parametrize(
     ("count", "share", "rank"),
-    [
-        (99, 0.01, 99),
-        (100, 0.01, 100),
-        (199, 0.01, 199),
-        (400, 0.01, 400),
-        (1000, 0.01, 996),
-        (9, 0.1, 9),
-        (60, 0.1, 59),
-        (3, 0.5, 3),
-    ],
+    [(98, 0.01, np.inf), (99, 0.01, 99), (400, 0.01, 400), (1000, 0.01, 996), (60, 0.1, 59)],
 )
 def test_quantile_is_the_rank_of_split_conformal_prediction(count, share, rank):
     scores = np.random.default_rng(1).permutation(count) + 1.0
     assert conformal_quantile(scores, share) == rank
 
 
-def test_too_few_paths_give_no_bound():
-    assert conformal_quantile(np.ones(98), 0.01) == np.inf
-    assert conformal_quantile(np.ones(0), 0.01) == np.inf
-
-
 @pytest.mark.parametrize(
-    ("count", "alpha", "expected"),
-    [
-        (299, 0.01, 0.95),
-        (2000, 0.01, 0.95),
-        (298, 0.01, 0.94996),
-        (100, 0.01, 0.63397),
-        (9, 0.1, 0.61258),
-    ],
+    ("count", "alpha", "expected"), [(299, 0.01, 0.95), (298, 0.01, 0.94996), (9, 0.1, 0.61258)]
 )
 def test_the_confidence_of_so_many_paths(count, alpha, expected):
     """By simulation too: how often new scores exceed the quantile of these with at most alpha."""
@@ -91,17 +70,6 @@ def test_the_confidence_of_so_many_paths(count, alpha, expected):
     assert kept > expected - 3.0 * np.sqrt(expected * (1.0 - expected) / 2000)
     if count < 299:
         assert kept == pytest.approx(expected, abs=0.04)
-
-
-def test_the_bound_holds_on_random_states(calibrated):
-    F, F_dot = sample(RANGE, 20_000, seed=31)
-    stress, status, bound = calibrated.lookup(F, F_dot)
-    inside = status == 0
-    assert inside.mean() > 0.98
-    error = stress_error(stress, lattice_stress(F, F_dot))
-    assert (error[inside] > bound[inside]).mean() <= ALPHA
-    typical = np.median(error[inside])
-    assert np.quantile(bound[inside], 0.99) < 30.0 * MARGIN * typical  # and it says something
 
 
 def test_the_bound_holds_on_fresh_paths(calibrated):
@@ -128,10 +96,6 @@ def test_what_is_recorded(calibrated, samples):
     assert record.stress_spread == pytest.approx(stress_spread(samples.stress))
     assert calibrated.stress_spread == record.stress_spread
     assert record.data_fingerprint == samples.fingerprint
-
-
-def test_spread_without_calibration_is_that_of_held_out_samples(law, calibrated):
-    assert law.stress_spread == pytest.approx(calibrated.stress_spread, rel=0.05)
 
 
 def test_through_its_file(calibrated, tmp_path):
@@ -208,14 +172,6 @@ def test_an_error_in_one_corner_hardly_widens_the_bound_elsewhere(law, samples, 
     assert found_by(calibration._TIMES) - honest < 0.5 * (found_by(1) - honest)
 
 
-def test_a_bias_that_only_new_paths_have_shows_too(law, calibrated, samples):
-    """Shape the scale on honest paths, test on biased ones: the quantile grows."""
-    bias = 0.02 * law.stress_spread * np.diag([1.0, 0.0])
-    tests = [replace(one, stress=one.stress + bias) for one in true_paths(120, 20)]
-    found = calibrate(law, samples, true_paths(60, 10), tests, ALPHA)
-    assert found.calibration.quantile > 5.0 * calibrated.calibration.quantile
-
-
 def test_failures_within_the_domain_leave_no_bound(law, samples):
     """The true law has no stress on a tenth of the paths, anywhere on them."""
     tests = true_paths(120, 20)
@@ -259,14 +215,6 @@ def test_no_path_at_all(law, samples):
         calibrate(law, samples, nothing, nothing, ALPHA)
 
 
-@pytest.mark.parametrize(
-    ("setting", "message"),
-    [
-        ({"alpha": 0.0}, r"calibration.alpha: 0.0; it must be between 0 and 1"),
-        ({"runs": 98}, "calibration.runs: 98; it must be 0 or at least 99"),
-    ],
-)
-def test_settings_that_make_no_sense_are_refused(setting, message):
-    with pytest.raises(InputError, match=message):
-        CalibrationSettings(**setting)
-    assert CalibrationSettings(runs=99).runs == 99
+def test_too_few_runs_for_the_confidence_are_refused():
+    with pytest.raises(InputError, match=r"calibration\.runs: 98; it must be 0 or at least 99"):
+        CalibrationSettings(runs=98)

@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from surrofe2.base.sampling import SamplingRange, contains, sample
+from surrofe2.base.sampling import SamplingRange, contains
 from surrofe2.base.tensors import rotation, transpose
 from surrofe2.law.stress_law import Acceptance, Status, StressResponse
 from surrofe2.surrogate.deformation_paths import (
     CHUNK,
-    DeformationPaths,
-    WatchedLaw,
     random_walks,
     run_paths,
     true_stress,
@@ -98,12 +96,6 @@ def test_a_run_with_all_its_points_is_one_path():
     assert np.array_equal(paths.F[:, 3], np.broadcast_to(np.eye(2), (5, 2, 2)))
 
 
-def test_the_largest_on_each_path():
-    rest = np.zeros((2, 3, 2, 2))
-    paths = DeformationPaths("walks", rest, rest, np.array([0, 1, 1]))
-    assert paths.largest(np.array([1.0, 2.0, 3.0, 7.0, 5.0, 6.0])).tolist() == [7.0, 6.0]
-
-
 class ForgetfulLaw(SoftLaw):
     """Has no stress after a warm start at odd points; counts its states."""
 
@@ -166,17 +158,3 @@ def test_beyond_a_bifurcation_there_is_no_one_stress_but_back_on_the_branch_ther
     assert np.array_equal(status == Status.UNSTABLE, lost)
     F, F_dot = walks.states
     assert np.array_equal(stress[~lost], SoftLaw().respond(F, F_dot).stress[~lost])
-
-
-def test_a_watched_law_answers_as_before_and_reports_accepted_steps():
-    met = []
-    law, watched = SoftLaw(), WatchedLaw(SoftLaw(), lambda *state: met.append(state))
-    F, F_dot = sample(RANGE, 4, seed=1)
-    answer = watched.respond(F, F_dot)
-    assert met == []
-    assert np.array_equal(answer.stress, law.respond(F, F_dot).stress)
-    watched.accept(F, F_dot, answer)
-    ((noted, noted_dot),) = met
-    assert np.array_equal(noted, F)
-    assert np.array_equal(noted_dot, F_dot)
-    assert watched.density == law.density

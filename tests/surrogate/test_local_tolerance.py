@@ -14,8 +14,7 @@ from surrofe2.rve import RveLaw
 from surrofe2.surrogate import TrainingSettings, train
 from surrofe2.workflow.generate import sample_stress
 from tests.laws import RANGE, Learnt, Truth, stretched
-from tests.surrogate.failing_samples import G
-from tests.surrogate.networks import with_bound
+from tests.surrogate.twins import G, with_bound
 
 TOLERANCE, RELATIVE = 0.4, 0.05
 NEAR = SamplingRange(stretch=(0.96, 1.04), shear=0.04, rate=0.01)

@@ -12,11 +12,10 @@ from surrofe2.base.sampling import sample
 from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.law.stress_law import Status
 from surrofe2.store import surrogates
-from surrofe2.store.surrogates import read_surrogate, write_surrogate, write_training
+from surrofe2.store.surrogates import read_surrogate, write_surrogate
 from surrofe2.surrogate import TrainingSettings, train
 from tests.laws import RANGE, WELL_INSIDE, TrueLattice, lattice_samples
-from tests.surrogate.networks import with_bound
-from tests.surrogate.torch_twin import read_parts, torch_stress, write_parts
+from tests.surrogate.twins import read_parts, torch_stress, with_bound, write_parts
 
 
 @pytest.fixture(scope="module")
@@ -96,13 +95,6 @@ def test_foreign_files(tmp_path):
         assert_refused(path, "not an HDF5 file; train again with: surrofe2 train")
     path.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(600))
     assert_refused(path, "no SHA-256 in it; .*; train again")
-
-
-def test_an_unfinished_training_is_no_surrogate(tmp_path):
-    write_training(tmp_path / "a-surrogate.h5", {"data_fingerprint": "1"}, 20, {"a": np.zeros(3)})
-    assert_refused(
-        tmp_path / "a-surrogate.h5", "an HDF5 file, but not a surrofe2 surrogate; train again"
-    )
 
 
 def test_a_surrogate_of_an_older_schema_says_what_to_do(file, monkeypatch):

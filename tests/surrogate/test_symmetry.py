@@ -4,18 +4,19 @@ from functools import partial
 
 import numpy as np
 import pytest
+import torch
 
 from surrofe2.base.sampling import sample
 from surrofe2.base.square_symmetry import parity
-from surrofe2.base.tensors import from_components, to_components, to_inputs
+from surrofe2.base.tensors import to_components
 from surrofe2.surrogate.features import (
     COVARIANTS,
     INVARIANTS,
     monomials,
 )
-from surrofe2.surrogate.piola import to_cauchy, to_piola
-from tests.laws import WELL_INSIDE, lattice_stress
-from tests.surrogate.torch_twin import torch_stress
+from surrofe2.surrogate.network import Shapes, along
+from tests.laws import WELL_INSIDE
+from tests.surrogate.twins import make_network, torch_stress
 
 ROTATIONS = [
     np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]).round()
@@ -39,16 +40,6 @@ def both_paths(law):
 
 def assert_close(found, expected):
     assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
-
-
-def test_inputs_and_outputs_lose_nothing_but_the_rotation(points):
-    F, F_dot = points
-    inputs, R = to_inputs(F, F_dot)
-    spinless = np.concatenate([inputs[:, :3], np.zeros((200, 1))], axis=1)
-    np.testing.assert_allclose(R @ (np.eye(2) + from_components(spinless)), F, atol=1e-14)
-    np.testing.assert_allclose(R @ from_components(inputs[:, 3:]), F_dot, atol=1e-16)
-    stress = lattice_stress(F, F_dot)
-    np.testing.assert_allclose(to_cauchy(F, to_piola(F, stress)), stress, atol=1e-12)
 
 
 @pytest.mark.parametrize("group_element", ROTATIONS + REFLECTIONS, ids=range(8))
@@ -99,16 +90,11 @@ def test_a_constant_rotation_turns_the_stress(law, points, angle):
         assert_close(stress(Q @ points[0], Q @ points[1]), Q @ stress(*points) @ Q.T)
 
 
-@pytest.mark.parametrize("G", ROTATIONS, ids=range(4))
-def test_turning_the_square_cell_changes_nothing(law, points, G):
+@pytest.mark.parametrize("G", ROTATIONS + REFLECTIONS, ids=range(8))
+def test_the_group_of_the_square_cell_changes_nothing(law, points, G):
+    Q = np.eye(2) if np.linalg.det(G) > 0.0 else G
     for stress in both_paths(law):
-        assert_close(stress(points[0] @ G, points[1] @ G), stress(*points))
-
-
-@pytest.mark.parametrize("M", REFLECTIONS, ids=range(4))
-def test_reflecting_the_square_cell_reflects_the_stress(law, points, M):
-    for stress in both_paths(law):
-        assert_close(stress(M @ points[0] @ M, M @ points[1] @ M), M @ stress(*points) @ M)
+        assert_close(stress(Q @ points[0] @ G, Q @ points[1] @ G), Q @ stress(*points) @ Q)
 
 
 def test_no_stress_at_rest(law):
@@ -135,3 +121,18 @@ def test_smooth_across_the_folds(law, direction, centre, rate):
     left = (3 * c - 4 * b + a) / (2 * h)
     right = (-3 * c + 4 * d - e) / (2 * h)
     assert np.abs(right - left).max() < 1e-4 * np.abs(left).max()
+
+
+@pytest.mark.parametrize("symmetry", ["D4", "none"])
+@pytest.mark.parametrize("second_order", [True, False])
+def test_correction_and_its_slope(symmetry, second_order):
+    network = make_network(symmetry)
+    network.second_order = second_order
+    generator = torch.Generator().manual_seed(6)
+    x, direction = torch.randn((2, 20, 7), generator=generator, dtype=torch.float64)
+    shapes, moving = along(network.shapes, (x,), (direction,))
+    found = network.correction_along(shapes, moving)
+    expected = along(lambda *at: network.correction(Shapes(*at)), shapes, moving)
+    for part, wanted in zip(found, expected, strict=True):
+        torch.testing.assert_close(part, wanted, rtol=1e-12, atol=1e-12)
+    assert expected[1].abs().max() > 1e-3

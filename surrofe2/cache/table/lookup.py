@@ -200,34 +200,13 @@ def _write_stress(room, lane, total, stress, p):  # type: ignore[no-untyped-def]
 
 def make_screen(records: Records, count: int) -> Array:
     """(count, `PRODUCTS`) coefficients of the bounds of the first `count` records."""
-    screen = np.empty((count, PRODUCTS))
-    _fill(records.centre, records.curvature, screen)
-    return screen
-
-
-@kernel
-def _fill(centre, curvature, screen):  # type: ignore[no-untyped-def]
-    for k in range(screen.shape[0]):
-        for m in range(PRODUCTS):
-            i, j = _PAIRS[m, 0], _PAIRS[m, 1]
-            if j < INPUTS:
-                screen[k, m] = curvature[k, i, j] if i == j else 2.0 * curvature[k, i, j]
-            elif i < INPUTS:
-                screen[k, m] = -2.0 * _pull(i, k, centre, curvature)
-            else:
-                total = 0.0
-                for n in range(INPUTS):
-                    total += centre[k, n] * _pull(n, k, centre, curvature)
-                screen[k, m] = total
-
-
-@kernel
-def _pull(i, k, centre, curvature):  # type: ignore[no-untyped-def]
-    """Component i of C x₀ of record k."""
-    total = 0.0
-    for j in range(INPUTS):
-        total += curvature[k, i, j] * centre[k, j]
-    return total
+    centre, curvature = records.centre[:count], records.curvature[:count]
+    pull = np.einsum("nij,nj->ni", curvature, centre)
+    whole = np.empty((count, INPUTS + 1, INPUTS + 1))
+    whole[:, :INPUTS, :INPUTS], whole[:, :INPUTS, INPUTS] = curvature, -pull
+    whole[:, INPUTS, INPUTS] = (centre * pull).sum(axis=1)
+    i, j = _PAIRS.T
+    return np.ascontiguousarray(whole[:, i, j] * np.where(i == j, 1.0, 2.0))
 
 
 @kernel

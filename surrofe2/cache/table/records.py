@@ -63,23 +63,14 @@ class Records(NamedTuple):
 
 def no_records() -> Records:
     """An empty table's records."""
-    return make_records(
-        np.empty((0, INPUTS)),
-        np.empty((0, OUTPUTS)),
-        np.empty((0, OUTPUTS, INPUTS)),
-        np.empty((0, INPUTS, INPUTS)),
-    )
+    inner = (INPUTS,), (OUTPUTS,), (OUTPUTS, INPUTS), (INPUTS, INPUTS)
+    return make_records(*(np.empty((0, *shape)) for shape in inner))
 
 
 def make_records(centre: Array, stress: Array, slope: Array, curvature: Array) -> Records:
     """Records with their extents."""
     extent = np.diagonal(np.linalg.inv(curvature), axis1=1, axis2=2).copy()
     return Records(centre, stress, slope, curvature, extent)
-
-
-def joined(first: Records, second: Records) -> Records:
-    """Records of both."""
-    return Records(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
 
 
 def curvature_from_slopes(slope: Array, probed: Array, step: Array, reach: Array) -> Array:
@@ -291,7 +282,8 @@ def merged(first: Records, second: Records, tolerance: float, images: int) -> Re
     """
     is_known = np.empty(len(second.centre), dtype=np.bool_)
     _hold_any(second.centre, SAME * tolerance, first, is_known)
-    records = joined(first, second.take(np.flatnonzero(~is_known)))
+    new = second.take(np.flatnonzero(~is_known))
+    records = Records(*(np.concatenate(pair) for pair in zip(first, new, strict=True)))
     update_ellipsoids(records.centre, records.stress, images, records, tolerance, _NO_GROWTH)
     return records
 
