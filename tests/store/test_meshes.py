@@ -174,7 +174,7 @@ def test_what_meshio_cannot_read(tmp_path, written, capfd):
 
 def test_numbers_that_a_file_has_no_points_for(written):
     """meshio would make an array of as many entries as the largest number of a node."""
-    path = written(changed(QUADS, ("6 12\n0 0 0", "6 4000000000\n0 0 0")))
+    path = written(changed(QUADS, ("6\n12\n0 0 0", "6\n4000000000\n0 0 0")))
     assert "reading it takes more than 2 GB" in refusal(path, FileError)
     vtk = path.with_suffix(".vtk")
     vtk.write_text(
