@@ -277,18 +277,13 @@ def _number(name: str, value: Any, kind: type, bounds: Mapping[str, Any]) -> Any
     least, most = bounds.get("least", -math.inf), bounds.get("most", math.inf)
     above, below = bounds.get("above"), bounds.get("below")
     inside = (above is None or value > above) and (below is None or value < below)
-    if not (_is_finite(value, bounds) and inside and least <= value <= most):
+    # comparisons, as an integer may be beyond all floats
+    finite = abs(value) < math.inf or (bounds.get("inf", False) and value == value)
+    if not (finite and inside and least <= value <= most):
         raise _refusal(name, value, allowed_numbers(kind, bounds), {})
     if kind is float and not (_SMALLEST <= abs(value) <= _LARGEST or value in _ENDS):
         raise _refusal(name, value, f"0, or of {_SMALLEST:g} to {_LARGEST:g}", bounds)
     return kind(value)
-
-
-def _is_finite(value: int | float, bounds: Mapping[str, Any]) -> bool:
-    try:
-        return math.isfinite(value) or (bounds.get("inf", False) and not math.isnan(value))
-    except OverflowError:  # an integer beyond all floats
-        return False
 
 
 def allowed_numbers(kind: type, bounds: Mapping[str, Any]) -> str:

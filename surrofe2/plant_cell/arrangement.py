@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.tessellation import Edge, Shift, Tessellation, centroid, edge_of, slab
+from surrofe2.plant_cell.tessellation import Edge, Shift, Tessellation, centroid, edge_of, squares
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -82,7 +82,7 @@ def make_arrangement(cell: CellParameters) -> Arrangement:
 @lru_cache(maxsize=32)
 def make_slab_arrangement(cell: CellParameters, rows: int, gap: float) -> Arrangement:
     """A column of square plant cells between two free sides; images above are `gap`, µm, away."""
-    made = _arrange(cell, slab(cell.cell_side, rows, gap), rows)
+    made = _arrange(cell, squares(cell.cell_side, 1, rows, gap), rows)
     height, top = made.wall_position[:, 1], rows * cell.cell_side
     lower, upper = np.abs(height) < _LEVEL * top, np.abs(height - top) < _LEVEL * top
     return replace(made, outer=(lower + 2 * upper).astype(np.int32))
@@ -179,9 +179,7 @@ def _square_grid(cell: CellParameters) -> Array:
 def _hexagon_rings(corners: Array, count: int) -> Array:
     """The middle and rings of 6, 12, … points that a hexagon's symmetry maps onto themselves."""
     middle = corners.mean(axis=0)
-    rings = 0
-    while 3 * rings * (rings + 1) + 1 < count:
-        rings += 1
+    rings = next(k for k in range(count) if 3 * k * (k + 1) + 1 >= count)
     points = [middle]
     for ring in range(1, rings + 1):
         edge = middle + 0.7 * ring / rings * (corners - middle)

@@ -365,7 +365,18 @@ def _add_fluid_rates(work, f_rate, volume_rate, topology, c):
     """With α = m² c_s² (W′/|r|) (V_i + V_j) of eq. (8): f = α r and ḟ = α̇ r + α w."""
     slope, volume = work.slope, work.volume
     pairs, first = topology.fluid_pairs, topology.walls
-    _set_volumes(work, topology, c, volume_rate)
+    fluid_specific_volume(work.x, topology, c, slope, volume)
+    volume_rate[:] = 0.0
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        rx, ry = difference(work.x, i, j)
+        wx, wy = difference(work.v, i, j)
+        density_rate = c.fluid_mass * load(slope, k) * (rx * wx + ry * wy)
+        add_to(volume_rate, i - first, density_rate)
+        add_to(volume_rate, j - first, density_rate)
+    for p in range(volume_rate.shape[0]):
+        here = load(volume, p)
+        store(-here * here * load(volume_rate, p), volume_rate, p)
     strength = c.fluid_mass * c.fluid_mass * c.sound_speed_squared
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
@@ -381,24 +392,6 @@ def _add_fluid_rates(work, f_rate, volume_rate, topology, c):
         )
         gx, gy = a_rate * pair.rx + a * pair.wx, a_rate * pair.ry + a * pair.wy
         add_pair(f_rate, i, j, gx, gy)
-
-
-@kernel
-def _set_volumes(work, topology, c, rate):
-    """work.slope, work.volume V = 1/ρ and its rate V̇ (fluid, TILE) along work.v."""
-    pairs, first = topology.fluid_pairs, topology.walls
-    fluid_specific_volume(work.x, topology, c, work.slope, work.volume)
-    rate[:] = 0.0
-    for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
-        rx, ry = difference(work.x, i, j)
-        wx, wy = difference(work.v, i, j)
-        density_rate = c.fluid_mass * load(work.slope, k) * (rx * wx + ry * wy)
-        store(load(rate, i - first) + density_rate, rate, i - first)
-        store(load(rate, j - first) + density_rate, rate, j - first)
-    for p in range(rate.shape[0]):
-        here = load(work.volume, p)
-        store(-here * here * load(rate, p), rate, p)
 
 
 # Rates of the elastic stiffness

@@ -72,17 +72,10 @@ class Tessellation:
 def make_tessellation(arrangement: str, side: float, cells: int, seed: int) -> Tessellation:
     """`cells` polygons of side² µm² on average: "square", "hexagon" or "voronoi" (by `seed`)."""
     if arrangement == "square":
-        return _squares(side, isqrt(cells))
+        return squares(side, isqrt(cells), isqrt(cells))
     if arrangement == "hexagon":
         return _hexagons(side**2, isqrt(cells))
     return _voronoi(side**2, cells, seed)
-
-
-def slab(side: float, rows: int, gap: float) -> Tessellation:
-    """A column of squares in a box taller by `gap`, µm: a strip of tissue between free sides."""
-    base = side * np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=np.float64)
-    squares = [base + np.array([0.0, k * side]) for k in range(rows)]
-    return _from_polygons(np.diag([side, rows * side + gap]), squares)
 
 
 def polygon_area(corners: Array) -> float:
@@ -113,11 +106,12 @@ def _order(edge: Edge) -> tuple[int, ...]:
     return (v, w, -a, -b) if v == w else (v, w, a, b)
 
 
-def _squares(side: float, n: int) -> Tessellation:
-    """n × n squares."""
+def squares(side: float, n: int, m: int, gap: float = 0.0) -> Tessellation:
+    """n × m squares in a box taller by `gap`, µm, which then hold tissue between free sides."""
     base = side * np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=np.float64)
-    places = side * np.array([(a, b) for a in range(n) for b in range(n)], dtype=np.float64)
-    return _from_polygons(n * side * np.eye(2), [base + place for place in places])
+    places = side * np.array([*np.ndindex(n, m)], dtype=np.float64)
+    lattice = np.diag([n * side, m * side + gap])
+    return _from_polygons(lattice, [base + place for place in places])
 
 
 def _hexagons(area: float, n: int) -> Tessellation:

@@ -7,6 +7,7 @@ also an independent check of the kernels: the virial of these forces is the law'
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy  # scipy.sparse is loaded where particles are looked at
@@ -75,11 +76,8 @@ class Particles:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class _Pairs:
-    """Pairs of one kind at n points: own particles i, j, the lattice shift of j and, from i to j,
-    r, w and |r|.
-    """
+class _Pairs(NamedTuple):
+    """Own particles i, j (k,), the lattice shift of j; from i to j (n, k, …) r, w, |r| and n·w."""
 
     i: Index
     j: Index
@@ -87,12 +85,7 @@ class _Pairs:
     r: Array
     w: Array
     length: Array
-
-    @property
-    def rate(self) -> Array:
-        """(n, k) n·w, µm/µs."""
-        rate: Array = np.einsum("nki,nki->nk", self.r, self.w) / self.length
-        return rate
+    rate: Array
 
 
 def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Array) -> Particles:
@@ -134,7 +127,6 @@ def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Arr
 
     starts = topology.fluid_start.astype(np.int64)
     fluid_cell = np.repeat(np.arange(starts.size - 1), np.diff(starts))
-    spacing = unit.rest_length
     rims = _rim_areas(arrangement.rims, x, lattice, F)
     at_rest = _rim_areas(arrangement.rims, unit.position[None], lattice, np.eye(2)[None])
     return Particles(
@@ -149,7 +141,7 @@ def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Arr
         bond_shift=bonds.shift,
         tension=tension,
         stretch=bonds.length / unit.rest_length,
-        contact_pressure=_push_on_walls(topology, contacts, pushes, fluid_cell) / spacing,
+        contact_pressure=_push_on_walls(topology, contacts, pushes, fluid_cell) / unit.rest_length,
         area_ratio=rims / at_rest,
         stress=bond_stress + contact_stress.sum(axis=1) + fluid_stress,
         wall_stress=bond_stress + contact_stress[:, between_walls].sum(axis=1),
@@ -171,7 +163,8 @@ def _pairs(
     offset = shift @ unit.reference.lattice.T
     r = x[:, j] - x[:, i] + offset @ F.transpose(0, 2, 1)
     w = v[:, j] - v[:, i] + offset @ rate.transpose(0, 2, 1)
-    return _Pairs(i, j, shift, r, w, np.linalg.norm(r, axis=2))
+    length = np.linalg.norm(r, axis=2)
+    return _Pairs(i, j, shift, r, w, length, np.einsum("nki,nki->nk", r, w) / length)
 
 
 def _contact_tension(unit: UnitCell, pairs: _Pairs) -> Array:

@@ -46,10 +46,11 @@ _TRIALS, _DIFFERENCE, _SETTLED_STRESS = 200, 1e-5, 1e-14
 _SETTLING_STEP, _SETTLING_LIMIT = 1e-3, 300_000
 _SETTLED = {"square": 1.0, "hexagon": 1.0, "voronoi": 1e-4}
 """Mean force, µN, low enough that Newton stays in the basin: irregular cells have many."""
-_NOT_FREE = (
-    "cell: no wall rest length and box free the undeformed RVE of stress; check "
-    "fluid_particle_mass, wall_stiffness and repulsion_strength, or take another arrangement_seed"
+_CHECK = (
+    "check fluid_particle_mass, wall_stiffness and repulsion_strength, or take another "
+    "arrangement_seed"
 )
+_NOT_FREE = f"cell: no wall rest length and box free the undeformed RVE of stress; {_CHECK}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,11 +122,7 @@ def make_unit_cell(cell: CellParameters, reference: ReferenceState | None = None
 def unit_around(
     cell: CellParameters, reference: ReferenceState, neighbours: Neighbours
 ) -> UnitCell:
-    """Particles at rest in `reference`, with their neighbours.
-
-    Raises:
-        InputError: they are not in a stable equilibrium.
-    """
+    """Particles at rest in `reference`, with their neighbours; refused where it is not stable."""
     constants = make_constants(cell, reference.rest_length)
     z, identity = pack(reference.position.T[None]), pack(np.eye(2)[None])
     near = neighbours.near(identity, z)
@@ -156,11 +153,7 @@ def settle_reference(cell: CellParameters) -> ReferenceState:
 
 
 def resettled(cell: CellParameters, near: ReferenceState) -> ReferenceState:
-    """The reference state of a cell of squares or hexagons, from that of almost the same cell.
-
-    Raises:
-        InputError: as `settle_reference`.
-    """
+    """The reference state of a cell of squares or hexagons, from that of almost the same cell."""
     own = make_arrangement(cell).tessellation.lattice
     z = np.ascontiguousarray((near.position @ np.linalg.solve(near.lattice.T, own.T)).T)
     return _free_of_stress(cell, z, near.rest_length, irregular=False)
@@ -170,13 +163,9 @@ def resettled(cell: CellParameters, near: ReferenceState) -> ReferenceState:
 class Equilibria:
     """Elastic equilibria of k points.
 
-    Attributes:
-        z: (k, 2, particles) material positions, µm.
-        stress: (k, 2, 2) Cauchy stress, µN/µm.
-        energy: (k,) stored energy of the RVE, pJ; NaN where none was found.
-        iterations: (k,) force evaluations; not positive where none was found.
-        found, stable: (k,).
-        factors: kept factorisations there.
+    z: (k, 2, particles) material positions, µm. stress: (k, 2, 2) Cauchy stress, µN/µm. energy:
+    (k,) of the RVE, pJ; NaN where none was found. iterations: (k,) force evaluations; not positive
+    there. factors: kept factorisations.
     """
 
     z: Array
@@ -200,31 +189,22 @@ def equilibria_in(
     Args:
         lattice: (2, 2); starts are given in the arrangement's own box and deformed to this one.
         arrangement: instead of the cell's own.
-
-    Raises:
-        InputError: no start comes to rest.
     """
     arrangement = arrangement or make_arrangement(cell)
     own = arrangement.tessellation.lattice
     moved = starts @ np.linalg.solve(own.T, lattice.T)
     constants = make_constants(cell, rest_length)
-    damped = make_constants(_damped(cell), rest_length)
-    settled = _settled(cell, lattice, damped, moved, arrangement)
-    topology = make_neighbours(cell, settled[0], lattice, arrangement=arrangement).topology
-    unit = np.broadcast_to(np.eye(2), (len(settled), 2, 2))
-    return relax(topology, constants, np.swapaxes(settled, 1, 2), unit)
-
-
-def _damped(cell: CellParameters) -> CellParameters:
-    """The cell with dashpots that the explicit step bears; where it rests does not depend on them.
-
-    At most critical ones; weaker ones are as they are.
-    """
-    return replace(
+    # dashpots that the explicit step bears; where the cell rests does not depend on them
+    damped = replace(
         cell,
         wall_damping_ratio=min(cell.wall_damping_ratio, 1.0),
         contact_damping_ratio=min(cell.contact_damping_ratio, 1.0),
     )
+    damped_constants = make_constants(damped, rest_length)
+    settled = _settled(cell, lattice, damped_constants, moved, arrangement)
+    topology = make_neighbours(cell, settled[0], lattice, arrangement=arrangement).topology
+    unit = np.broadcast_to(np.eye(2), (len(settled), 2, 2))
+    return relax(topology, constants, np.swapaxes(settled, 1, 2), unit)
 
 
 def relax(
@@ -256,17 +236,9 @@ def relax(
 
 
 def lowest(equilibria: Equilibria) -> int:
-    """The stable equilibrium of least energy; among equal ones the first.
-
-    Raises:
-        InputError: none is stable.
-    """
+    """The stable equilibrium of least energy; among equal ones the first."""
     if not equilibria.stable.any():
-        raise InputError(
-            "cell: no stable equilibrium of the undeformed RVE was found; check "
-            "fluid_particle_mass, wall_stiffness and repulsion_strength, or take another "
-            "arrangement_seed"
-        )
+        raise InputError(f"cell: no stable equilibrium of the undeformed RVE was found; {_CHECK}")
     energy = np.where(equilibria.stable, equilibria.energy, np.inf)
     return int(np.flatnonzero(energy <= energy.min() + SAME_ENERGY * abs(energy.min()))[0])
 

@@ -67,8 +67,7 @@ class TissueState(RunState):
         bodies: (2, b, 2) position and velocity of rigid bodies.
         journal: ``rows`` (r, c) at the output times passed, the columns of `columns_of`;
             ``frames.…`` as of `ParticleFrames`.
-        identity: numbers that a run to be resumed must share.
-        seconds: of `relaxation` and `run`. counts: `steps`, `force_evaluations`, `list_builds`.
+        identity: numbers that a run to be resumed must share. seconds, counts: as of `TissueRun`.
     """
 
     SERIES: ClassVar[tuple[str, ...]] = (
@@ -174,9 +173,8 @@ class Recorder:
         dynamics: TissueDynamics,
         identity: Array,
     ) -> None:
-        self._dynamics = dynamics
+        self._dynamics, self._identity = dynamics, identity
         self._conditions, problem = conditions, conditions.problem
-        self._identity = identity
         self._t = problem.output_times()
         frames = np.linspace(0.0, problem.duration, settings.frames)
         self._frame_rows = np.searchsorted(self._t * (1.0 + 1e-12), frames)
@@ -191,8 +189,8 @@ class Recorder:
         self._created = clock()
         self._state: TissueState
 
-    def begin(self, velocity: Array, rates: Array) -> None:
-        """Record the tissue at rest and, with the velocities of `TissueDynamics.start`, t = 0."""
+    def begin(self) -> None:
+        """Record the tissue at rest and, with its first velocities, t = 0."""
         dynamics = self._dynamics
         relaxed = dynamics.x
         self._started = clock()
@@ -200,7 +198,8 @@ class Recorder:
         elastic = dynamics.elastic_energy()
         resting = self._forces(0.0, np.zeros(len(self._conditions.loads)))
         works = np.zeros(len(self._conditions.loads) + len(_WORKS))
-        works[-3] = dynamics.start(velocity, rates)
+        rates = [each.at(0.0, 0.0)[1] for each in self._conditions.motions]
+        works[-3] = dynamics.start(self._conditions.velocity(), np.array(rates))
         v = dynamics.v
         state = TissueState(
             relaxed=relaxed,
@@ -361,9 +360,7 @@ def simulate_tissue(
     checkpoint_interval: float = 30.0,
     resume: TissueState | None = None,
 ) -> TissueRun:
-    """Motion of all particles of a tissue, such as the bar of a load case.
-
-    The tissue is first relaxed without load; displacements count from there.
+    """Motion of all particles of a tissue, which is first relaxed without load.
 
     Args:
         problem: on a rectangle [0, width] × [0, height] of whole plant cells; its elements do not
@@ -395,41 +392,30 @@ def simulate_tissue(
     if resume is None:
         if progress is not None:
             progress(0.0, problem.duration)
-        relax(dynamics, settings.residual)
-    elif not np.array_equal(resume.identity, numbers):
+        meet_bodies(dynamics, conditions, relax(dynamics, settings.residual))
+        recorder.begin()
+    elif np.array_equal(resume.identity, numbers):
+        meet_bodies(dynamics, conditions, resume.relaxed)
+        recorder.restore(resume)
+    else:
         raise MismatchError(
             "resume: cells, load, step or output times are not those of the checkpoint; start a "
             "new run"
         )
-    meet_bodies(dynamics, conditions, dynamics.x if resume is None else resume.relaxed)
-    if resume is None:
-        rates = [each.at(0.0, 0.0)[1] for each in conditions.motions]
-        recorder.begin(conditions.velocity(), np.array(rates))
-    else:
-        recorder.restore(resume)
+
+    def steps() -> Iterator[float]:
+        for start, end in pairwise(problem.output_times().tolist()[recorder.rows - 1 :]):
+            recorder.record(*advance(dynamics, conditions, settings, start, end))
+            yield end
+
     try:
         return carry_out(
-            _steps(recorder, dynamics, conditions, settings),
-            recorder,
-            recorder.run,
-            problem.duration,
-            progress=progress,
-            checkpoint=checkpoint,
-            interval=checkpoint_interval,
-        )
+            steps(), recorder, recorder.run, problem.duration,
+            progress=progress, checkpoint=checkpoint, interval=checkpoint_interval,
+        )  # fmt: skip
     except SimulationError as error:
         message = f"{error}; {_about_step(settings, bears)}"
         raise SimulationError(message, partial=error.partial) from error
-
-
-def _steps(
-    recorder: Recorder, dynamics: TissueDynamics, conditions: Conditions, settings: TissueSettings
-) -> Iterator[float]:
-    """From one output time to the next, to the end of the run."""
-    times = conditions.problem.output_times().tolist()
-    for start, end in pairwise(times[recorder.rows - 1 :]):
-        recorder.record(*advance(dynamics, conditions, settings, start, end))
-        yield end
 
 
 def make_conditions(
@@ -560,8 +546,10 @@ def advance(
     dissipated, rate = 0.0, dynamics.dissipation_rate()
     for k in range(samples):
         t = start + k * length + step * np.arange(count + 1)
-        amplitudes = np.array([[each.at(at, at)[0] for each in loads] for at in t])
-        values = np.array([[each.at(at, at)[0] for each in motions] for at in t])
+        amplitudes, values = (
+            np.array([[each.at(at, at)[0] for each in some] for at in t])
+            for some in (loads, motions)
+        )
         # Each drift ends where the motion leads; the last kick, without a drift, at its rate.
         last = [each.at(t[-1], t[-1])[1] for each in motions]
         speeds = np.concatenate([np.diff(values, axis=0) / step, [last]])
