@@ -41,21 +41,6 @@ def test_without_an_executor_and_by_any_of_concurrent_futures():
         assert joined(squares, executor) == joined(squares)
 
 
-def test_pieces_take_about_a_second(monkeypatch):
-    monkeypatch.setattr(workers, "PIECE", 0.05)
-
-    def slow(first, count):
-        time.sleep(0.01)
-        return squares(first, count)
-
-    with ThreadPoolExecutor(2) as executor:
-        counts = [len(piece) for piece in in_pieces(slow, range(100), 2, executor)]
-    assert counts[:2] == [2, 2]
-    assert counts[2] % 2 == 0
-    assert 6 <= counts[2] <= 10
-    assert sum(counts) == 100
-
-
 def test_what_a_lost_process_had_is_done_again(tmp_path):
     with executor_of(2) as executor:
         assert joined(partial(squares_or_death, str(tmp_path), 2), executor) == joined(squares)

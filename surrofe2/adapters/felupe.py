@@ -38,12 +38,9 @@ class _Answer:
 class FelupeMaterial:
     """`umat` of `felupe.SolidBody(umat, field)` for fields in the plane.
 
-    A material belongs to one body, for it keeps the law's states of its points. The law is asked
-    once for each iteration of Newton's method, always from the state at the begin of the substep.
-
-    At the end of a substep the law commits its answer and says which points lost stability there.
-    As one of the `plugins` of `felupe.Job` the material sees to that at once, else when the next
-    substep begins: then call `after_substep` once more after the last one.
+    A material belongs to one body, for it keeps the law's states of its points. At the end of a
+    substep the law commits its response. As one of the `plugins` of `felupe.Job` the material sees
+    to that at once, else when the next substep begins: then call `after_substep` after the last.
 
     Args:
         law: gives stress and tangents; RVEs, a surrogate, or a law of one's own.
@@ -94,7 +91,7 @@ class FelupeMaterial:
             return
         last, self._last = self._last, None
         accepted = self.law.accept(last.F, last.F_dot, last.response)
-        _check(accepted.status, {})
+        check_status(accepted.status, {})
         self._state = accepted.state
         self._report(accepted.left_bifurcation)
 
@@ -108,7 +105,7 @@ class FelupeMaterial:
             return last
         F_dot = (F - np.eye(2) - before.reshape(-1, 2, 2)) / self.dt
         response = self.law.respond(F, F_dot, self._state, tangents=True)
-        _check(response.status, response.reasons)
+        check_status(response.status, response.reasons)
         self._last = _Answer(self.dt, F, before, F_dot, response)
         self._report(response.left_bifurcation)
         return self._last
@@ -129,7 +126,8 @@ class FelupeMaterial:
             )
 
 
-def _check(status: NDArray[np.int8], reasons: Mapping[int, str]) -> None:
+def check_status(status: NDArray[np.int8], reasons: Mapping[int, str]) -> None:
+    """Raise a SimulationError that names the first point without a stress."""
     failed = np.flatnonzero(status)
     if failed.size:
         more = f": {reasons[failed[0]]}" if failed[0] in reasons else ""

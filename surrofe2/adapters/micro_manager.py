@@ -25,8 +25,9 @@ import numpy as np
 from micro_manager import MicroSimulationInterface
 from numpy.typing import NDArray
 
-from surrofe2.base.errors import InputError, SimulationError
-from surrofe2.law.stress_law import StressLaw, StressResponse, describe, require_tangents
+from surrofe2.adapters.felupe import check_status
+from surrofe2.base.errors import InputError
+from surrofe2.law.stress_law import StressLaw, StressResponse, require_tangents
 from surrofe2.recipe.recipe import Recipe, load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.surrogate import SurrogateLaw
@@ -87,7 +88,7 @@ class PointSimulation(MicroSimulationInterface):
         """What `solve` gives at rest, by name, with which adaptivity can begin."""
         F = np.eye(2)[None]
         answer = self._law.respond(F, 0.0 * F, tangents=True)
-        _check(answer.status, answer.reasons)
+        check_status(answer.status, answer.reasons)
         return written(answer)
 
     def output(self) -> None:
@@ -117,7 +118,7 @@ class PointSimulation(MicroSimulationInterface):
         F, F_dot = deformation_of(micro_sim_input)
         self._keep()
         answer = self._law.respond(F, F_dot, self._state, tangents=True)
-        _check(answer.status, answer.reasons)
+        check_status(answer.status, answer.reasons)
         self._solved = F, F_dot, answer
         return written(answer)
 
@@ -149,7 +150,7 @@ class PointSimulation(MicroSimulationInterface):
             return
         F, F_dot, answer = self._solved
         accepted = self._law.accept(F, F_dot, answer)
-        _check(accepted.status, {})
+        check_status(accepted.status, {})
         self._state, self._solved = accepted.state, None
 
 
@@ -178,9 +179,8 @@ class Switching:
     ) -> int:
         """+1 from the surrogate to the RVE where its risk, by the recipe's tolerance, exceeds 1.
 
-        Back, −1, where it does not, but in a later time window: within one a point changes once, so
-        that its iterations converge. A point that comes from another rank as an RVE counts as
-        changed, for that may have been in this window.
+        Back, −1, where it does not, but in a later time window, so that iterations converge. A
+        point that comes from another rank as an RVE may have changed in this window.
         """
         if t != self.window:
             self.window, self._last, self.left = t, self.left, {}
@@ -232,9 +232,3 @@ def written(answer: StressResponse) -> dict[str, Array]:
             for c in _ROWS
         }
     return found
-
-
-def _check(status: NDArray[np.int8], reasons: Mapping[int, str]) -> None:
-    if status[0]:
-        more = f": {reasons[0]}" if 0 in reasons else ""
-        raise SimulationError(f"{describe(status[0])}{more}")

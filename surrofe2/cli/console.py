@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -82,32 +81,24 @@ Fresh = Annotated[
 
 def folder_of(out: Path | None, recipe: Path) -> Path:
     """Where a command writes: `out`, or the folder of the command and the recipe."""
-    return out or Path("out") / f"{_now[0].command}-{recipe.stem}"
+    return out or Path("out") / f"{_now['command']}-{recipe.stem}"
 
 
 # Output
 
 
-@dataclass(slots=True)
-class _Output:
-    """The command that is at work; `began`: when, by `time.perf_counter`."""
-
-    command: str = ""
-    quiet: bool = False
-    began: float = field(default_factory=time.perf_counter)
-
-
-_now = [_Output()]
+_now: dict[str, Any] = {"command": "", "quiet": False, "began": time.perf_counter()}
+"""The command that is at work, and when it began."""
 
 
 def begin(command: str, *, quiet: bool) -> None:
     """A command begins."""
-    _now[0] = _Output(command, quiet)
+    _now.update(command=command, quiet=quiet, began=time.perf_counter())
 
 
 def is_quiet() -> bool:
     """Whether only warnings and errors are printed."""
-    return _now[0].quiet
+    return bool(_now["quiet"])
 
 
 class PrintHandler(logging.Handler):
@@ -144,8 +135,8 @@ def done(where: str | Path | None, what: str, *, timed: bool = True) -> None:
         where: None of a command that wrote no file; its name stands there.
         timed: whether to say how long; not where `what` does.
     """
-    seconds = f", {time_text(time.perf_counter() - _now[0].began)}" if timed else ""
-    print_line(f"{where or _now[0].command}: {what}{seconds}")
+    seconds = f", {time_text(time.perf_counter() - _now['began'])}" if timed else ""
+    print_line(f"{where or _now['command']}: {what}{seconds}")
 
 
 def show_table(title: str, table: Table[Any], names: int = 1) -> None:
@@ -229,32 +220,24 @@ _SETTLED = 0.5
 """Seconds before a rate is reported."""
 
 
-class _Clock:
-    """The rate of work and the time that is left; what was done before counts for neither.
+def _clock(total: float, unit: str) -> Callable[[float], list[str]]:
+    """Time left and rate by how much is done, as people say them, where they are known yet.
 
-    Work whose total is 1 is reported in percent alone.
+    What was done before counts for neither; work whose total is 1 has no rate.
     """
+    first: list[tuple[float, float]] = []
 
-    def __init__(self, total: float, unit: str) -> None:
-        self._total, self._unit = total, unit
-        self._first: tuple[float, float] | None = None
-
-    def far(self, done: float) -> list[str]:
-        """How far the work is in its unit."""
-        return [f"{_short(done)} of {_short(self._total)} {self._unit}"][self._total == 1.0 :]
-
-    def rate_and_time_left(self, done: float) -> list[str]:
-        """Time left and rate as people say them, where they are known yet."""
+    def left_and_rate(done: float) -> list[str]:
         moment = time.perf_counter()
-        if self._first is None and done > 0.0:
-            self._first = moment, done
-        if self._first is None:
-            return []
-        elapsed, more = moment - self._first[0], done - self._first[1]
+        if not first and done > 0.0:
+            first.append((moment, done))
+        elapsed, more = (moment - first[0][0], done - first[0][1]) if first else (0.0, 0.0)
         if elapsed < _SETTLED or more <= 0.0:
             return []
-        known = [f"{time_text(max((self._total - done) * elapsed / more, 0.0))} left"]
-        return known if self._total == 1.0 else [*known, f"{_short(more / elapsed)} {self._unit}/s"]
+        left = f"{time_text(max((total - done) * elapsed / more, 0.0))} left"
+        return [left, f"{_short(more / elapsed)} {unit}/s"][: 1 + (total != 1.0)]
+
+    return left_and_rate
 
 
 @contextmanager
@@ -289,12 +272,13 @@ def stages() -> Iterator[Callable[[str, float, str], AbstractContextManager[Repo
 
 @contextmanager
 def _row(shown: Progress, what: str, total: float, unit: str) -> Iterator[Report]:
-    clock, began = _Clock(total, unit), time.perf_counter()
+    left_and_rate, began = _clock(total, unit), time.perf_counter()
     task = shown.add_task(what, total=total, status="")
     space = shown.console.width - len(what) - _bar_width(shown.console) - len("   100 %  ")
 
     def report(done: float, note: str = "") -> None:
-        parts = [*clock.far(done), *clock.rate_and_time_left(done), *[note][: len(note)]]
+        far = [f"{_short(done)} of {_short(total)} {unit}"] if total != 1.0 else []
+        parts = [*far, *left_and_rate(done), *[note][: len(note)]]
         while len(", ".join(parts)) > space and parts:
             parts.pop()
         shown.update(task, completed=done, status=", ".join(parts))
@@ -305,16 +289,16 @@ def _row(shown: Progress, what: str, total: float, unit: str) -> Iterator[Report
 
 @contextmanager
 def _lines(what: str, total: float, unit: str) -> Iterator[Report]:
-    clock, last = _Clock(total, unit), time.perf_counter()
+    left_and_rate, last = _clock(total, unit), time.perf_counter()
 
     def report(done: float, note: str = "") -> None:
         nonlocal last
-        left_and_rate = clock.rate_and_time_left(done)
+        parts = left_and_rate(done)
         if is_quiet() or time.perf_counter() - last < SELDOM:
             return
         last = time.perf_counter()
         far = [f"{100.0 * done / total:.0f} %"] if total else []
-        typer.echo(f"{what}: {', '.join([*far, *left_and_rate, *[note][: len(note)]])}", err=True)
+        typer.echo(f"{what}: {', '.join([*far, *parts, *[note][: len(note)]])}", err=True)
 
     yield report
 

@@ -122,7 +122,6 @@ def memory(
     Args:
         period: of the fastest motion expected, µs.
         after: µs for which the stresses are watched.
-        progress: called with the fraction that is done.
     """
     if not 0.0 < period < np.inf:
         raise InputError(f"--period: {period}; it must be positive and finite (µs)")

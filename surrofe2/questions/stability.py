@@ -61,11 +61,7 @@ COLUMNS: tuple[Quantity[Any], ...] = (
 def stability(
     cell: CellParameters, points: int = 41, *, progress: Callable[[float], None] = lambda _: None
 ) -> Study:
-    """What becomes of RVEs on points × points deformations of two planes, and the onset by way.
-
-    Args:
-        progress: called with the fraction that is done.
-    """
+    """What becomes of RVEs on points × points deformations of two planes, and the onset by way."""
     F = np.tile(np.eye(2), (len(PLANES), points, points, 1, 1))
     for plane, (_, _, index, span) in zip(F, PLANES.values(), strict=True):
         plane[:, :, 0, 0] = np.linspace(*STRETCH, points)[:, None]

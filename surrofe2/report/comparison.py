@@ -239,6 +239,16 @@ def audit_sentence(cache: Mapping[str, Any]) -> str:
     return text
 
 
+def fallback_reasons(counts: Mapping[str, int]) -> str:
+    """How many fallbacks there were for which reason, in brackets; empty where there were none."""
+    reasons = [
+        f"{n:,} {name.removeprefix('fallbacks_').replace('_', ' ')}"
+        for name, n in counts.items()
+        if name.startswith("fallbacks_") and n
+    ]
+    return f" ({', '.join(reasons)})" if reasons else ""
+
+
 # The picture.
 
 _SEEN = 0.02

@@ -227,11 +227,7 @@ _BOTH, _RIGID = 2, 3
 
 @dataclass(frozen=True, slots=True)
 class _Side:
-    """A side of an element on the boundary that is held.
-
-    nodes: its ends. inside: a node across. still: the component, 0 or 1, that does not move; _BOTH;
-    or _RIGID of a side that moves as it is.
-    """
+    """A held side, a node `inside` across it, and the component that is `still`; _BOTH; _RIGID."""
 
     nodes: tuple[int, int]
     inside: int

@@ -30,19 +30,15 @@ class GridRow:
 
     Attributes:
         values: of the entries that change and that it depends on, by dotted name.
-        name: of the folder.
         run: None where it failed.
-        facts: what the columns of the table have of it, and the `tolerance` of its cache, relative
-            to the spread of stress.
-        error: the sentence of a run that failed.
+        facts: its folder, the error message of one that failed, what the columns of the table have
+            of it, and the `tolerance` of its cache, relative to the spread of stress.
     """
 
     values: Mapping[str, Any]
     law: str
-    name: str
     run: StoredRun | None
     facts: Mapping[str, Any]
-    error: str | None
 
 
 def grid_row(
@@ -54,48 +50,40 @@ def grid_row(
     error: str | None,
 ) -> GridRow:
     """A row; true: the run of the same values by RVEs, if there is one."""
-    facts: dict[str, Any] = {"run": name, "error": error, **(_facts_of(run) if run else {})}
-    if run is not None and true is not None and law != "rve":
-        against = compared_run(run, true)
-        evaluations = against.speed_up["right_hand_sides"]
-        facts |= {
-            "displacement error": against.difference.largest,
-            "speed-up": against.speed_up["wall_time"],
-            "all counted": against.balance and against.balance.gain,
-            "right-hand sides": 1.0 / evaluations if evaluations else 0.0,
-        }
-    return GridRow(values, law, name, run, facts, error)
-
-
-def _facts_of(run: StoredRun) -> dict[str, Any]:
-    """What a run says by itself; of several caches the worst."""
+    facts: dict[str, Any] = {"run": name, "error": error}
+    if run is None:
+        return GridRow(values, law, run, facts)
     counts, caches = run.record.counts, [*caches_of(run.record.cache).values()]
-    facts: dict[str, Any] = {
+    facts |= {
         "largest displacement": float(np.linalg.norm(run.curve.displacement, axis=1).max()),
         "wall time": run.record.wall_time["total"],
         "RVE solves": counts.get("rve_solves", 0),
     }
-    asked = counts.get("hits", 0) + counts.get("fallbacks", 0)
-    if asked:
-        facts["hits"] = counts["hits"] / asked
-    if caches:
+    computed = counts.get("hits", 0) + counts.get("fallbacks", 0)
+    if computed:
+        facts["hits"] = counts["hits"] / computed
+    if caches:  # of several the worst
         audits = [cache["audit"] for cache in caches]
         wrong, audited = (sum(audit[k] for audit in audits) for k in ("violations", "audited"))
         facts |= {
             "tolerance": max(float(cache["tolerance"]["share"]) for cache in caches),
             "above": f"{wrong} of {audited}",
-            "factor": max(cache["trust"]["factor"] for cache in caches),
             "switched off": any(cache["trust"]["off"] for cache in caches) or None,
         }
-    known = [
-        (cache["audit"], cache["tolerance"]["spread"])
+    errors = [
+        cache["audit"]["quantiles"]["0.99"] / cache["tolerance"]["spread"]
         for cache in caches
         if cache["audit"]["quantiles"] and cache["tolerance"]["spread"]
     ]
-    if known:
-        facts["stress error"] = max(audit["quantiles"]["0.99"] / of for audit, of in known)
-        facts["largest stress error"] = max(audit["largest"] / of for audit, of in known)
-    return facts
+    facts["stress error"] = max(errors, default=None)
+    if true is not None and law != "rve":
+        against = compared_run(run, true)
+        facts |= {
+            "displacement error": against.difference.largest,
+            "speed-up": against.speed_up["wall_time"],
+            "all counted": against.balance and against.balance.gain,
+        }
+    return GridRow(values, law, run, facts)
 
 
 def _fact(name: str, unit: str, format: str | Callable[[Any], str] | None) -> Quantity[GridRow]:
@@ -106,21 +94,17 @@ QUANTITIES = (
     _fact("largest displacement", "µm", ".5g"),
     _fact("displacement error", "", percent(2)),
     _fact("stress error", "", percent(2)),
-    _fact("largest stress error", "", None),
     _fact("above", "", None),
     _fact("hits", "", percent(3)),
     _fact("wall time", "s", ".3g"),
     _fact("speed-up", "×", ".3g"),
     _fact("all counted", "×", ".3g"),
     _fact("RVE solves", "", None),
-    _fact("right-hand sides", "", None),
-    _fact("factor", "", None),
     _fact("switched off", "", lambda off: "yes"),
     _fact("run", "", None),
-    _fact("error", "", lambda sentence: "failed"),
+    _fact("error", "", lambda message: "failed"),
 )
-"""Stresses relative to their spread; the stress error is what 99 % of the audited answers keep,
-right-hand sides are relative to those of full FE²."""
+"""The stress error is what 99 % of the audited answers keep, relative to the spread of stress."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,8 +139,8 @@ class Grid:
 
     @property
     def failed(self) -> dict[str, str]:
-        """Sentences of the errors of runs by their name."""
-        return {row.name: row.error for row in self.rows if row.error}
+        """Error messages by name of the run."""
+        return {row.facts["run"]: row.facts["error"] for row in self.rows if row.facts["error"]}
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for grid.json."""
@@ -179,9 +163,9 @@ def _of_entry(name: str, among: Iterable[str]) -> Quantity[GridRow]:
     section, *parts = name.split(".")
     if section == "cells":
         section, parts = "cell", parts[1:]
-    kind = SECTIONS.get(section)
-    units = {each.name: each.metadata.get("unit", NONE) for each in fields(kind)} if kind else {}
-    unit = units.get(parts[0], NONE)
+    items = fields(SECTIONS[section]) if section in SECTIONS else ()
+    units = [each.metadata.get("unit", NONE) for each in items if each.name == parts[0]]
+    unit = next((each for each in units if each != NONE), "")
 
     def get(row: GridRow) -> Any:
         value = row.values.get(name)
@@ -190,7 +174,7 @@ def _of_entry(name: str, among: Iterable[str]) -> Quantity[GridRow]:
     def shown(value: Any) -> str:
         return value if isinstance(value, str) else f"{value:g}"
 
-    return Quantity(_short(name, among), "" if unit == NONE else unit, shown, get)
+    return Quantity(_short(name, among), unit, shown, get)
 
 
 def _is_number(value: Any) -> bool:

@@ -16,11 +16,13 @@ import numpy as np
 from surrofe2.base.units import number
 from surrofe2.law.stress_law import SURROGATE, TABLE
 from surrofe2.report.comparison import (
-    audit_curves,
+    audit_panels,
+    audit_sentence,
     clock_of,
     comparison_title,
     difference_panels,
     displacement_panels,
+    fallback_reasons,
 )
 from surrofe2.report.figures import Colours
 from surrofe2.report.html import (
@@ -68,12 +70,7 @@ def page_of(seen: ReportData) -> str:
 def _document(
     title: str, sections: Sequence[tuple[str, str, str, Sequence[str]]], data: str
 ) -> str:
-    """The whole page.
-
-    Args:
-        sections: key, link, heading and parts of each.
-        data: JSON for the script.
-    """
+    """The whole page of sections (key, link, heading, parts), and JSON for the script."""
     folder = files("surrofe2.report")
     style, script = (
         folder.joinpath(f"page.{kind}").read_text(encoding="utf-8") for kind in ("css", "js")
@@ -190,12 +187,7 @@ def _fallback(seen: ReportData) -> list[str]:
 
 def _counted(accepted: Mapping[str, int]) -> str:
     hits, fallbacks = accepted["hits"], accepted["fallbacks"]
-    reasons = [
-        f"{n:,} {name.removeprefix('fallbacks_').replace('_', ' ')}"
-        for name, n in accepted.items()
-        if name.startswith("fallbacks_") and n
-    ]
-    why = f" ({', '.join(reasons)})" if reasons else ""
+    why = fallback_reasons(accepted)
     return (
         f"{hits:,} answers of kept steps came from the cache, {fallbacks:,} from RVEs{why}, "
         f"{percent(3)(fallbacks / max(hits + fallbacks, 1))}."
@@ -234,32 +226,19 @@ def _audits(seen: ReportData) -> list[str]:
     """Audited errors with the tolerance."""
     figures, parts = [], []
     for each in seen.runs:
+        panels = audit_panels([each.run])
+        figures += [figure(chart(panel), f"{each.name}: audited errors") for panel in panels]
         for cell, cache in caches_of(each.record.cache).items():
-            of, audit = f"{each.name}, {cell}" if cell else each.name, cache["audit"]
-            if not audit["quantiles"]:
-                parts.append(missing(f"{of}: none of the cache's answers was audited."))
-                continue
-            labels = "error of the stress (µN/µm)", "answers with at most this error (%)"
-            panel = Panel(*labels, tuple(audit_curves(audit, 0, of)), log_x=True, zero=True)
-            figures.append(figure(chart(panel), f"{of}: audited errors"))
-            parts.append(_worst(of, audit))
-    if not figures and not parts:
+            of, worst = f"{each.name}, {cell}" if cell else each.name, cache["audit"]["worst"]
+            parts.append(paragraph(f"{of}: audited: {audit_sentence(cache)}."))
+            if isinstance(worst, Mapping):
+                where = f"step {worst['step']}, point {worst['point']}"
+                risk = f"where the risk was {number(worst['risk'])} ({where})"
+                error = f"{number(worst['error'])} µN/µm"
+                parts.append(paragraph(f"{of}: the worst error is {error}, {risk}."))
+    if not parts:
         parts = [missing("No run through a cache, so nothing was audited.")]
     return [*parts, grid(figures)]
-
-
-def _worst(of: str, audit: Mapping[str, Any]) -> str:
-    worst = audit["worst"]
-    text = f"{of}: {audit['audited']:,} answers audited, {audit['violations']} above the tolerance"
-    if audit["wrong_at_most"] is not None:
-        most = percent(2)(audit["wrong_at_most"])
-        text += f", so with 95 % confidence at most {most} of all answers are"
-    if not isinstance(worst, Mapping):
-        return paragraph(f"{text}.")
-    return paragraph(
-        f"{text}; the worst error is {number(worst['error'])} µN/µm, where the risk was "
-        f"{number(worst['risk'])} (step {worst['step']}, point {worst['point']})."
-    )
 
 
 def _range(seen: ReportData) -> list[str]:

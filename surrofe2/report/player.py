@@ -25,9 +25,7 @@ from surrofe2.store.run_folder import RunRecord, StoredRun
 Array = NDArray[np.float64]
 
 VON_MISES, WALL_STRETCH = "von_mises_in_plane_uN_per_um", "largest_wall_stretch"
-OF_ELEMENTS = (
-    VON_MISES, SOURCE_NAME, WALL_STRETCH,
-)  # fmt: skip
+OF_ELEMENTS = (VON_MISES, SOURCE_NAME, WALL_STRETCH)
 """What a page shows of elements."""
 
 
@@ -140,10 +138,8 @@ def _quantities(fields: StoredFields) -> dict[str, tuple[str, Array]]:
 
 
 def _arrays(run: RunData, budget: int) -> dict[str, Any]:
-    """A run for the script: numbers as bytes in base64, as many times as the budget has room for.
-
-    Displacements are 16-bit fractions of the largest component, values 8-bit levels.
-    """
+    """A run for the script, as many times as the budget has room for, as bytes in base64:
+    displacements are 16-bit fractions of the largest component, values 8-bit levels."""
     fields = run.fields
     assert fields is not None
     quantities = _quantities(fields)

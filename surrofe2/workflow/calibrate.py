@@ -87,7 +87,6 @@ def calibrate(
         settings: how many paths of which kind.
         problem: whose runs under other loads are paths too; None: the paper's bar.
         macro: settings of these runs; the paper's bar has 2 × 2 elements.
-        report: called with the fraction that is done, up to 1, and a remark.
         shaping: as of `shaping_truths`, which computes it where it is left out.
         runs: instead of those of `problem`.
 
@@ -177,10 +176,7 @@ def shaped_bound(
 
 
 def _runs(recipe: Recipe, surrogate: SurrogateLaw, count: int, seed: int) -> Iterator[list[State]]:
-    """What runs of the recipe's problem under other loads meet at points of its cell.
-
-    Points of other cells follow the quadratic law of their RVE at rest.
-    """
+    """What runs under other loads meet at points of a cell; others follow their quadratic law."""
     problem, whole, macro = _coarse_problem(recipe), recipe.whole(), recipe.macro
     cases = varied_problems(problem, count, seed)
     if recipe.stated.section == "load":
@@ -199,8 +195,7 @@ def _runs(recipe: Recipe, surrogate: SurrogateLaw, count: int, seed: int) -> Ite
 
 
 def _coarse_problem(recipe: Recipe) -> Problem:
-    """The recipe's problem on a coarser mesh, where that is a rectangle of one cell and has all it
-    names."""
+    """The recipe's problem, on a coarser mesh where that is a rectangle and has all it names."""
     whole, stated = recipe.whole(), recipe.stated
     if stated.mesh.elements is not None and len(whole.cells) == 1:
         along, across = (min(n, RUN_ELEMENTS) for n in stated.mesh.elements)
@@ -217,14 +212,8 @@ def _met_in_runs(
     seed: int,
     tissue: Callable[[StressLaw], StressLaw] = lambda watched: watched,
 ) -> Iterator[list[State]]:
-    """(F, F_dot) at some of the surrogate's points at the steps of each run, while in its
-    range.
-
-    Args:
-        cases: that differ in loads, motions and initial velocities alone.
-        seed: chooses the points, `RUN_POINTS` of them where there are more.
-        tissue: the law of all points, by that of the surrogate's.
-    """
+    """(F, F_dot) at some of the surrogate's points at the steps of each run, while in its range;
+    `tissue` gives the law of all points by that of the surrogate's."""
     macro = replace(macro, frames=2, record_dissipation=False)
     met: list[State] = []
     points: NDArray[np.int64] | None = None

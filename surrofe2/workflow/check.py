@@ -68,7 +68,9 @@ def study_faults(recipe: Recipe, kinds: Sequence[str], *, fresh: bool = False) -
     Args:
         fresh: a data set and a surrogate that are there do not count.
     """
-    checks: list[Callable[[], Any]] = [recipe.problem, partial(_check_table, recipe, kinds)]
+    checks: list[Callable[[], Any]] = [recipe.problem]
+    if "table" in kinds:
+        checks.append(partial(laws.check_tangents, recipe))
     for part in recipe.parts().values():
         if kinds != ("rve",):
             checks.append(part.sampling_range)
@@ -94,13 +96,6 @@ def refuse_faults(recipe: Recipe, kinds: Sequence[str], *, fresh: bool = False) 
     if faults:
         more = f"; and {len(faults) - 1} more, see `surrofe2 check`" if faults[1:] else ""
         raise InputError(f"{faults[0]}{more}")
-
-
-def _check_table(recipe: Recipe, kinds: Sequence[str]) -> None:
-    if "table" in kinds and recipe.rve.solver == "iterated":
-        raise InputError('rve.solver: "iterated"; tables need tangents, so "direct"')
-    if "table" in kinds and recipe.macro.integrator == "implicit":
-        raise InputError('macro.integrator: "implicit"; tables have no tangents; take "explicit"')
 
 
 def _check_files(part: Recipe) -> None:
@@ -178,7 +173,6 @@ def dry_run(recipe: Recipe, seconds: float = SECONDS, report: Report = no_report
 
     Args:
         seconds: of processor time, for the runs on all meshes together.
-        report: called with the time reached in µs.
 
     Raises:
         InputError: the mesh is too large, and no rectangle that can be coarsened.
@@ -220,8 +214,7 @@ def checked_mesh(recipe: Recipe) -> tuple[Recipe, int]:
 
 
 def _coarser(recipe: Recipe, halvings: int) -> Recipe | None:
-    """The recipe on a mesh that is halved so often each way, or as often as its names allow; None
-    where it cannot be halved at all."""
+    """The recipe with fewer elements, halved as often as its names allow; None: not at all."""
     stated, elements = recipe.stated, recipe.stated.mesh.elements
     if elements is None or len(recipe.cells) > 1:
         return None

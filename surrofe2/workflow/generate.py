@@ -97,8 +97,6 @@ def generate_data_set(
     Args:
         law: used instead of the recipe's RVE; an executor must be able to send it.
         count: of samples in the end, or `wanted_count` if that is more.
-        executor: does the work, see `surrofe2.workflow.workers`; None: this process.
-        report: called with the number of samples done.
 
     Raises:
         InputError: tangents are wanted of RVEs that have none.
@@ -158,8 +156,6 @@ def sample_stress(
 
     Args:
         tangents: whether ∂P/∂F and ∂P/∂Ḟ are sampled too, from which training learns more.
-        executor: does the work, see `surrofe2.workflow.workers`; None: this process.
-        report: called with the number of samples done.
 
     Raises:
         InputError: `count` or `seed` is no such number, or the law has no tangents.
@@ -295,9 +291,7 @@ def with_harvests(
 
 
 def _with_tangents(law: StressLaw, harvest: dict[str, Any], same: float) -> dict[str, Any]:
-    """Harvested states with tangents: those that failed, and those where the law, from rest, finds
-    the same stress.
-    """
+    """Harvested states with tangents: those that failed, and those whose stress holds from rest."""
     by_F, by_F_dot = np.full((2, len(harvest["F"]), 2, 2, 2, 2), np.nan)
     kept = harvest["status"] != 0
     valid = np.flatnonzero(~kept)

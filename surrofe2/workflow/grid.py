@@ -81,7 +81,6 @@ def run_grid(
         values: by dotted name of the entry, {"cell.wall_stiffness": [3000.0, 4000.0]}.
         laws: of "rve", "cached", "table" and "surrogate".
         threads: of each run; None: all, or of `Processes` an equal share.
-        executor: does whole runs, see `surrofe2.workflow.workers`; None: this process.
 
     Raises:
         InputError: an entry or a law is unknown, or a value not what it must be; nothing was run.
@@ -161,8 +160,7 @@ def _without(changes: Mapping[str, Any], sections: Sequence[str]) -> dict[str, A
 def _surrogate(
     base: Recipe, name: str, part: Recipe, changes: Mapping[str, Any], out: Path
 ) -> GridTask:
-    """The surrogate of a cell of a recipe with changes: the base's where what it learns is the
-    same, else one in `out`."""
+    """The surrogate of a cell: the base's where what it learns is the same, else one in `out`."""
     original = base.parts().get(name)
     if original is not None and _learnt(original) == _learnt(part):
         known, stem = original, f"{base.path.stem}{name and '-'}{name}"

@@ -98,6 +98,17 @@ class ChosenLaw:
     tables: Mapping[str, StressTable] = field(default_factory=dict)
 
 
+def check_tangents(recipe: Recipe) -> None:
+    """Refuse a run by a table of what has no tangents."""
+    if recipe.rve.solver == "iterated":
+        raise InputError('rve.solver: "iterated"; tables need tangents, so "direct"')
+    if recipe.macro.integrator == "implicit":
+        raise InputError(
+            "macro.integrator: implicit; not with --law table, which has no tangents: take --law "
+            "cached, surrogate or rve, or --integrator explicit"
+        )
+
+
 def choose_law(
     recipe: Recipe,
     kind: str,

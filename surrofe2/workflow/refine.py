@@ -185,9 +185,7 @@ def _write_rounds(recipe: Recipe, parts: Iterable[str], out: Path, done: Sequenc
 
 
 def _learnt_from(recipe: Recipe, out: Path, done: Sequence[Round]) -> tuple[Recipe, list[Round]]:
-    """The recipe of a cell with the file of the surrogate that follows these rounds, and those of
-    them whose samples it learns from; without any it is the recipe's own.
-    """
+    """The recipe of a cell with the surrogate after these rounds, and those that it learns from."""
     name = recipe.cell_name
     grown = [row for row in done if row.cell == name and row.added]
     if not grown:
@@ -308,12 +306,7 @@ def _write_samples(
     k: int,
     stage: Stage,
 ) -> int:
-    """Write the harvest and the stresses of RVEs at further states, whole or not at all; how many.
-
-    Args:
-        wanted: why they are, F and F_dot.
-        seconds: that the harvest took.
-    """
+    """Write the harvest and RVE stresses at further states (why, F, F_dot); how many."""
     law, meter = laws.true_law(recipe), Meter(seconds or 0.0)
     done, total = 0, sum(len(F) for _, F, _ in wanted)
     writer = HarvestWriter(path, origin_of(recipe))

@@ -54,7 +54,6 @@ def rest_study(
 
     Args:
         factor: of all loads and prescribed motions, at the end.
-        report: called with the part of the load that is on, 0 to 1.
 
     Raises:
         SimulationError: a load step finds no equilibrium.

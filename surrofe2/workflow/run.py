@@ -40,7 +40,7 @@ from surrofe2.problem.problem import label, sections_of
 from surrofe2.ranks.distributed_law import own_part
 from surrofe2.ranks.driver import driver_at_work
 from surrofe2.recipe.recipe import Recipe
-from surrofe2.report.comparison import audit_sentence
+from surrofe2.report.comparison import audit_sentence, fallback_reasons
 from surrofe2.run.journal import part_of, within
 from surrofe2.run.loop import Report, no_report
 from surrofe2.rve import RveLaw
@@ -73,6 +73,7 @@ from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow.laws import (
     NO_FILES,
     cell_of_elements,
+    check_tangents,
     choose_laws,
     surrogate_record,
 )
@@ -100,7 +101,6 @@ def run_study(
     Args:
         surrogates: files by name of the cell, instead of the recipe's.
         tables: files of tables to start from; the run's own are written into the folder.
-        report: called with the time reached in µs.
 
     Raises:
         SimulationError: the run could not be carried on; the folder holds it up to there.
@@ -141,11 +141,8 @@ class _Study:
         surrogates: Mapping[str, Path],
         tables: Sequence[Path],
     ) -> None:
-        if kind == "table" and recipe.macro.integrator == "implicit":
-            raise InputError(
-                "macro.integrator: implicit; not with --law table, which has no tangents: take "
-                "--law cached, surrogate or rve, or --integrator explicit"
-            )
+        if kind == "table":
+            check_tangents(recipe)
         self.recipe, self.folder, self.before = recipe, folder, seconds_compiling()
         self.harvests: dict[str, HarvestWriter] = {}
         taker = self._harvest if kind in ("cached", "table") else lambda part: None
@@ -395,10 +392,7 @@ def _record_of(run: MacroRun) -> RunRecord:
 
 
 def _law_entries(law: StressLaw) -> dict[str, Any]:
-    """A law as run.json has it: kind, fingerprint, and by section of a recipe what it is made of.
-
-    Of a law that is not of this package, the name of its class.
-    """
+    """Kind and fingerprint of a law, and by section of a recipe what it is made of."""
     law = own_part(law)
     if isinstance(law, CachedLaw):
         kind, cache = "table", {"cache": asdict(law.settings)}
@@ -497,15 +491,8 @@ def costs(counts: Mapping[str, int]) -> str:
     parts = {"audits": counts.get("audits", 0), "for the table": counts.get("table_rve_solves", 0)}
     of_these = [f"{n:,} {name}" for name, n in parts.items() if n]
     text += f" ({', '.join(of_these)})" if of_these else ""
-    reasons = [
-        f"{n:,} {name.removeprefix('fallbacks_').replace('_', ' ')}"
-        for name, n in counts.items()
-        if name.startswith("fallbacks_") and n
-    ]
-    fallbacks = f"{counts.get('fallbacks', 0):,} fallbacks"
-    text += f", {counts['hits']:,} hits, {fallbacks}" + (
-        f" ({', '.join(reasons)})" if reasons else ""
-    )
+    fallbacks = f"{counts.get('fallbacks', 0):,} fallbacks{fallback_reasons(counts)}"
+    text += f", {counts['hits']:,} hits, {fallbacks}"
     records = counts.get("table_records")
     return text if records is None else f"{text}, table of {records} records"
 

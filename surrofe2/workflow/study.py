@@ -37,7 +37,6 @@ def run_recipe(
     Args:
         laws: of the runs, in their order.
         true: folder of a run by RVEs to compare with besides.
-        stage: begins the display of a stage.
         tell: called with what each step came to.
 
     Returns:

@@ -59,9 +59,6 @@ def run_tissue(
 ) -> RunRecord:
     """Run the recipe's problem on a tissue of plant cells and write the run folder.
 
-    Args:
-        report: called with the time reached in µs.
-
     Raises:
         SimulationError: the run could not be carried on; the folder holds it up to there.
     """

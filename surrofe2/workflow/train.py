@@ -84,7 +84,6 @@ def train_surrogate(
         fresh: start over, whatever is there.
         add: harvests to train on too.
         range: of the surrogate, where it is not the recipe's.
-        stage: begins the display of a stage.
 
     Raises:
         MismatchError: data set, surrogate or interrupted training are of other settings or data.
@@ -179,11 +178,7 @@ def unfinished_training(recipe: Recipe) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class _Begun:
-    """What an interrupted training did.
-
-    Attributes:
-        before: the bound that fewer samples gave, infinite where there were none.
-    """
+    """What an interrupted training did, and the bound `before` it, that fewer samples gave."""
 
     state: TrainingState | None = None
     seconds: float = 0.0
@@ -212,8 +207,7 @@ def _train(
     begun: _Begun,
     report: Report,
 ) -> tuple[SurrogateLaw, float, float]:
-    """A surrogate of these samples, its bound by the spread of stress, and the seconds of all
-    trainings so far; the bound is 0 where none is wanted. Training ends when it is met."""
+    """A surrogate, its bound by the spread of stress (0: none wanted), the seconds so far."""
     path, wanted = unfinished_training(recipe), WISH * recipe.training.bound
     meter = Meter(begun.seconds)
 

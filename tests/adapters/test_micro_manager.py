@@ -195,16 +195,6 @@ def test_a_coupled_loop_has_the_stress_of_rves_and_where_it_may_the_surrogate_s(
         assert np.abs(found[name] - learnt[..., row, :])[~by_rve].max() < 1e-9
 
 
-@pytest.mark.slow
-def test_every_iteration_begins_at_the_checkpoint(recipe, law, tmp_path):
-    """RVEs alone; warm starts of a time loop of ours, to rounding."""
-    F, F_dot = write_macro(tmp_path)
-    run_manager(recipe, tmp_path, 1, coupled(1, [MODULE], [False]))
-    found, exact = read_written(tmp_path, 1), truth(law, F, F_dot)
-    for name, values in found.items():
-        assert np.abs(values - exact[name]).max() < 1e-9 * np.abs(exact[name]).max()
-
-
 @pytest.mark.parametrize("ranks", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_snapshots_have_the_stress_of_rves(ranks, recipe, law, tmp_path):
     """The Micro Manager stores them in single precision."""

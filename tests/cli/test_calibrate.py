@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from surrofe2 import LoadCase, simulate
+from surrofe2 import simulate
 from surrofe2.base.errors import SimulationError
 from surrofe2.problem.amplitude import Pulse, Ramp, Sine
 from surrofe2.recipe.recipe import load_recipe
@@ -16,7 +16,7 @@ from surrofe2.store.surrogates import read_surrogate
 from surrofe2.surrogate import training
 from surrofe2.surrogate.deformation_paths import random_walks
 from surrofe2.workflow import calibrate as calibrating
-from surrofe2.workflow.calibrate import FACTOR, PACE, Varied, random_loads, varied_problems
+from surrofe2.workflow.calibrate import FACTOR, PACE, Varied, varied_problems
 from tests.laws import SoftLaw
 from tests.macro.bars import with_load
 
@@ -306,18 +306,3 @@ def test_a_cell_sees_its_own_points_among_the_others(stated, recipe_path, monkey
     assert [len(F) for F in met.values()] == [5, 20]  # of 25
     stretch = {name: F[:, 0, 0].mean() - 1.0 for name, F in met.items()}
     assert stretch["end"] > 1.5 * stretch["middle"] > 0.0
-
-
-def test_loads_push_everywhere_and_reverse():
-    load = LoadCase()
-    loads = list(random_loads(load, 200, seed=5))
-    forces = np.array([one.conditions[-1].acceleration for one in loads])
-    modulus = np.hypot(*forces.T)
-    assert 0.05 <= modulus.min() < 0.07
-    assert 0.55 < modulus.max() <= 0.6
-    assert (np.sign(forces).std(axis=0) > 0.9).all()
-    factors = np.array(
-        [[factor for _, factor in one.conditions[-1].amplitude.points] for one in loads]
-    )
-    assert (factors.min(axis=1) < 0.0).mean() > 0.8
-    assert {one.duration for one in loads} == {25.0}

@@ -23,14 +23,6 @@ def same_numbers(path, other):
     return read_data_set(path).fingerprint == read_data_set(other).fingerprint
 
 
-def test_writes_the_data_set_and_says_so(invoke, recipe_path):
-    done = invoke("generate", recipe_path)
-    assert done.exit_code == 0, done.output
-    path = recipe_path.parent / "cells.h5"
-    assert done.stdout.startswith(f"{path}: 40 samples, all usable, ")
-    assert len(read_data_set(path).F) == 40
-
-
 def test_failed_samples_are_kept_and_counted(invoke, recipe_path):
     done = invoke("generate", recipe_path, law=SoftLaw(fails_above=1.03))
     samples = read_data_set(recipe_path.parent / "cells.h5")

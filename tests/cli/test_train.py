@@ -36,16 +36,6 @@ def test_writes_the_surrogate_and_shows_its_errors(invoke, recipe_path, surrogat
 
 
 @pytest.mark.usefixtures("_data_set")
-def test_a_trained_surrogate_is_kept(invoke, recipe_path, surrogate_path):
-    invoke("train", recipe_path)
-    before = surrogate_path.read_bytes()
-    again = invoke("train", recipe_path)
-    assert again.exit_code == 0
-    assert "(already trained)" in again.stdout
-    assert surrogate_path.read_bytes() == before
-
-
-@pytest.mark.usefixtures("_data_set")
 @pytest.mark.parametrize(
     ("change", "told"),
     [

@@ -20,15 +20,6 @@ def test_people_are_shown_formatted_columns_that_have_a_value():
     assert texts == [["a, b", "-1.23", "50 %"], ["c", "–", "12.3 %"]]
 
 
-def test_markdown_aligns_figures_to_the_right():
-    assert TABLE.to_markdown().splitlines() == [
-        "| run | first minimum (µm) | hits |",
-        "| :-- | --: | --: |",
-        "| a, b | -1.23 | 50 % |",
-        "| c | – | 12.3 % |",
-    ]
-
-
 def test_csv_holds_every_quantity_and_leaves_missing_ones_empty():
     assert TABLE.to_csv().splitlines() == [
         "run,first minimum (µm),period off (%),hits,seed",
