@@ -76,27 +76,36 @@ class PointStates:
 
 class Memoryless:
     """A law whose stress depends on (F, Ḟ) alone; subclasses say how in `stress` and, by
-    ∂P/∂F and ∂P/∂Ḟ, in `slopes`."""
+    ∂P/∂F and ∂P/∂Ḟ, in `slopes`. Not converged where F₁₁ is above `fails_above`."""
 
-    density, has_tangents = 0.08, True
+    density, has_tangents, effort = 0.08, True, "evaluations"
+    fails_above, calls = np.inf, 0
+
+    def of(self, cell, settings=None):
+        """Stand in for `RveLaw`."""
+        self.cell, self.initialisation = cell, settings.initialisation
+        return self
 
     def stress(self, F, F_dot):
         raise NotImplementedError
 
     def slopes(self, F, F_dot):
-        raise NotImplementedError
+        found = tangents_by_differences(self.stress, F, F_dot)
+        return found.P_by_F, found.P_by_F_dot
 
     def respond(self, F, F_dot, state: Any = None, *, tangents=False) -> StressResponse:
+        if tangents:
+            require_tangents(self)
         F, F_dot = check_deformation(F, F_dot)
-        return StressResponse(
-            stress=self.stress(F, F_dot),
-            status=np.zeros(len(F), np.int8),
-            effort={"evaluations": len(F)},
-            tangents=Tangents(*self.slopes(F, F_dot)) if tangents else None,
-        )
+        self.calls += 1
+        stress = self.stress(F, F_dot)
+        status = np.where(F[:, 0, 0] > self.fails_above, Status.NOT_CONVERGED, Status.OK)
+        stress[status != 0] = np.nan
+        slopes = Tangents(*self.slopes(F, F_dot)) if tangents else None
+        return StressResponse(stress, status.astype(np.int8), None, {self.effort: len(F)}, slopes)
 
     def accept(self, F, F_dot, response) -> Acceptance:
-        return Acceptance(np.zeros(len(F), np.int8), response.state)
+        return Acceptance(response.status.copy(), response.state)
 
 
 @dataclass
@@ -245,39 +254,19 @@ class Failing:
         return Acceptance(np.where(bad, self.code, 0).astype(np.int8), answer.state)
 
 
-class SoftLaw:
-    """Isotropic σ = R (2 a (U − I) + b (A + Aᵀ)) Rᵀ with F = R U, A = RᵀḞ.
+class SoftLaw(Memoryless):
+    """Isotropic σ = R (2 a (U − I) + b (A + Aᵀ)) Rᵀ with F = R U, A = RᵀḞ."""
 
-    Not converged where F₁₁ is above `fails_above`.
-    """
-
-    density, has_tangents = 0.084, False
-    rest_length = 1.5
+    density, has_tangents, effort, rest_length = 0.084, False, "rve_solves", 1.5
 
     def __init__(self, a=50.0, b=100.0, fails_above=np.inf):
         self.a, self.b, self.fails_above = a, b, fails_above
-        self.calls = 0
 
-    def of(self, cell, settings=None):
-        """Stand in for `RveLaw`."""
-        self.cell, self.initialisation = cell, settings.initialisation
-        return self
-
-    def respond(self, F, F_dot, state=None, *, tangents=False):
-        if tangents:
-            require_tangents(self)
-        F, F_dot = check_deformation(F, F_dot)
-        self.calls += 1
+    def stress(self, F, F_dot):
         R = rotation(F)
         U, A = transpose(R) @ F, transpose(R) @ F_dot
         S = 2.0 * self.a * (U - np.eye(2)) + self.b * (A + transpose(A))
-        stress = R @ S @ transpose(R)
-        status = np.where(F[:, 0, 0] > self.fails_above, Status.NOT_CONVERGED, Status.OK)
-        stress[status != 0] = np.nan
-        return StressResponse(stress, status.astype(np.int8), None, {"rve_solves": len(F)})
-
-    def accept(self, F, F_dot, response):
-        return Acceptance(response.status, response.state)
+        return R @ S @ transpose(R)
 
 
 class StoppingLaw(SoftLaw):
@@ -310,11 +299,10 @@ def square_stress(F, F_dot):
     return R @ from_components(s) @ transpose(R)
 
 
-class SquareLaw:
-    """Not converged where F₁₁ is above `fails_above`; notes the states it was asked with."""
+class SquareLaw(Memoryless):
+    """`square_stress`; notes the states it was asked with."""
 
-    rest_length = 1.5
-    has_tangents = True
+    effort, rest_length = "rve_solves", 1.5
 
     def __init__(self, cell=None, initialisation="constrained-runs", fails_above=np.inf):
         self.cell = cell or CellParameters()
@@ -322,27 +310,17 @@ class SquareLaw:
         self.density = self.cell.density
         self.states, self.solves = [], 0
 
-    def of(self, cell, settings=None):
-        """Stand in for `RveLaw`."""
-        self.cell, self.initialisation = cell, settings.initialisation
-        return self
+    def stress(self, F, F_dot):
+        return square_stress(F, F_dot)
 
     def respond(self, F, F_dot, state=None, *, tangents=False):
-        F, F_dot = check_deformation(F, F_dot)
         self.states.append(state)
         self.solves += len(F)
-        stress = square_stress(F, F_dot)
-        status = np.where(F[:, 0, 0] > self.fails_above, Status.NOT_CONVERGED, Status.OK)
-        stress[status != 0] = np.nan
-        slopes = tangents_by_differences(square_stress, F, F_dot) if tangents else None
-        effort = {"rve_solves": len(F)}
-        return StressResponse(stress, status.astype(np.int8), PointStates(F.copy()), effort, slopes)
+        answer = super().respond(F, F_dot, tangents=tangents)
+        return replace(answer, state=PointStates(F.copy()))
 
     def state_from_arrays(self, arrays):
         return PointStates(arrays["F"])
-
-    def accept(self, F, F_dot, response):
-        return Acceptance(response.status, response.state)
 
 
 SPACING = 4.0
@@ -395,21 +373,14 @@ def _lattice_stress(F, F_dot, rest_length):
     return 0.5 * np.einsum("npi,npj->nij", total, x) / area[:, None, None]
 
 
-class TrueLattice:
+class TrueLattice(Memoryless):
     """The lattice's stress as the law a surrogate learnt; tangents by central differences."""
 
     cell, initialisation, density = CELL, "constrained-runs", CELL.density
-    has_tangents = True
+    effort = "rve_solves"
 
-    def respond(self, F, F_dot, state=None, *, tangents=False):
-        slopes = tangents_by_differences(lattice_stress, F, F_dot) if tangents else None
-        status = np.zeros(len(F), dtype=np.int8)
-        return StressResponse(
-            lattice_stress(F, F_dot), status, None, {"rve_solves": len(F)}, slopes
-        )
-
-    def accept(self, F, F_dot, response):
-        return Acceptance(response.status, response.state)
+    def stress(self, F, F_dot):
+        return lattice_stress(F, F_dot)
 
 
 def exact(F, F_dot):

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from textwrap import wrap
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from surrofe2.plant_cell.tiles import pack
 from surrofe2.questions.memory import steady_shear
 from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
-from surrofe2.run.charts import Curve, Panel, merged_curves
+from surrofe2.run.charts import Curve, Panel
 from surrofe2.rve import INITIALISATIONS, RveLaw, RveSettings
 from surrofe2.rve.constrained_runs import Stepping, iterate
 from surrofe2.rve.micro_integration import integrate_rve
@@ -131,6 +132,24 @@ FIGURE_5: tuple[Quantity[tuple[ShearSteps, str]], ...] = (
 def figure_5(setting: Setting) -> Study:
     """σ over shear at rest and at a rate."""
     return describe_shear([shear_steps(setting.of.cell, rate) for rate in (0.0, SHEAR_RATE)])
+
+
+def merged_curves(curves: Sequence[Curve], within: float = 0.01) -> tuple[Curve, ...]:
+    """Curves over the same x, those closer than a share of the span as one with all their names."""
+    every = [curve.y for curve in curves]
+    span = np.nanmax(every) - np.nanmin(every)
+    groups: list[list[Curve]] = []
+    for curve in curves:
+        close = (g for g in groups if np.nanmax(abs(curve.y - g[0].y)) <= within * span)
+        group = next(close, None)
+        groups.append([curve]) if group is None else group.append(curve)
+    found = []
+    for first, *others in groups:
+        names = ", ".join(each.label or each.name for each in (first, *others))
+        label = "\n".join(wrap(names, 30, break_on_hyphens=False))
+        one = Curve("reference", first.x, first.y, label, markers=False)
+        found.append(one if others else first)
+    return tuple(found)
 
 
 def describe_shear(runs: Sequence[ShearSteps]) -> Study:

@@ -126,7 +126,8 @@ def follow_path(
         F[n][entries] = F[n - 1][entries] if n else np.eye(2)[entries]
         if n == 0:
             F_dot[0][entries] = 0.0
-            answer = _answer(law, F[0], F_dot[0], None, 0.0)
+        if n == 0 or not free:
+            answer = _answer(law, F[n], F_dot[n], state, float(t[n]))
         else:
             base, weight = F[n - 1], h
             if n > 1:
@@ -138,8 +139,7 @@ def follow_path(
             raise SimulationError(f"t = {t[n]:.6g} µs: {describe(accepted.status[0])}")
         state = accepted.state
         stress[n] = answer.stress[0] if accepted.stress is None else accepted.stress[0]
-    first_piola: Array = stress @ cofactor(F)
-    return StressPath(t, F, F_dot, stress, first_piola)
+    return StressPath(t, F, F_dot, stress, np.asarray(stress @ cofactor(F)))
 
 
 def _answer(
@@ -165,8 +165,6 @@ def _without_stress(
     rule: (base, weight) of Ḟ = (F − base)/weight of the free entries.
     """
     base, weight = rule
-    if not base.size:
-        return _answer(law, F, F_dot, state, t)
     for _ in range(_ITERATIONS):
         F_dot[free] = (F[free] - base) / weight
         answer = _answer(law, F, F_dot, state, t, tangents=True)

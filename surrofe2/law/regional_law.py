@@ -15,7 +15,6 @@ from surrofe2.law.stress_law import (
     Acceptance,
     AuditedLaw,
     LearningLaw,
-    ReportingLaw,
     Sources,
     StressLaw,
     StressResponse,
@@ -173,10 +172,10 @@ class RegionalLaw(Viewed):
     def report(self) -> dict[str, Any] | None:
         return self._reported(lambda law: law.report())
 
-    def _reported(self, of: Callable[[ReportingLaw], Any]) -> dict[str, Any] | None:
+    def _reported(self, of: Callable[[AuditedLaw], Any]) -> dict[str, Any] | None:
         """What all laws report, each under the name of its region; None where one does not."""
         laws = self.laws.items()
-        found = {name: of(law) for name, law in laws if isinstance(law, ReportingLaw)}
+        found = {name: of(law) for name, law in laws if isinstance(law, AuditedLaw)}
         return {"cells": found} if len(found) == len(laws) else None
 
     @property
@@ -187,7 +186,7 @@ class RegionalLaw(Viewed):
         found = [
             {"cell": name, **line}
             for name, law in self.laws.items()
-            if isinstance(law, ReportingLaw)
+            if isinstance(law, AuditedLaw)
             for line in law.decisions or ()
         ]
         return sorted(found, key=lambda line: float(line["t"]))

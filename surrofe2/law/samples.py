@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 TANGENTS = ("P_by_F", "P_by_F_dot")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class StressSamples(Viewed):
     """Stress of one RVE at sampled deformations, and whose stress it is.
 
@@ -54,49 +54,29 @@ class StressSamples(Viewed):
     left_bifurcation: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
-        count = len(self.F)
         if (self.P_by_F is None) != (self.P_by_F_dot is None):
             raise InputError("samples.P_by_F, samples.P_by_F_dot: give both or neither")
-        arrays = self._float_arrays
-        for name, array in arrays.items():
-            shape = (count, 2, 2, 2, 2) if name in TANGENTS else (count, 2, 2)
-            if np.shape(array) != shape:
-                raise InputError(f"samples.{name}: shape {np.shape(array)}; it must be {shape}")
-        if np.shape(self.status) != (count,):
-            raise InputError(
-                f"samples.status: shape {np.shape(self.status)}; it must be ({count},)"
-            )
-        left = self.left_bifurcation
-        if left is not None and np.shape(left) != (count,):
-            raise InputError(
-                f"samples.left_bifurcation: shape {np.shape(left)}; it must be ({count},)"
-            )
-        for name, array in arrays.items():
+        shapes = {name: (2, 2, 2, 2) if name in TANGENTS else (2, 2) for name in self._float_arrays}
+        for name, shape in {**shapes, "status": (), "left_bifurcation": ()}.items():
+            array, wanted = getattr(self, name), (len(self.F), *shape)
+            if array is not None and np.shape(array) != wanted:
+                raise InputError(f"samples.{name}: shape {np.shape(array)}; it must be {wanted}")
+        for name, array in self._float_arrays.items():
             if not np.isfinite(array[self.status == 0]).all():
                 raise InputError(f"samples.{name}: not finite at a sample whose status is 0")
 
     def facts(self) -> Facts:
-        left = self.left_bifurcation
-        has_left = np.zeros(len(self.F), np.bool_) if left is None else left
-        has_stress = self.status == 0
+        usable, failed = len(self.valid.F), int((self.status != 0).sum())
         return {
             "samples": f"{len(self.F):,}",
-            "usable": f"{int((has_stress & ~has_left).sum()):,}",
-            "failed": f"{int((~has_stress).sum()):,}",
-            "left a bifurcation": f"{int((has_stress & has_left).sum()):,}",
+            "usable": f"{usable:,}",
+            "failed": f"{failed:,}",
+            "left a bifurcation": f"{len(self.F) - usable - failed:,}",
             "tangents": "no" if self.P_by_F is None else "yes",
             "plant cell": self.cell.preset_name,
             "initialisation": self.initialisation,
             "range": self.range,
         }
-
-    def __repr__(self) -> str:
-        lost = int((np.asarray(self.status) != 0).sum())
-        with_tangents = "" if self.P_by_F is None else ", with tangents"
-        return (
-            f"<StressSamples: {len(self.F)}, {lost} of them failed{with_tangents}; "
-            f"cell {self.cell.fingerprint}, {self.initialisation}>"
-        )
 
     @property
     def _float_arrays(self) -> dict[str, Array]:

@@ -246,7 +246,7 @@ class SwitchingLaw(StressLaw, Protocol):
 
 @runtime_checkable
 class AuditedLaw(StressLaw, Protocol):
-    """A law that learns only later how wrong its answers were.
+    """A law that learns only later how wrong its answers were, as a cached law does.
 
     Whoever steps marks where a window of steps begins, and asks for the verdict after every kept
     step. A window that stands ends there, and the next one begins; one that does not is made again
@@ -266,6 +266,16 @@ class AuditedLaw(StressLaw, Protocol):
     def roll_back(self, t: float) -> Any:
         """The state at the mark, to continue from; t is where the verdict fell."""
 
+    def history(self) -> dict[str, Any] | None:
+        """How it has done so far, as plain values for run.json; None: it has nothing to report."""
+
+    def report(self) -> dict[str, Any] | None:
+        """`history` at the end of a run, when no audit waits any longer."""
+
+    @property
+    def decisions(self) -> list[dict[str, Any]] | None:
+        """Its decisions on windows of steps, in the order of time; None: it decides nothing."""
+
 
 @runtime_checkable
 class ResumableLaw(StressLaw, Protocol):
@@ -276,21 +286,6 @@ class ResumableLaw(StressLaw, Protocol):
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> Any:
         """The committed state whose `state_to_arrays` gave these arrays."""
-
-
-@runtime_checkable
-class ReportingLaw(StressLaw, Protocol):
-    """A law that counts how far it could be trusted, as a cached law does."""
-
-    def history(self) -> dict[str, Any] | None:
-        """How it has done so far, as plain values for run.json; None: it has nothing to report."""
-
-    def report(self) -> dict[str, Any] | None:
-        """`history` at the end of a run, when no audit waits any longer."""
-
-    @property
-    def decisions(self) -> list[dict[str, Any]] | None:
-        """Its decisions on windows of steps, in the order of time; None: it decides nothing."""
 
 
 def state_arrays(law: StressLaw, state: Any) -> dict[str, NDArray]:
@@ -337,13 +332,12 @@ def _as_tensors(name: str, value: Any) -> Array:
         given = np.array(None)
     if given.dtype.kind not in "fiu":
         raise InputError(f"{name}: {given.dtype}; it must be an array (n, 2, 2) of real numbers")
-    if type(given) is not np.ndarray and np.ma.isMaskedArray(given):
+    if np.ma.isMaskedArray(given):
         raise InputError(f"{name}: a masked array; every entry must be a number")
     array = np.ascontiguousarray(given, dtype=np.float64)
     if array.ndim != 3 or array.shape[1:] != (2, 2):
         raise InputError(f"{name}: shape {np.shape(value)}; it must be (n, 2, 2)")
-    finite = np.isfinite(array)
-    if not finite.all():
-        point = int(np.argwhere(~finite)[0, 0])
+    if not np.isfinite(array).all():
+        point = int(np.argwhere(~np.isfinite(array))[0, 0])
         raise InputError(f"{name}: not finite at point {point}; every entry must be a number")
     return array

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from surrofe2.base.compilation import kernel
 from surrofe2.base.errors import InputError
 from surrofe2.base.tensors import cofactor, det
-from surrofe2.problem.mesh import element_nodes, region
+from surrofe2.problem.mesh import element_nodes, region, region_numbers
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -156,24 +156,15 @@ def points_by_region(
 ) -> dict[str, Index]:
     """Numbers of the points in each of the regions, which together must be the whole mesh.
 
-    Args:
-        where: who asks, for the sentence.
-
     Raises:
-        InputError: an element is in none of them or in two, or there is no region of a name.
+        InputError: an element is in none of them or in two, or there is no region of a name;
+            `where` says who asks.
     """
-    claims = np.zeros(mesh.nelements, dtype=np.int64)
-    for name in names:
-        claims[region(mesh, name, where)] += 1
-    wrong = np.flatnonzero(claims != 1)
-    if wrong.size:
-        x, y = mesh.p[:, element_nodes(mesh)[wrong[0]]].mean(axis=1)
-        raise InputError(
-            f"{where}: element {wrong[0]} at ({x:.6g}, {y:.6g}) µm is in {claims[wrong[0]]} of "
-            f"{', '.join(names)}; every element must be in one"
-        )
+    regions = {name: region(mesh, name, where) for name in names}
+    region_numbers(mesh, regions, where, np.arange(mesh.nelements))
     n_q = n_points_of(mesh) // mesh.nelements
-    return {name: (n_q * region(mesh, name)[:, None] + np.arange(n_q)).ravel() for name in names}
+    every = np.arange(n_q)
+    return {name: (n_q * own[:, None] + every).ravel() for name, own in regions.items()}
 
 
 def find_element(
@@ -316,6 +307,22 @@ def sparse_rows(columns: Index, values: Array, size: int) -> Matrix:
 def for_components(matrix: Matrix) -> Matrix:
     """What maps both components as the matrix maps one: entry 2 a + i is component i of row a."""
     return scipy.sparse.kron(matrix, np.eye(2), "csr")
+
+
+def times(S: Matrix, x: Array) -> Array:
+    """(p, 2) S x, S (p, n) sparse by rows and x (n, 2); scipy takes longer where they are small."""
+    product = np.zeros((S.shape[0], 2))
+    add_product(S.indptr, S.indices, S.data, x, product)
+    return product
+
+
+@kernel
+def add_product(indptr: Any, indices: Any, values: Any, x: Any, product: Any) -> None:
+    """Add S x to `product`."""
+    for p in range(product.shape[0]):
+        for k in range(indptr[p], indptr[p + 1]):
+            product[p, 0] += values[k] * x[indices[k], 0]
+            product[p, 1] += values[k] * x[indices[k], 1]
 
 
 def summed(S: Matrix, blocks: Array) -> Matrix:

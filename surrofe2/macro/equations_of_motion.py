@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import scipy  # scipy.sparse is loaded where a matrix is factorised
@@ -38,8 +38,7 @@ from surrofe2.macro.system import System
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Evaluation:
+class Evaluation(NamedTuple):
     """The equations of motion at one state.
 
     Attributes:
@@ -124,12 +123,9 @@ class EquationsOfMotion:
     def __init__(
         self, system: System, law: StressLaw, clock: str = "t = {:.6g} µs", t: float = 0.0
     ) -> None:
-        self.system = system
+        self.system, self.law, self.clock = system, law, clock
         self.discretisation = system.discretisation
-        self.law = law
-        self.clock = clock
         self.corners = system.problem.corners()
-        self.piece = 0
         self.go_to(t)
         self.tally = Tally()
         self._start: Evaluation
@@ -246,8 +242,7 @@ class EquationsOfMotion:
     def dissipation_rates(self, now: Evaluation) -> Array | None:
         """(n_el,) ∫ J (σ(F, Ḟ) − σ(F, 0)) : L dV of each element, pJ/µs; None without σ(F, 0).
 
-        The power of the stress in excess of the equilibrium stress at the same F, deviator and
-        pressure at their own points, which is the excess internal force times v.
+        Deviator and pressure at their own points: it is the excess internal force times v.
         """
         still = self._ask(now.F, np.zeros_like(now.F_dot))
         self.tally.counts["dissipation_points"] += len(now.F)
@@ -286,9 +281,7 @@ class EquationsOfMotion:
         """K + C/dt of `tangents`, at about half the cost."""
         slope = _tangents(now.response).over_step(dt)
         total = self._summed(now, now.response.first_piola(now.F), slope)
-        for k_force, c_force in self._slopes_of_forces(now):
-            total = total + self._free(k_force + c_force / dt)
-        return total
+        return total + sum(self._free(k + c / dt) for k, c in self._slopes_of_forces(now))
 
     def stiffness_times(self, now: Evaluation, w: Array) -> Array:
         """(m,) ∂(f − l)/∂u w for a displacement w (n, 2) of all rows, those of supports as well."""
@@ -309,17 +302,13 @@ class EquationsOfMotion:
         return self._gradients[:, self.system.free]
 
     def _summed(self, now: Evaluation, P: Array, slope: Array) -> Matrix:
-        blocks = point_tangents(self.discretisation, now.F, P, slope)
-        return summed(self._free_gradients, blocks)
+        return summed(self._free_gradients, point_tangents(self.discretisation, now.F, P, slope))
 
-    def _slopes_of_forces(self, now: Evaluation) -> Iterator[Slopes]:
-        for force in self.system.forces:
-            slopes = force.slopes(now.t, now.within, now.u, now.v)
-            if slopes is not None:
-                yield slopes
+    def _slopes_of_forces(self, now: Evaluation) -> list[Slopes]:
+        slopes = (f.slopes(now.t, now.within, now.u, now.v) for f in self.system.forces)
+        return [each for each in slopes if each is not None]
 
     def _free(self, matrix: Matrix) -> Matrix:
-        """(m, m) of (2 n, 2 n)."""
         free = self.system.free
         return matrix.tocsc()[free][:, free]
 
@@ -348,12 +337,9 @@ class EquationsOfMotion:
             self.tally.effort["left_bifurcation"] += int(left.sum())
         if acceptance.stress is not None:
             response = replace(
-                at.response,
-                stress=acceptance.stress,
-                switched=None,
-                tangents=None,
+                at.response, stress=acceptance.stress, switched=None, tangents=None,
                 left_bifurcation=left,
-            )
+            )  # fmt: skip
             at = self._evaluation(at.t, at.y, (at.u, at.v), at.F, at.F_dot, response)
         self._start = at
         return at
@@ -402,9 +388,8 @@ class EquationsOfMotion:
         self, t: float, F: Array, status: NDArray[np.int8], reasons: Mapping[int, str] | None = None
     ) -> NoStress:
         point = int(np.flatnonzero(status)[0])
-        detail = (reasons or {}).get(point)
-        reason = describe(status[point])
-        return self.no_stress(t, point, F, reason if detail is None else f"{detail}; {reason}")
+        details = (reasons or {}).get(point), describe(status[point])
+        return self.no_stress(t, point, F, "; ".join(filter(None, details)))
 
 
 def _tangents(response: StressResponse) -> Tangents:

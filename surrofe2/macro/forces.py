@@ -22,9 +22,9 @@ import scipy.sparse
 import skfem
 from numpy.typing import NDArray
 
-from surrofe2.macro.elements import Matrix, for_components, sparse_rows, summed
+from surrofe2.macro.elements import Matrix, for_components, sparse_rows, summed, times
 from surrofe2.problem import contact_law
-from surrofe2.problem.amplitude import ONE, Amplitude, Proportional
+from surrofe2.problem.amplitude import ONE, Amplitude
 from surrofe2.problem.conditions import (
     BodyForce,
     DrivenCondition,
@@ -121,17 +121,11 @@ def foundation_matrix(mesh: skfem.Mesh, facets: Index, components: str) -> Matri
     return form.assemble(facet_basis(mesh, facets))
 
 
-def make_loads(
-    problem: Problem,
-    mass_of: Callable[[Array], Matrix],
-    n: int,
-    proportional: bool,
-) -> list[Force]:
+def make_loads(problem: Problem, mass_of: Callable[[Array], Matrix], n: int) -> list[Force]:
     """The forces of the conditions and on free bodies, on n rows.
 
     Args:
         mass_of: the mass (2 n_nodes, 2 n_nodes) of a share (n_el,) of each element.
-        proportional: as of `make_system`.
     """
     mesh, loads = problem.mesh, list[Force]()
     n_nodes = mesh.p.shape[1]
@@ -146,7 +140,6 @@ def make_loads(
     for condition in problem.conditions:
         name, where = label(condition), f"{condition.kind()}.on"
         amplitude = condition.amplitude if isinstance(condition, DrivenCondition) else ONE
-        amplitude = Proportional() if proportional else amplitude
         match condition:
             case BodyForce():
                 inside = np.zeros(mesh.nelements)
@@ -169,7 +162,7 @@ def make_loads(
         if body.mass is not None and any(body.acceleration):
             load = np.zeros((n, 2))
             load[n_nodes + k] = body.mass * np.array(body.acceleration)
-            add(f"{body.name} load", load, Proportional() if proportional else ONE)
+            add(f"{body.name} load", load, body.amplitude)
     return loads
 
 
@@ -196,7 +189,7 @@ class Contact:
     Attributes:
         name: of the body. shape: its outline. position: (2,) at t = 0, µm.
         relative: (p, n) from the displacement of nodes and bodies to that of the points relative
-            to the body.
+            to the body; by_component: as of `for_components`.
         points: (p, 2) reference positions. lengths: (p,) µm. side: mean length of a side, µm.
         stiffness: k, µN/µm². smoothing: δ, µm. damping: c, µN µs/µm².
         friction: µ. slip_speed: s, µm/µs.
@@ -207,6 +200,7 @@ class Contact:
     shape: Shape
     position: Array
     relative: Matrix
+    by_component: Matrix
     points: Array
     lengths: Array
     side: float
@@ -221,7 +215,7 @@ class Contact:
         gap, normal, _ = self._gaps(u)
         if not (gap < 0.0).any():
             return np.zeros(u.shape)
-        pressure, *_ = self._pressure(-gap, -_dot(self.relative @ v, normal))
+        pressure, *_ = self._pressure(-gap, -_dot(times(self.relative, v), normal))
         traction = pressure[:, None] * normal
         if self.friction:
             tangent = _turned(normal)
@@ -235,7 +229,7 @@ class Contact:
         touching = gap < 0.0
         if not touching.any():
             return None
-        tangent, relative = _turned(normal), self.relative @ v
+        tangent, relative = _turned(normal), times(self.relative, v)
         sliding = _dot(relative, tangent)
         pressure, by_depth, by_closing = self._pressure(-gap, -_dot(relative, normal))
         # ∂g/∂x = n; the frame turns with the point: ∂n/∂x = κ τ τᵀ, ∂τ/∂x = −κ n τᵀ.
@@ -254,9 +248,9 @@ class Contact:
             by_v -= _outer(along, p_by_v)
             moved = by_v if self.grip is None else by_x
             moved -= by_sliding[:, None, None] * both
-        S, lengths = for_components(self.relative[touching]), self.lengths[:, None, None]
-        K, C = (summed(S, (-lengths * slope)[touching]) for slope in (by_x, by_v))
-        return K, C
+        lengths = np.where(touching, self.lengths, 0.0)[:, None, None]
+        S = self.by_component
+        return summed(S, -lengths * by_x), summed(S, -lengths * by_v)
 
     def drag(self, u: Array) -> Array:
         """(p,) friction at all points at rest, µN/µm."""
@@ -291,7 +285,7 @@ class Contact:
         return float(density @ self.lengths)
 
     def _gaps(self, u: Array) -> tuple[Array, Array, Array]:
-        return self.shape.gap(self.points + self.relative @ u - self.position)
+        return self.shape.gap(self.points + times(self.relative, u) - self.position)
 
     def _pressure(self, depth: Array, closing: Array) -> tuple[Array, Array, Array]:
         """Pressure and its slopes by the depth and by the speed of closing."""
@@ -300,8 +294,7 @@ class Contact:
 
     def _slid(self, u: Array, v: Array) -> Array:
         """(p, 2) velocity relative to the body, or displacement since the grip."""
-        slid: Array = self.relative @ (v if self.grip is None else u - self.grip.u)
-        return slid
+        return times(self.relative, v if self.grip is None else u - self.grip.u)
 
     def _drag(self, pressure: Array, sliding: Array) -> tuple[Array, Array, Array]:
         """Friction per length against sliding, and its slopes by pressure and by sliding."""
@@ -350,6 +343,7 @@ def make_contact(
         shape=body.shape,
         position=np.array(body.position),
         relative=relative,
+        by_component=for_components(relative),
         points=np.asarray(basis.global_coordinates()).reshape(2, -1).T,
         lengths=basis.dx.ravel(),
         side=side,

@@ -33,10 +33,10 @@ from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError
 from surrofe2.law.surface_law import SurfaceLaw, SurfaceResponse
-from surrofe2.macro.elements import Discretisation, Matrix, for_components, summed
+from surrofe2.macro.elements import Discretisation, Matrix, for_components, summed, times
 from surrofe2.macro.forces import Slopes
 from surrofe2.problem.conditions import FREE, Surface
-from surrofe2.problem.mesh import boundary, element_nodes, facet_nodes, region
+from surrofe2.problem.mesh import boundary, facet_nodes, region, region_numbers
 from surrofe2.problem.problem import SURFACE, Problem
 
 Array = NDArray[np.float64]
@@ -111,19 +111,9 @@ def _laws(
     """The laws, and (m,) which of them each side takes."""
     if not isinstance(surface.law, Mapping):
         return (surface.law,), np.zeros(len(elements), np.int64)
-    law, claims = np.zeros((2, mesh.nelements), np.int64)
-    known = surface.regions
-    for k, name in enumerate(surface.law):
-        own = region(mesh, name, "surface.law") if known is None else known[name]
-        law[own], claims[own] = k, claims[own] + 1
-    wrong = np.flatnonzero(claims[elements] != 1)
-    if wrong.size:
-        x, y = mesh.p[:, element_nodes(mesh)[elements[wrong[0]]]].mean(axis=1)
-        raise InputError(
-            f"surface.law: the element at ({x:.6g}, {y:.6g}) µm is in "
-            f"{claims[elements[wrong[0]]]} of {', '.join([*surface.law])}; it must be in one"
-        )
-    return tuple(surface.law.values()), law[elements]
+    known = surface.regions or {name: region(mesh, name, "surface.law") for name in surface.law}
+    law = region_numbers(mesh, {name: known[name] for name in surface.law}, "surface.law", elements)
+    return tuple(surface.law.values()), law
 
 
 _EVEN = 1e-12
@@ -176,7 +166,7 @@ class SurfaceForce:
 
     Attributes:
         sides: which they are.
-        D: (m, n) sparse, from displacement to the change of g, 1/µm.
+        D: (m, n) sparse, from displacement to the change of g, 1/µm. D_T: (n, m).
         lengths: (m,) L, µm.
         directions: (m, 2) g where the unknowns are zero.
         share: of the tension that acts, below 1 on the way to rest.
@@ -184,6 +174,7 @@ class SurfaceForce:
 
     sides: FreeSides
     D: Matrix
+    D_T: Matrix
     lengths: Array
     directions: Array
     share: float = 1.0
@@ -196,8 +187,7 @@ class SurfaceForce:
         """As of `Force`; NaN where a law has no answer."""
         g, stretch, rate = self._stretches(u, v)
         pull = self.lengths * self.share * self._ask(stretch, rate).tension / stretch
-        force: Array = self.D.T @ (-pull[:, None] * g)
-        return force
+        return times(self.D_T, -pull[:, None] * g)
 
     def slopes(self, t: float, within: float, u: Array, v: Array) -> Slopes:
         g, stretch, rate = self._stretches(u, v)
@@ -207,7 +197,9 @@ class SurfaceForce:
         n = g / stretch[:, None]
         along = np.einsum("pi,pj->pij", n, n)
         across = np.eye(2) - along
-        turning = np.einsum("pi,pj->pij", n, (self.D @ v - rate[:, None] * n) / stretch[:, None])
+        turning = np.einsum(
+            "pi,pj->pij", n, (times(self.D, v) - rate[:, None] * n) / stretch[:, None]
+        )
         by_g = answer.tangent[:, None, None] * along + answer.rate_tangent[:, None, None] * turning
         by_g += (answer.tension / stretch)[:, None, None] * across
         by_g_dot = answer.rate_tangent[:, None, None] * along
@@ -223,7 +215,7 @@ class SurfaceForce:
 
     def from_rest(self, u: Array) -> SurfaceForce:
         """The same with unknowns that count from the displacement u (n, 2)."""
-        return replace(self, directions=self.directions + self.D @ u)
+        return replace(self, directions=self.directions + times(self.D, u))
 
     def mass(self, mesh: skfem.Mesh, inside: Array) -> Matrix:
         """(2 n_nodes, 2 n_nodes) mass excess, ng.
@@ -249,9 +241,9 @@ class SurfaceForce:
 
     def _stretches(self, u: Array, v: Array) -> tuple[Array, Array, Array]:
         """(m, 2) g, (m,) λ and λ̇."""
-        g = self.directions + self.D @ u
-        stretch = np.hypot(*g.T)
-        return g, stretch, np.einsum("mi,mi->m", g, self.D @ v) / stretch
+        g = self.directions + times(self.D, u)
+        stretch = np.hypot(g[:, 0], g[:, 1])
+        return g, stretch, np.einsum("mi,mi->m", g, times(self.D, v)) / stretch
 
     def _ask(self, stretch: Array, rate: Array, *, tangents: bool = False) -> SurfaceResponse:
         laws = self.sides.laws
@@ -275,4 +267,4 @@ def make_surface(problem: Problem, space: Discretisation, n: int) -> SurfaceForc
     along = ends[:, 1] - ends[:, 0]
     lengths = np.linalg.norm(along, axis=1)
     D = stretched_nodes(sides, space, n)
-    return SurfaceForce(sides, D, lengths, along / lengths[:, None])
+    return SurfaceForce(sides, D, D.T.tocsr(), lengths, along / lengths[:, None])

@@ -18,7 +18,7 @@ leaves slow modes as they are and damps fast ones.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy  # scipy.sparse is loaded where a step is implicit
@@ -31,7 +31,6 @@ from surrofe2.macro.equations_of_motion import (
     Switched,
     factorised,
 )
-from surrofe2.macro.forces import Matrix
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.time_stepping import StepControl, StepResult
 
@@ -42,8 +41,7 @@ _ACCUMULATION = 25.0
 """Errors of steps add up over an oscillation, so each may take this part of the tolerance."""
 
 
-@dataclass(frozen=True, slots=True)
-class Weights:
+class Weights(NamedTuple):
     """α_m, α_f, β, γ; second order and unconditionally stable for linear problems."""
 
     alpha_m: float
@@ -60,53 +58,39 @@ class Weights:
         return cls(alpha_m, alpha_f, 0.25 * (1.0 + shift) ** 2, 0.5 + shift)
 
 
-@dataclass(frozen=True, slots=True)
-class Solved:
-    """End of a step: its evaluation, algorithmic acceleration and how Newton came there.
-
-    Attributes:
-        now: the evaluation at the end of the step.
-        a: (m,) algorithmic acceleration there.
-        residual: (m,) that Newton left, µN.
-        residuals: residual relative to the largest of the forces, before each correction and
-            at the end.
-        solve: the factorised Newton matrix S of the last correction, S⁻¹ applied to (m,).
+class Solved(NamedTuple):
+    """End of a step: its evaluation, algorithmic acceleration (m,), the residual (m,) that Newton
+    left, µN, and S⁻¹ of the last correction, applied to (m,).
     """
 
     now: Evaluation
     a: Array
     residual: Array
-    residuals: tuple[float, ...]
     solve: Callable[[Array], Array]
 
 
-@dataclass(frozen=True, slots=True)
-class _Past:
-    """What y does not tell of the step before.
-
-    Attributes:
-        h: its length, µs.
-        a: (m,) algorithmic acceleration at its end.
-        rate: (2 m,) [v, ü] at its start, None if there is no step before.
+class _Past(NamedTuple):
+    """Of the step before: its length h, µs, the algorithmic acceleration (m,) at its end, and
+    [v, ü] (2 m,) at its start, None if there is no step before.
     """
 
     h: float
     a: Array
     rate: Array | None
 
-    @classmethod
-    def of(cls, start: Evaluation, memory: Array) -> _Past:
-        """From h, a, and the rates at both ends, which are the memory of a step.
 
-        Where the law has come to answer by another branch, what was known moves by the jump, so
-        that neither the error nor the first guess of the next step takes it for a motion.
-        """
-        rate, size = start.rate, start.y.size
-        if memory.size == 0:
-            return cls(1.0, start.acceleration, None)
-        h, a, before, then = np.split(memory, [1, 1 + size // 2, 1 + size // 2 + size])
-        jump = rate - then
-        return cls(float(h[0]), a + jump[size // 2 :], before + jump)
+def _past(start: Evaluation, memory: Array) -> _Past:
+    """From h, a, and the rates at both ends, which are the memory of a step.
+
+    Where the law has come to answer by another branch, what was known moves by the jump, so that
+    neither the error nor the first guess of the next step takes it for a motion.
+    """
+    rate, size = start.rate, start.y.size
+    if memory.size == 0:
+        return _Past(1.0, start.acceleration, None)
+    h, a, before, then = np.split(memory, [1, 1 + size // 2, 1 + size // 2 + size])
+    jump = rate - then
+    return _Past(float(h[0]), a + jump[size // 2 :], before + jump)
 
 
 class GeneralisedAlpha:
@@ -117,8 +101,7 @@ class GeneralisedAlpha:
     def __init__(self, equations: EquationsOfMotion, settings: MacroSettings) -> None:
         require_tangents(equations.law, "integrator implicit")
         self.weights = Weights.of(settings.spectral_radius)
-        self._settings = settings
-        self._equations = equations
+        self._settings, self._equations = settings, equations
         self._mass = equations.system.free_mass
 
     def first_length(self, start: Evaluation, t_end: float) -> float:
@@ -132,7 +115,7 @@ class GeneralisedAlpha:
         self, start: Evaluation, memory: Array, t: float, found: Switched | None = None
     ) -> StepResult:
         """The step from `start` to time t; its works are those of `_works`."""
-        h, past = t - start.t, _Past.of(start, memory)
+        h, past = t - start.t, _past(start, memory)
         # The algorithmic acceleration, its lag brought from the last step's to this one's; at the
         # end of the step it is carried on straight, or as where the step was restarted.
         a = start.acceleration + h / past.h * (past.a - start.acceleration)
@@ -171,29 +154,27 @@ class GeneralisedAlpha:
         u_known = u + h * v + h**2 * (0.5 - w.beta) * a
         v_known = v + h * (1.0 - w.gamma) * a
         before = w.alpha_m * (self._mass @ a) - w.alpha_f * start.residual
-        a_end, residuals, solve, floor = guess, [], None, 0.0
-        while True:
+        a_end = guess
+        for iteration in range(MAX_ITERATIONS + 1):
             y = np.concatenate([u_known + h**2 * w.beta * a_end, v_known + h * w.gamma * a_end])
             now = equations.evaluate(t, y, tangents=True)
             inertia = (1.0 - w.alpha_m) * (self._mass @ a_end)
             residual = before + inertia - (1.0 - w.alpha_f) * now.residual
-            if solve is None:
+            if iteration == 0:
                 solve, floor = self._factorised(now, h)
             forces = (now.internal, now.forces, inertia, before)
             scale = max(floor, *(abs(force).max(initial=0.0) for force in forces))
-            residuals.append(abs(residual).max() / scale)
-            converged = residuals[-1] <= self._settings.newton_tolerance
-            if len(residuals) > 1 and not converged:
+            converged = abs(residual).max() <= self._settings.newton_tolerance * scale
+            if iteration > 0 and not converged:
                 solve, floor = self._factorised(now, h)
-            if len(residuals) > MAX_ITERATIONS and not converged:
-                reason = f"Newton near this point: no convergence in {MAX_ITERATIONS} iterations"
-                raise equations.out_of_balance(now, residual, reason)
             if solve is None:
                 reason = "Newton near this point: the matrix is singular"
                 raise equations.out_of_balance(now, residual, reason)
             if converged:
-                return Solved(now, a_end, residual, tuple(residuals), solve)
+                return Solved(now, a_end, residual, solve)
             a_end = a_end - solve(residual)
+        reason = f"Newton near this point: no convergence in {MAX_ITERATIONS} iterations"
+        raise equations.out_of_balance(now, residual, reason)
 
     def _works(self, start: Evaluation, solved: Solved) -> Array:
         """(k,) works as `Evaluation.powers` lists them, pJ: mean force times displacement.
@@ -215,21 +196,17 @@ class GeneralisedAlpha:
     def _factorised(
         self, now: Evaluation, h: float
     ) -> tuple[Callable[[Array], Array] | None, float]:
-        """S⁻¹ if there is one, and the least scale of a residual: the force that moves the
-        stiffest unknown by what the tolerance allows, for a body at rest has no other.
+        """S⁻¹ if there is one, S = (1 − α_m) M + (1 − α_f) h² β (K + γ/(h β) C) the slope of the
+        residual by a₁, and the least scale of a residual: the force that moves the stiffest
+        unknown by what the tolerance allows, for a body at rest has no other.
         """
-        matrix = self._matrix(now, h)
-        self._equations.tally.counts["factorisations"] += 1
-        acceleration = self._settings.absolute_tolerance / (h**2 * self.weights.beta)
-        return factorised(matrix), float(abs(matrix.diagonal()).max()) * acceleration
-
-    def _matrix(self, now: Evaluation, h: float) -> Matrix:
-        """S = (1 − α_m) M + (1 − α_f) h² β (K + γ/(h β) C), slope of the residual by a₁."""
         w = self.weights
         K = self._equations.tangents_over_step(now, h * w.beta / w.gamma)
-        return scipy.sparse.csc_matrix(
-            (1.0 - w.alpha_m) * self._mass + (1.0 - w.alpha_f) * h**2 * w.beta * K
-        )
+        S = (1.0 - w.alpha_m) * self._mass + (1.0 - w.alpha_f) * h**2 * w.beta * K
+        self._equations.tally.counts["factorisations"] += 1
+        acceleration = self._settings.absolute_tolerance / (h**2 * w.beta)
+        least = float(abs(S.diagonal()).max()) * acceleration
+        return factorised(scipy.sparse.csc_matrix(S)), least
 
     def _error(self, start: Evaluation, past: _Past, solved: Solved, h: float) -> float:
         """Root mean square of the error of y relative to what is allowed."""

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.law.stress_law import StressLaw, require_tangents
-from surrofe2.macro.elements import displacement_basis
+from surrofe2.macro.elements import Matrix, displacement_basis
 from surrofe2.macro.equations_of_motion import (
     EquationsOfMotion,
     Evaluation,
@@ -32,7 +32,8 @@ from surrofe2.macro.equations_of_motion import (
     Tally,
     factorised,
 )
-from surrofe2.macro.forces import Contact, Grip, Matrix, Slopes
+from surrofe2.macro.forces import Contact, Grip, Slopes
+from surrofe2.macro.free_sides import SurfaceForce
 from surrofe2.macro.history import NO_EXTREMES, Frames, widen_extremes
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.system import System, system_of
@@ -190,7 +191,7 @@ def find_rest(
         raise InputError(f"factor: {factor}; it must be finite")
     if load_steps < 1:
         raise InputError(f"load_steps: {load_steps}; it must be at least 1")
-    system = system_of(problem, law, proportional=True)
+    system = system_of(problem.proportional(), law)
     if resume is not None and resume.u.shape != (system.n_rows, 2):
         raise MismatchError("resume: the mesh is not that of the state; start the rest again")
     equations = EquationsOfMotion(system, law, clock="load factor {:.6g}")
@@ -327,12 +328,13 @@ def settle(
     Raises:
         InputError: the law has no tangents. SimulationError: there is no such rest."""
     require_tangents(law, "surface")
-    system = system_of(replace(problem, bodies=()), law, proportional=True)
+    system = system_of(replace(problem.proportional(), bodies=()), law)
     equations = EquationsOfMotion(system, law, clock="before the load")
     equations.tally, newton = tally, Newton(equations, settings)
     u, share, step = np.zeros((system.n_rows, 2)), 0.0, 1.0
     while share < 1.0:
-        equations.system = system.with_share(share + step)
+        acting = partial(replace, share=share + step)
+        equations.system = system.with_forces(SurfaceForce, acting)
         try:
             u, share = newton.balanced(0.0, partial(system.pick, u))[0].u, share + step
         except NoStress as failure:
@@ -520,11 +522,9 @@ class Newton:
 
     def _grip(self, u: Array, drags: Mapping[str, Array]) -> None:
         """From here on contacts follow an equilibrium; u and drags as of `Rest`."""
-        system = self.equations.system
-        forces = tuple(
-            replace(force, grip=Grip(u, drags.get(force.name, np.zeros(force.lengths.size))))
-            if isinstance(force, Contact)
-            else force
-            for force in system.forces
-        )
-        self.equations.system = replace(system, forces=forces)
+
+        def gripped(contact: Contact) -> Contact:
+            drag = drags.get(contact.name, np.zeros(contact.lengths.size))
+            return replace(contact, grip=Grip(u, drag))
+
+        self.equations.system = self.equations.system.with_forces(Contact, gripped)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,41 +38,36 @@ class MacroRun(ViewedRun):
     """A run, or with `finished` False the part of it that was computed.
 
     Attributes:
-        curve: displacement of the first watched point at the output times.
-        energies: by name, (m,) arrays in pJ at the output times: `kinetic` energy; `internal`
-            and, by the names of the conditions, the work of the internal and of all other forces
-            since t = 0, integrated along with the equations of motion by the same method;
-            `elastic`, what of `internal` is stored, internal − dissipated;
-            `motion`, that of prescribed motion; `contact`, what is stored in contact, and
-            `contact dissipated`, what its dashpots and friction took, together minus the work of
-            bodies; `numerical`, what the method itself and its interpolation dissipated, the work
-            of inertia M ü − gain of kinetic energy; `balance`, all other works − gain of kinetic
-            energy − internal − numerical, zero to rounding or Newton's tolerance; `dissipated`,
-            the work of the stress in excess of σ(F, 0), by the trapezoidal rule from samples at the
-            ends of steps (second order), NaN where not recorded, and by region
+        curve: displacement of the first watched point at the output times; curves: of all by name.
+        energies: by name, (m,) arrays in pJ at the output times: `kinetic` energy; `internal` and,
+            by the names of the conditions, the work of the internal and of all other forces since
+            t = 0, integrated along with the equations of motion by the same method; `elastic`,
+            internal − dissipated; `motion`, the work of prescribed motion; `contact`, what is
+            stored in contact, and `contact dissipated`, what its dashpots and friction took,
+            together minus the work of bodies; `numerical`, what the method and its interpolation
+            dissipated, the work of inertia M ü − gain of kinetic energy; `balance`, all other works
+            − gain of kinetic energy − internal − numerical, zero to rounding or Newton's tolerance;
+            `dissipated`, the work of the stress in excess of σ(F, 0), by the trapezoidal rule from
+            samples at the ends of steps (second order), NaN where not recorded, and by region
             ``dissipated NAME``; `surface`, the work of the surface tension of free sides, and by
             boundary ``dissipated surface NAME``.
-        curves: displacement of every watched point by name.
         history: by name, (m,) arrays at the output times: mean displacement of boundaries (µm),
             forces of supports, surface loads and bodies on the tissue (µN), positions and
             penetration of bodies (µm); forces are linear between ends of steps.
         nodes: (n_nodes, 2) reference positions, µm; elements: (n_el, 4 or 6) their nodes.
         rest: (n_nodes, 2) displacement of a tissue with free sides when it comes to rest before the
             run, from which all others count, µm; (0, 2) without.
-        frames: whole fields at a few times.
-        met: extremes of deformation and rate.
+        frames: whole fields at a few times. met: extremes of deformation and rate.
         wall_time: seconds, `total`, `law` (inside the stress law) and `macro` (the rest); and
             `cpu`, of all threads of this process.
         counts: `steps` accepted that stand, on the way to them `rejected_steps` as too inaccurate,
             `failed_trials` without stress or turned back by the law, `right_hand_sides`,
             `stress_calls` and `stress_points` of those, `dissipation_points` and
             `dissipation_failures` of the questions for σ(F, 0), which come on top.
-        effort: sums of what the law's answers say they cost, those for dissipation included.
+        effort: sums of what the law's answers cost, those for dissipation included.
         rolled_back: the same counts and sums, over what an audited law took back.
-        threads: that numba could use.
-        finished: whether the end of the problem was reached.
-        problem, law, settings: as `simulate` was given them.
-    """
+        threads: that numba could use. finished: whether the end of the problem was reached.
+        problem, law, settings: as `simulate` was given them."""
 
     curve: DisplacementCurve
     energies: dict[str, Array]
@@ -222,17 +217,17 @@ def _steps(
     recorder.watch(resume)
     equations.is_committing = False
     while stepper.now.t < recorder.end:
+        failure = None
         try:
             recorder.record(stepper.advance(), stepper)
-        except SimulationError:  # wrong answers may have led there
-            back = recorder.settle(final=True)
-            if back is None:
-                raise
-        else:
-            back = recorder.settle(final=stepper.now.t >= recorder.end)
+        except SimulationError as error:  # wrong answers may have led there
+            failure = error
+        back = recorder.settle(final=failure is not None or stepper.now.t >= recorder.end)
         if back is not None:
             equations.go_to(back.t)
             stepper = _make_stepper(equations, settings, recorder, back)
+        elif failure is not None:
+            raise failure
         yield stepper.now.t
 
 
@@ -241,8 +236,7 @@ def make_method(equations: EquationsOfMotion, settings: MacroSettings) -> Method
     if settings.integrator == "implicit":
         return GeneralisedAlpha(equations, settings)
     tolerances = settings.absolute_tolerance, settings.relative_tolerance
-    system = equations.system
-    mass = system.free_mass if system.contacts else None
+    mass = equations.system.free_mass if equations.system.contacts else None
     return DormandPrince(equations.evaluate, *tolerances, mass)
 
 
@@ -287,6 +281,10 @@ def _make_run(
     }
     works.pop("internal")
     inertia = works.pop("inertia")
+    contact = {}
+    if system.contacts:
+        done = sum(works[each.name] for each in system.contacts)
+        contact = {"contact": found["contact"], "contact dissipated": -done - found["contact"]}
     dissipated = {
         f"dissipated {name}".strip(): _dissipated(t, samples[:, [0, 1 + k]])
         for k, name in enumerate(system.dissipating)
@@ -298,7 +296,7 @@ def _make_run(
             "internal": internal,
             "elastic": internal - dissipated["dissipated"],
             **works,
-            **_of_contact(system, found),
+            **contact,
             **dissipated,
             "numerical": inertia - inertia[0] - kinetic + kinetic[0],
             "balance": sum(works.values()) - internal - inertia,
@@ -320,14 +318,6 @@ def _make_run(
         law=law,
         settings=settings,
     )
-
-
-def _of_contact(system: System, found: Mapping[str, Array]) -> dict[str, Array]:
-    """What contact stores, and what it has dissipated; nothing without bodies."""
-    if not system.contacts:
-        return {}
-    work = sum(found[f"work {contact.name}"] for contact in system.contacts)
-    return {"contact": found["contact"], "contact dissipated": -work - found["contact"]}
 
 
 def _dissipated(t: Array, samples: Array) -> Array:

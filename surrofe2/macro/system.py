@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse
@@ -23,7 +23,6 @@ from surrofe2.law.stress_law import StressLaw
 from surrofe2.macro.elements import Discretisation, Matrix, make_discretisation, n_points_of
 from surrofe2.macro.forces import Contact, Force, make_contact, make_loads, traction_load
 from surrofe2.macro.free_sides import SurfaceForce, make_surface
-from surrofe2.problem.amplitude import Proportional
 from surrofe2.problem.conditions import InitialVelocity
 from surrofe2.problem.mesh import boundary, facet_nodes, nodes_on, region
 from surrofe2.problem.problem import (
@@ -37,6 +36,8 @@ from surrofe2.problem.problem import (
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+T = TypeVar("T", Contact, SurfaceForce)
 
 DENSE_LIMIT = 600
 """Unknowns up to which the mass is inverted and not factorised."""
@@ -135,8 +136,8 @@ class System:
     def under(self, problem: Problem) -> System:
         """The system of a problem that differs in sizes and courses of loads, motions and initial
         velocities alone, and in its times."""
-        supports, n = _supports(problem, False), self.n_rows
-        loads = make_loads(problem, self.mass_of, n, False)
+        supports, n = _supports(problem), self.n_rows
+        loads = make_loads(problem, self.mass_of, n)
         others = (each for each in self.forces if isinstance(each, Contact | SurfaceForce))
         return replace(
             self,
@@ -146,21 +147,16 @@ class System:
             initial_velocity=_initial_velocity(problem, supports, n),
         )
 
+    def with_forces(self, kind: type[T], change: Callable[[T], Force]) -> System:
+        """The same with each force of a kind changed."""
+        forces = (change(each) if isinstance(each, kind) else each for each in self.forces)
+        return replace(self, forces=tuple(forces))
+
     def from_rest(self, rest: Array) -> System:
         """The same with displacements that count from `rest` (n, 2)."""
-        forces = tuple(
-            force.from_rest(rest) if isinstance(force, SurfaceForce) else force
-            for force in self.forces
+        return replace(
+            self.with_forces(SurfaceForce, lambda force: force.from_rest(rest)), rest=rest
         )
-        return replace(self, forces=forces, rest=rest)
-
-    def with_share(self, share: float) -> System:
-        """The same with a share of the surface tension."""
-        forces = tuple(
-            replace(force, share=share) if isinstance(force, SurfaceForce) else force
-            for force in self.forces
-        )
-        return replace(self, forces=forces)
 
     def from_mesh(self, u: Array) -> Array:
         """(n, 2) displacement of the mesh itself where all else knows u."""
@@ -210,11 +206,8 @@ class System:
     def across_corner(self, y: Array, t: float, before: float, after: float) -> tuple[Array, Array]:
         """y behind a corner of an amplitude, and the work of the jump.
 
-        Where a prescribed velocity jumps, the free velocities follow so that the momentum of
-        every free unknown is kept.
-
-        Args:
-            before, after: times within the pieces on both sides.
+        Where a prescribed velocity jumps, the free velocities follow so that the momentum of every
+        free unknown is kept. `before` and `after` are times within the pieces on both sides.
         """
         return self._driven(y, self.spread(y, t, before)[1], t, after)
 
@@ -244,18 +237,14 @@ class System:
         return *(each.name for each in self.supports), *(each.name for each in self.forces)
 
     def resultants(self, forces: Array, reaction: Array) -> Array:
-        """(k, 2) resultants on the tissue of supports and forces, µN.
-
-        Args:
-            forces: (f, n, 2) of all forces. reaction: (n, 2) of all supports.
+        """(k, 2) resultants on the tissue of supports and forces, µN, from the forces (f, n, 2)
+        and the reaction (n, 2) of all supports.
         """
-        n = len(self.discretisation.nodes)
-        held = []
-        for support in self.supports:
-            part = np.zeros(2 * self.n_rows)
+        held = np.zeros((len(self.supports), 2 * self.n_rows))
+        for part, support in zip(held, self.supports, strict=True):
             part[support.unknowns] = reaction.ravel()[support.unknowns]
-            held.append(part.reshape(-1, 2).sum(axis=0))
-        return np.array([*held, *forces[:, :n].sum(axis=1)]).reshape(-1, 2)
+        of_forces = forces[:, : len(self.discretisation.nodes)].sum(axis=1)
+        return np.concatenate([held.reshape(-1, self.n_rows, 2).sum(axis=1), of_forces])
 
     def mean_displacements(self, u: Array) -> Array:
         """(b, 2) mean displacement of each of `boundaries` by unloaded length, µm."""
@@ -306,25 +295,22 @@ def _digest(contents: list[Any]) -> Array:
     return np.array([*digest.digest()], dtype=np.float64)
 
 
-def system_of(problem: Problem, law: StressLaw, *, proportional: bool = False) -> System:
+def system_of(problem: Problem, law: StressLaw) -> System:
     """The system of a problem with the law's density and, where bodies touch it, its modulus."""
-    if not problem.bodies:
-        return make_system(problem, law.density, proportional=proportional)
-    modulus = _modulus(law, n_points_of(problem.mesh))
-    return make_system(problem, law.density, modulus=modulus, proportional=proportional)
+    modulus = _modulus(law, n_points_of(problem.mesh)) if problem.bodies else 1.0
+    return make_system(problem, law.density, modulus=modulus)
 
 
 def _modulus(law: StressLaw, n_points: int) -> float:
     """Largest modulus of uniaxial strain at rest of any point, µN/µm."""
-    strain, largest = 1e-4, 0.0
-    still = np.zeros((n_points, 2, 2))
+    strain, found, still = 1e-4, [0.0], np.zeros((n_points, 2, 2))
     for k in (0, 1):
         F = np.tile(np.eye(2), (n_points, 1, 1))
         before = law.respond(F, still).stress[:, k, k]
         F[:, k, k] += strain
         after = law.respond(F, still).stress[:, k, k]
-        largest = max(largest, float(np.nanmax(after - before)) / strain)
-    return largest
+        found.append(float(np.nanmax(after - before)) / strain)
+    return max(found)
 
 
 def make_system(
@@ -332,15 +318,12 @@ def make_system(
     density: Array | float,
     *,
     modulus: float = 1.0,
-    proportional: bool = False,
 ) -> System:
     """The problem on its mesh.
 
     Args:
         density: mass per reference area, ng/µm², one or (n_points,).
         modulus: of the tissue, µN/µm, for the defaults of contact.
-        proportional: whether all loads and motions grow in proportion to t, which is then a
-            factor, instead of following their amplitudes.
 
     Raises:
         InputError: a condition names what the mesh has not, or two hold the same component.
@@ -361,7 +344,7 @@ def make_system(
 
     bodies = np.repeat([1.0 if body.mass is None else body.mass for body in problem.bodies], 2)
     mass = scipy.sparse.csc_matrix(scipy.sparse.block_diag([whole, scipy.sparse.diags(bodies)]))
-    supports = _supports(problem, proportional)
+    supports = _supports(problem)
     held = [support.unknowns for support in supports]
     free = np.setdiff1d(np.arange(2 * n), np.concatenate(held) if held else [])
     if not free.size:
@@ -369,7 +352,7 @@ def make_system(
     free_mass = scipy.sparse.csc_matrix(mass[free][:, free])
     heaviest = float(per_element.max())
     forces = [
-        *make_loads(problem, mass_of, n, proportional),
+        *make_loads(problem, mass_of, n),
         *(
             make_contact(problem, body, n_nodes + k, n, modulus, heaviest)
             for k, body in enumerate(problem.bodies)
@@ -395,8 +378,8 @@ def make_system(
     )
 
 
-def _supports(problem: Problem, proportional: bool) -> tuple[Support, ...]:
-    """Those of the conditions and of bodies without mass; `proportional` as of `make_system`."""
+def _supports(problem: Problem) -> tuple[Support, ...]:
+    """Those of the conditions and of bodies without mass."""
     mesh = problem.mesh
     found = supports_of(problem, lambda each: nodes_on(mesh, each.on, f"{each.kind()}.on"))
     for k, body in enumerate(problem.bodies):
@@ -404,8 +387,6 @@ def _supports(problem: Problem, proportional: bool) -> tuple[Support, ...]:
             unknowns = 2 * (mesh.p.shape[1] + k) + np.arange(2)
             values = np.array(body.displacement)
             found.append(Support(f"{body.name} position", unknowns, values, body.amplitude))
-    if proportional:
-        found = [replace(each, amplitude=Proportional()) for each in found]
     return without_overlap(found, mesh.p.T)
 
 

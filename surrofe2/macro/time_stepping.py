@@ -1,17 +1,14 @@
 """Time steps of either method, and the explicit one, Dormand–Prince 5(4).
 
-The length of a step follows from its error, and is halved where the law fails.
-
-Every corner of an amplitude is the end of a step; there the method starts again, with a short step.
-
 A method tries one step and hands back a `StepResult`, or why there is none. Here its error decides
-whether the step is kept, the law is asked to accept its end, and the next length is chosen. A trial
-in which points leave their branch of the law is repeated at its length.
+whether the step is kept, the law is asked to accept its end, and the next length is chosen; it is
+halved where the law fails. A trial in which points leave their branch of the law is repeated at its
+length. Every corner of an amplitude is the end of a step; there the method starts again, with a
+short step.
 
 Dormand and Prince, A family of embedded Runge–Kutta formulae, J. Comput. Appl. Math. 6 (1980)
 19–26; the interpolation is Shampine's, Math. Comp. 46 (1986) 135–150, with his optimal c₆. The
-last stage is the first of the next step.
-"""
+last stage is the first of the next step."""
 
 from __future__ import annotations
 
@@ -168,13 +165,11 @@ class Stepper:
     def advance(self) -> StepResult:
         """The next accepted step.
 
-        Each trial without stress, or whose end the law does not accept, halves its length. A
-        trial in which points left their branch of the law is repeated as it was; each time there
-        are more of them, so that comes to an end.
+        Each trial without stress, or whose end the law does not accept, halves its length. A trial
+        in which points switched is repeated as it was, each time with more of them.
 
         Raises:
-            SimulationError: ten halvings in a row, or the error asks for a step below rounding.
-        """
+            SimulationError: ten halvings in a row, or the error asks for a step below rounding."""
         counts, control = self._equations.tally.counts, self._method.control
         if self.now.t >= self._equations.piece_end:
             self._cross_corner()
@@ -244,9 +239,8 @@ class Stepper:
         try:
             self.now, self._work_before = self._equations.cross_corner(self.now)
         except NoStress as failure:
-            raise SimulationError(
-                f"the load jumps where there is no stress: {failure}"
-            ) from failure
+            message = f"the load jumps where there is no stress: {failure}"
+            raise SimulationError(message) from failure
         self.memory = NO_MEMORY
         self.next_length = self._first_length("the run cannot continue at a corner of the load")
 

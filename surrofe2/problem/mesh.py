@@ -202,6 +202,22 @@ def region(mesh: skfem.Mesh, name: str | None, where: str = "region") -> Index:
     return np.asarray(_named(mesh.subdomains, name, where, "region"), dtype=np.int64)
 
 
+def region_numbers(
+    mesh: skfem.Mesh, regions: Mapping[str, Index], where: str, elements: Index
+) -> Index:
+    """(m,) which of the regions each of the elements is in; an `InputError` unless in just one."""
+    number, claims = np.zeros((2, mesh.nelements), np.int64)
+    for k, own in enumerate(regions.values()):
+        number[own] = k
+        claims[own] += 1
+    for e in elements[claims[elements] != 1][:1]:
+        raise InputError(
+            f"{where}: element {e} at {_at(mesh.p[:, element_nodes(mesh)[e]].mean(axis=1))} is in "
+            f"{claims[e]} of {', '.join(regions)}; every element must be in one"
+        )
+    return number[elements]
+
+
 def nodes_on(mesh: skfem.Mesh, name: str | None, where: str = "on") -> Index:
     """(k,) nodes of a boundary or a region, of None all; an `InputError` as of `boundary`."""
     regions = mesh.subdomains or {}

@@ -16,7 +16,7 @@ import skfem
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError
-from surrofe2.problem.amplitude import ONE, Amplitude, Constant
+from surrofe2.problem.amplitude import ONE, Amplitude, Constant, Proportional
 from surrofe2.problem.conditions import (
     Condition,
     DrivenCondition,
@@ -102,8 +102,8 @@ class Problem:
         least = self.duration / MOST_ROWS
         if not max(least, np.finfo(float).tiny) <= self.output_interval < np.inf:
             raise InputError(
-                f"problem.output_interval: {self.output_interval}; it must be finite and at least "
-                f"{least:g} µs, a millionth of the duration"
+                f"problem.output_interval: {self.output_interval} µs; it must be at least "
+                f"{least:g} µs, a millionth of the duration, and finite"
             )
 
     def _check_names(self) -> None:
@@ -158,6 +158,17 @@ class Problem:
                     f"{name}.amplitude: zero during the whole run of {self.duration:g} µs; it must "
                     "act before the end, or be left out"
                 )
+
+    def proportional(self) -> Problem:
+        """The same with loads and motions that grow in proportion to t, which is then a factor."""
+
+        def grows(acts: Any) -> Any:
+            return replace(acts, amplitude=Proportional()) if hasattr(acts, "amplitude") else acts
+
+        return replace(
+            self, conditions=(*map(grows, self.conditions),), bodies=(*map(grows, self.bodies),),
+            boundaries={}, regions={},
+        )  # fmt: skip
 
     def places(self) -> set[str | None]:
         """Boundaries and regions that conditions and bodies act on; None: everywhere."""

@@ -137,18 +137,18 @@ class RigidBody:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        check_settings(self, f"bodies.{self.name}")
-        moved = self.displacement != (0.0, 0.0)
-        if self.mass is not None and moved:
+        where = f"bodies.{self.name}"
+        check_settings(self, where)
+        if self.mass is not None and self.displacement != (0.0, 0.0):
             raise InputError(
-                f"bodies.{self.name}",
+                where,
                 f"mass {self.mass} and displacement {list(self.displacement)}; "
                 "a body is either free, with a mass, or moved",
             )
         for name, value in (("velocity", self.velocity), ("acceleration", self.acceleration)):
             if self.mass is None and value != (0.0, 0.0):
                 raise InputError(
-                    f"bodies.{self.name}.{name}",
+                    f"{where}.{name}",
                     f"{list(value)}; it is of a free body: give a mass, "
                     "or a displacement with its amplitude",
                 )

@@ -112,28 +112,6 @@ class Panel:
     height: float = 1.0
 
 
-def merged_curves(curves: Sequence[Curve], within: float = 0.01) -> tuple[Curve, ...]:
-    """Curves over the same x, those that nobody could tell apart as one with all their names.
-
-    within: how far apart they are at most, relative to the span of all curves.
-    """
-    values = [np.asarray(curve.y) for curve in curves]
-    span = float(np.nanmax(values) - np.nanmin(values))
-    groups: list[list[int]] = []
-    for k, y in enumerate(values):
-        close = (g for g in groups if np.nanmax(abs(y - values[g[0]])) <= within * span)
-        group = next(close, None)
-        groups.append([k]) if group is None else group.append(k)
-    found = []
-    for group in groups:
-        first, *others = (curves[k] for k in group)
-        names = ", ".join(each.label or each.name for each in (first, *others))
-        label = "\n".join(wrap(names, _LONG, break_on_hyphens=False))
-        one = Curve("reference", first.x, first.y, label, markers=False)
-        found.append(one if others else first)
-    return tuple(found)
-
-
 def draw_panels(
     panels: Sequence[Panel], columns: int = 1, *, title: str = "", figure: Figure | None = None
 ) -> Figure:

@@ -9,9 +9,9 @@ particles do.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,32 +80,25 @@ class SideFree:
 
 def side_free(law: RveLaw, stretch: Array, rate: Array) -> SideFree:
     """The bulk at stretches λ and rates λ̇ (n,) along x with P₂₂ = 0."""
-    n = len(stretch)
+    n, zero = len(stretch), np.zeros(len(stretch))
     lower, upper = stretch - _DIFFERENCE, stretch + _DIFFERENCE
-    along = np.concatenate([stretch, lower, upper])
-    across, s = _at_rest(law, along)
+    across, s = _at_rest(law, np.concatenate([stretch, lower, upper]))
     across, (s, before, after) = across[:n], s.reshape(3, n)
-    bend = (after - before) / (upper - lower)
-    across_rate, zero = s * rate, np.zeros(n)
-    if law.initialisation == "elastic":
-        follow = Follow(s, zero, bend * rate, s)
-    else:
+    bend, across_rate = (after - before) / (upper - lower), s * rate
+    follow = Follow(s, zero, bend * rate, s)
+    if law.initialisation != "elastic":
         across = _solve_across(law, stretch, across, rate, across_rate)
-        only_rates = Follow(zero, zero, bend * rate, s)
-        found = _respond(law, stretch, across, rate, across_rate)
-        by_stretch, by_rate = only_rates.slopes(found[1], 1, 1)
-        stiffness = found[1].P_by_F[:, 1, 1, 1, 1]
-        follow = Follow(-by_stretch / stiffness, -by_rate / stiffness, bend * rate, s)
+        only_rates = replace(follow, F_by_stretch=zero)
+        tangents = _respond(law, stretch, across, rate, across_rate)[1]
+        by_stretch, by_rate = only_rates.slopes(tangents, 1, 1)
+        stiffness = tangents.P_by_F[:, 1, 1, 1, 1]
+        follow = replace(
+            follow, F_by_stretch=-by_stretch / stiffness, F_by_rate=-by_rate / stiffness
+        )
     P, tangents, valid = _respond(law, stretch, across, rate, across_rate)
-    slopes = follow.slopes(tangents, 0, 0)
-    return SideFree(
-        diagonal(stretch, across),
-        diagonal(rate, across_rate),
-        P[:, 0],
-        *slopes,
-        valid & np.isfinite(across),
-        follow,
-    )
+    F, F_dot = diagonal(stretch, across), diagonal(rate, across_rate)
+    by_stretch, by_rate = follow.slopes(tangents, 0, 0)
+    return SideFree(F, F_dot, P[:, 0], by_stretch, by_rate, valid & np.isfinite(across), follow)
 
 
 def diagonal(first: Array, second: Array) -> Array:
@@ -160,15 +153,9 @@ def rows_across(cells: float) -> int:
     return min(max(1, round(cells)), ROWS)
 
 
-@dataclass(frozen=True, slots=True)
-class SlabPoint:
-    """A slab and the bulk beside it at n points.
-
-    Attributes:
-        resultant: (n,) force along the slab, µN.
-        bulk: what as much bulk would be.
-        solution: of the slab's particles.
-        valid: (n,) whether both have an answer.
+class SlabPoint(NamedTuple):
+    """A slab and the bulk beside it at n points: resultant (n,) of the slab, µN; the bulk; the
+    solution of the slab's particles; and where (n,) both have an answer.
     """
 
     resultant: Array

@@ -150,21 +150,12 @@ def tabulate_surface(
     rng = np.random.default_rng(1)
     checks = rng.uniform((low, -rate), (high, rate), (CHECKS, 2)).T
     wanted = _tensions(law, *checks)
-    spread = float(np.ptp(wanted))
+    spread, whose = float(np.ptp(wanted)), (law.cell, law.initialisation)
     for p, q in DEGREES:
-        table = TabulatedSurface(
-            _coefficients(law, (low, high), rate, p, q),
-            (low, high),
-            rate,
-            law.mass,
-            law.depth,
-            law.width,
-            law.cell,
-            law.initialisation,
-            np.inf,
-            spread,
-        )
-        table = replace(table, error=_largest_error(table, checks, wanted))
+        C = _coefficients(law, (low, high), rate, p, q)
+        acting = law.mass, law.depth, law.width
+        table = TabulatedSurface(C, (low, high), rate, *acting, *whose, np.inf, spread)
+        table = _with_error(table, checks, wanted)
         if table.error <= TOLERANCE * spread:
             return _trimmed(table, checks, wanted, _KEPT * TOLERANCE * spread)
     raise InputError(
@@ -203,8 +194,8 @@ def _tensions(law: SlabLaw, stretch: Array, rate: Array) -> Array:
     return np.concatenate(found)
 
 
-def _largest_error(table: TabulatedSurface, checks: Array, wanted: Array) -> float:
-    return float(np.abs(table.respond(*checks).tension - wanted).max())
+def _with_error(table: TabulatedSurface, checks: Array, wanted: Array) -> TabulatedSurface:
+    return replace(table, error=float(np.abs(table.respond(*checks).tension - wanted).max()))
 
 
 def _trimmed(
@@ -213,9 +204,8 @@ def _trimmed(
     """The table without the last polynomials that it does not need."""
     for axis in (0, 1):
         while table.coefficients.shape[axis] > 2:
-            fewer = np.delete(table.coefficients, -1, axis=axis)
-            shorter = replace(table, coefficients=np.ascontiguousarray(fewer))
-            shorter = replace(shorter, error=_largest_error(shorter, checks, wanted))
+            fewer = np.ascontiguousarray(np.delete(table.coefficients, -1, axis=axis))
+            shorter = _with_error(replace(table, coefficients=fewer), checks, wanted)
             if shorter.error > most:
                 break
             table = shorter

@@ -24,7 +24,7 @@ from surrofe2.base.sampling import out_of_range
 from surrofe2.base.units import time_text
 from surrofe2.cache import CachedLaw, StressTable
 from surrofe2.law.regional_law import RegionalLaw
-from surrofe2.law.stress_law import ReportingLaw, StressLaw, state_arrays, state_of
+from surrofe2.law.stress_law import AuditedLaw, StressLaw, state_arrays, state_of
 from surrofe2.macro import MacroRun, MacroState, simulate
 from surrofe2.macro.elements import (
     Discretisation,
@@ -209,13 +209,13 @@ def cache_report(law: StressLaw, *, whole: bool = False) -> dict[str, Any] | Non
     Args:
         whole: the run is over: audit what waits.
     """
-    if not isinstance(law, ReportingLaw):
+    if not isinstance(law, AuditedLaw):
         return None
     return law.report() if whole else law.history()
 
 
 def _write_decisions(folder: Path, law: StressLaw) -> None:
-    decisions = law.decisions if isinstance(law, ReportingLaw) else None
+    decisions = law.decisions if isinstance(law, AuditedLaw) else None
     if decisions is not None:
         write_events(folder, decisions)
 

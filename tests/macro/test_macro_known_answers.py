@@ -109,19 +109,3 @@ def test_dry_friction_takes_its_energy_once():
     assert strain > 5.0 * law.limit / law.spring
     assert u.max() == pytest.approx(W * strain, rel=2e-3)
     assert len(law.committed) == run.counts["steps"] + 1
-
-
-def test_state_given_to_the_law_is_that_of_the_last_accepted_step():
-    law = DryFriction()
-    seen = []
-    respond = law.respond
-
-    def listening(F, F_dot, state=None, *, tangents=False):
-        seen.append((state, len(law.committed)))
-        return respond(F, F_dot, state)
-
-    law.respond = listening
-    simulate(replace(ONE_ELEMENT, duration=3.0), law, MacroSettings())
-    assert seen[0] == (None, 0)
-    assert all(state is law.committed[steps - 1] for state, steps in seen[1:])
-    assert len(law.committed) > 5

@@ -7,7 +7,7 @@ import pytest
 from skfem.helpers import grad
 
 from surrofe2 import LoadCase
-from surrofe2.base.errors import InputError, MismatchError
+from surrofe2.base.errors import MismatchError
 from surrofe2.macro import MacroState, simulate
 from surrofe2.macro.elements import (
     deformation_gradient,
@@ -101,16 +101,6 @@ def test_checkpoint_of_another_run_is_refused(change, name):
         simulate(LoadCase(**BAR | change), KelvinVoigt(), SETTINGS, resume=states[-2])
 
 
-def test_incomplete_checkpoint_is_refused():
-    states = []
-    simulate(LOAD_CASE, KelvinVoigt(), SETTINGS, checkpoint=states.append, checkpoint_interval=0.0)
-    arrays = states[0].to_arrays()
-    assert all(isinstance(value, np.ndarray) for value in arrays.values())
-    del arrays["frames.stress"]
-    with pytest.raises(InputError, match=r"frames\.stress"):
-        MacroState.from_arrays(arrays)
-
-
 def test_points_of_frames_have_the_mean_that_their_elements_have():
     problem = LOAD_CASE
     frames = simulate(problem, KelvinVoigt(), SETTINGS).frames
@@ -148,9 +138,6 @@ def test_results_belong_together():
     assert frames.t[-1] == LOAD_CASE.duration
     assert frames.t.size <= SETTINGS.frames
     assert (np.diff(frames.t) > 0.0).all()
-    corners = run.nodes[run.elements]
-    along, up = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0]
-    assert (along[:, 0] * up[:, 1] - along[:, 1] * up[:, 0] > 0.0).all(), "counter-clockwise"
     held = run.nodes[:, 0] == 0.0
     assert not frames.displacement[:, held].any()
     # The watched point lies between two nodes of the right side.
@@ -167,13 +154,6 @@ def test_results_belong_together():
     assert run.met.F[0][0, 0] <= frames.F[..., 0, 0].min()
     assert run.met.rate >= np.abs(run.met.RT_F_dot).max() * (1 - 1e-12)
     assert 0.0 < run.met.shear < 0.2
-
-
-def test_dissipation_can_be_left_out():
-    run = simulate(LOAD_CASE, KelvinVoigt(), replace(SETTINGS, record_dissipation=False))
-    assert run.counts["dissipation_points"] == 0
-    assert np.isnan(run.energies["dissipated"][1:]).all()
-    assert np.isfinite(run.energies["balance"]).all()
 
 
 def test_last_output_time_survives_rounding():
@@ -211,7 +191,9 @@ def test_dissipation_of_elements_is_that_of_the_tissue():
     np.testing.assert_allclose(whole_then, of_frames, atol=2e-3 * whole[-1])
     assert found[-1].max() > 2.0 * found[-1].min()
     off = simulate(LOAD_CASE, KelvinVoigt(), replace(SETTINGS, record_dissipation=False))
-    assert off.frames.dissipated.size == 0
+    assert off.frames.dissipated.size == off.counts["dissipation_points"] == 0
+    assert np.isnan(off.energies["dissipated"][1:]).all()
+    assert np.isfinite(off.energies["balance"]).all()
 
 
 def test_scikit_fem_evaluates_what_a_run_gives_back():

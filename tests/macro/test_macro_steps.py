@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.integrate import RK45
 
+from surrofe2 import LoadCase
 from surrofe2.base.errors import SimulationError
 from surrofe2.law.stress_law import Status
-from surrofe2.macro import simulate
+from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.equations_of_motion import Evaluation
 from surrofe2.macro.simulation import make_method
 from surrofe2.macro.time_stepping import NO_MEMORY, DormandPrince, Stepper
@@ -64,38 +65,6 @@ def test_a_failed_or_refused_trial_is_repeated_at_half_its_length(trouble, integ
     np.testing.assert_array_equal(step.work(step.end.t), expected.work(expected.end.t))
     assert none.counts["failed_trials"] == 0
     assert stepper.advance().end.t == pytest.approx(0.4, rel=1e-12)
-
-
-def test_failing_trials_leave_the_motion_as_it_is():
-    law = KelvinVoigt()
-    settings = replace(SETTINGS, absolute_tolerance=1e-8, relative_tolerance=1e-8)
-    whole = simulate(LOAD_CASE, law, settings)
-    failing = simulate(LOAD_CASE, Refusing(range(20, 400, 17)), settings)
-    assert failing.counts["failed_trials"] > 5
-    np.testing.assert_allclose(failing.curve.displacement, whole.curve.displacement, atol=1e-6)
-    for name in ("load", "internal"):
-        np.testing.assert_allclose(
-            failing.energies[name], whole.energies[name], atol=1e-6 * whole.energies["load"].max()
-        )
-
-
-def test_refused_steps_leave_the_motion_as_it_is():
-    """The law refuses a few ends of steps once the bar has picked up speed."""
-    law = KelvinVoigt()
-    refused = []
-
-    def too_far(F, F_dot):
-        moving = abs(F_dot).max() > 0.008 and len(refused) < 3
-        if moving:
-            refused.append(True)
-        return np.full(len(F), moving)
-
-    whole = simulate(LOAD_CASE, law, SETTINGS)
-    run = simulate(LOAD_CASE, Failing(law, refuses=too_far), SETTINGS)
-    assert len(refused) == run.counts["failed_trials"] == 3
-    assert run.finished
-    scale = abs(whole.curve.displacement).max()
-    np.testing.assert_allclose(run.curve.displacement, whole.curve.displacement, atol=5e-3 * scale)
 
 
 @pytest.mark.parametrize(
@@ -225,3 +194,17 @@ def test_dormand_prince_takes_the_steps_of_scipy():
         growth = reference.h_abs / step.length
         assert growth == pytest.approx(min(10.0, 0.9 * step.error**-0.2), rel=1e-9)
         start = step.end
+
+
+def lost_at_fixed_step(step):
+    bar = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0), duration=6.4, elements=(2, 2))
+    loose = MacroSettings(absolute_tolerance=1e3, relative_tolerance=1e3, largest_step=step)
+    run = simulate(bar, KelvinVoigt(), loose)
+    return abs(run.energies["numerical"][-1]) / run.energies["kinetic"].max()
+
+
+def test_what_the_method_dissipates_is_of_fifth_order_in_the_step():
+    """Work integrals and equations of motion are both fifth order at the ends of steps."""
+    errors = [lost_at_fixed_step(step) for step in (0.2, 0.1, 0.05)]
+    rates = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert (rates > 4.6).all()

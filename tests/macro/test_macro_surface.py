@@ -301,7 +301,7 @@ def test_each_side_takes_the_law_of_its_element():
     named = Surface(law={"a": SKIN, "b": laws["far"]}, on=("top",), regions=regions)
     same = make_system(replace(problem, surface=named), 0.08)
     np.testing.assert_allclose(same.surface.at(0, 0, u, v), expected, rtol=1e-9, atol=1e-9)
-    with pytest.raises(InputError, match=r"surface.law: the element at \(18.75, .* in 0 of near"):
+    with pytest.raises(InputError, match=r"surface.law: element 8 at \(18.75, .* in 0 of near"):
         make_system(replace(problem, surface=Surface(law={"near": SKIN}, on=("top",))), 0.08)
 
 

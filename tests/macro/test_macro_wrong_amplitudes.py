@@ -11,11 +11,6 @@ from surrofe2.problem.mesh import rectangle
 from surrofe2.problem.problem import Problem
 from tests.laws import KelvinVoigt
 
-
-def points():
-    yield (0.0, 1.0)
-
-
 SQUARE = rectangle(10.0, 10.0, (2, 2))
 
 

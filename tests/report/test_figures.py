@@ -7,7 +7,6 @@ import pytest
 from matplotlib.figure import Figure
 
 from surrofe2.report.figures import Colours, draw_cells, draw_tissue
-from surrofe2.run.charts import Curve, merged_curves
 from surrofe2.rve import RveLaw
 from surrofe2.store.fields import DISPLACEMENT_NAME, StoredFields
 from tests.laws import CELL
@@ -62,9 +61,3 @@ def test_plant_cells_fill_the_window():
     ends = np.concatenate(drawn.get_segments())
     assert (ends.min(axis=0) < -45.0).all()
     assert (ends.max(axis=0) > 70.0).all()
-
-
-def test_curves_that_coincide_are_merged_curves():
-    x = np.linspace(0.0, 1.0, 5)
-    curves = [Curve("a", x, x), Curve("b", x, x + 1e-3), Curve("c", x, 2.0 * x)]
-    assert [each.label or each.name for each in merged_curves(curves)] == ["a, b", "c"]

@@ -119,7 +119,7 @@ def test_html_is_whole_and_a_line_says_what_matters(run, stored, surrogate):
     expected = [
         (run, "<MacroRun: 4 elements, ", ["SoftLaw", "4 elements, 9 nodes", "<img alt="]),
         (stored, "<StoredRun: folder ", ["saved", "SoftLaw", "<img alt="]),
-        (samples, "<StressSamples: 100, 0 of them failed; cell ", ["100</td>", "bifurcation"]),
+        (samples, "<StressSamples: samples 100, usable 100, ", ["100</td>", "bifurcation"]),
         (surrogate, "<SurrogateLaw: cell ", ["error of xy", error]),
         (law, "<RveLaw: plant cell ", ["constrained-runs", f"{law.rest_length:.4g} µm"]),
         (CachedLaw(surrogate, law), "<CachedLaw: 0 hits; <SurrogateLaw: cell ",
