@@ -103,11 +103,33 @@ def test_an_installed_wheel_does_a_study(built, tmp_path):
     call(sys.executable, "-m", "pip", "--python", python, "install", *options, wheel, cwd=tmp_path)
     dependencies = sysconfig.get_path("purelib")
     (folder / "dependencies.pth").write_text(f"{dependencies}\n", encoding="utf-8")
-    where = call(python, "-c", "import surrofe2; print(surrofe2.__file__)", cwd=tmp_path).strip()
-    assert Path(where).is_relative_to(home)
+    do_a_study(home, tmp_path / "work")
 
-    work = tmp_path / "work"
+
+def interpreter(version):
+    """A Python of this version among those of pyenv or on the path, or None."""
+    of_pyenv = Path.home().glob(f".pyenv/versions/{version}.*/bin/python")
+    return next(of_pyenv, None) or shutil.which(f"python{version}")
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("version", ["3.12", "3.13"])
+def test_a_study_by_another_python(built, tmp_path, version):
+    python, home = interpreter(version), tmp_path / "environment"
+    if python is None or version in sys.version:
+        pytest.skip(f"there is no Python {version}, or it runs all tests")
+    call(python, "-m", "venv", home, cwd=tmp_path)
+    pinned = ("install", "--quiet", "-c", ROOT / "constraints.txt")
+    call(home / "bin" / "python", "-m", "pip", *pinned, next(built.glob("*.whl")), cwd=tmp_path)
+    do_a_study(home, tmp_path / "work")
+
+
+def do_a_study(home, work):
+    """By the installation in an environment, which is used and not the repository."""
     work.mkdir()
+    python = home / "bin" / "python"
+    where = call(python, "-c", "import surrofe2; print(surrofe2.__file__)", cwd=work).strip()
+    assert Path(where).is_relative_to(home)
     (work / "small.toml").write_text(RECIPE, encoding="utf-8")
     command = home / "bin" / "surrofe2"
     for line in (
