@@ -50,7 +50,7 @@ paper: .venv/.package
 	    for figure in fig5 fig6 fig8 rates; do \
 	        $(BIN)/python -m validation $$figure --cell $$preset --out out/paper || exit 1; \
 	    done; \
-	    $(BIN)/surrofe2 moduli --cell $$preset --tables --memory out/paper --stability out/paper \
+	    $(BIN)/surrofe2 moduli --cell $$preset --memory out/paper --stability out/paper \
 	        --out out/paper/moduli-$$preset.json || exit 1; \
 	done
 
