@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as ShownTable
 from rich.text import Text
 
@@ -220,26 +220,6 @@ _SETTLED = 0.5
 """Seconds before a rate is reported."""
 
 
-def _clock(total: float, unit: str) -> Callable[[float], list[str]]:
-    """Time left and rate by how much is done, as people say them, where they are known yet.
-
-    What was done before counts for neither; work whose total is 1 has no rate.
-    """
-    first: list[tuple[float, float]] = []
-
-    def left_and_rate(done: float) -> list[str]:
-        moment = time.perf_counter()
-        if not first and done > 0.0:
-            first.append((moment, done))
-        elapsed, more = (moment - first[0][0], done - first[0][1]) if first else (0.0, 0.0)
-        if elapsed < _SETTLED or more <= 0.0:
-            return []
-        left = f"{time_text(max((total - done) * elapsed / more, 0.0))} left"
-        return [left, f"{_short(more / elapsed)} {unit}/s"][: 1 + (total != 1.0)]
-
-    return left_and_rate
-
-
 @contextmanager
 def progress(what: str, total: float, unit: str) -> Iterator[Report]:
     """A function (done, note) that shows how far work is, at which rate, and the time left."""
@@ -260,9 +240,10 @@ def stages() -> Iterator[Callable[[str, float, str], AbstractContextManager[Repo
         return
     columns = (
         TextColumn("{task.description}"),
-        BarColumn(bar_width=_bar_width(console)),
+        BarColumn(bar_width=20 if console.width >= 100 else 10),
         TextColumn("{task.percentage:>3.0f} %"),
-        TextColumn("{task.fields[status]}"),
+        TimeRemainingColumn(compact=True, elapsed_when_finished=True),
+        TextColumn("{task.fields[note]}"),
     )
     # what is piped elsewhere goes there
     redirected = sys.stdout.isatty()
@@ -272,39 +253,36 @@ def stages() -> Iterator[Callable[[str, float, str], AbstractContextManager[Repo
 
 @contextmanager
 def _row(shown: Progress, what: str, total: float, unit: str) -> Iterator[Report]:
-    left_and_rate, began = _clock(total, unit), time.perf_counter()
-    task = shown.add_task(what, total=total, status="")
-    space = shown.console.width - len(what) - _bar_width(shown.console) - len("   100 %  ")
+    task = shown.add_task(what, total=total, note="")
 
     def report(done: float, note: str = "") -> None:
-        far = [f"{_short(done)} of {_short(total)} {unit}"] if total != 1.0 else []
-        parts = [*far, *left_and_rate(done), *[note][: len(note)]]
-        while len(", ".join(parts)) > space and parts:
-            parts.pop()
-        shown.update(task, completed=done, status=", ".join(parts))
+        far = [] if total == 1.0 else [f"{_short(done)} of {_short(total)} {unit}"]
+        shown.update(task, completed=done, note=", ".join([*far, *[note][: len(note)]]))
 
     yield report
-    shown.update(task, completed=total, status=time_text(time.perf_counter() - began))
+    shown.update(task, completed=total, note="")
 
 
 @contextmanager
 def _lines(what: str, total: float, unit: str) -> Iterator[Report]:
-    left_and_rate, last = _clock(total, unit), time.perf_counter()
+    last, first = time.perf_counter(), list[tuple[float, float]]()
 
     def report(done: float, note: str = "") -> None:
         nonlocal last
-        parts = left_and_rate(done)
-        if is_quiet() or time.perf_counter() - last < SELDOM:
+        moment = time.perf_counter()
+        if not first and done > 0.0:  # what was done before counts neither for rate nor time left
+            first.append((moment, done))
+        if is_quiet() or moment - last < SELDOM:
             return
-        last = time.perf_counter()
-        far = [f"{100.0 * done / total:.0f} %"] if total else []
-        typer.echo(f"{what}: {', '.join([*far, *parts, *[note][: len(note)]])}", err=True)
+        last = moment
+        parts = [f"{100.0 * done / total:.0f} %"] if total else []
+        elapsed, more = (moment - first[0][0], done - first[0][1]) if first else (0.0, 0.0)
+        if elapsed >= _SETTLED and more > 0.0:
+            left = f"{time_text(max((total - done) * elapsed / more, 0.0))} left"
+            parts += [left, f"{_short(more / elapsed)} {unit}/s"][: 1 + (total != 1.0)]
+        typer.echo(f"{what}: {', '.join([*parts, *[note][: len(note)]])}", err=True)
 
     yield report
-
-
-def _bar_width(console: Console) -> int:
-    return 20 if console.width >= 100 else 10
 
 
 def _short(number: float) -> str:

@@ -50,10 +50,6 @@ def check(
     only: Annotated[
         bool, typer.Option("--only", help="Read the recipe and its files; no dry run.")
     ] = False,
-    compile: Annotated[
-        bool,
-        typer.Option("--compile", help="Compile the kernels of its runs, before a job array."),
-    ] = False,
     margin: Annotated[
         float, typer.Option(metavar="X", help="Strain and rate beyond what was met, as a share.")
     ] = checking.MARGIN,
@@ -93,10 +89,6 @@ def check(
     else:
         for message in checking.study_faults(mesh, ("rve", "cached")):
             console.print_line(f"not by --law cached or surrogate: {message}")
-    if compile:
-        with console.working("compile", 1.0, "laws", "compiled kernels are kept"):
-            kinds = checking.compile_kernels(study)
-        console.print_line(f"kernels of {', '.join(kinds)}: compiled")
     if only:
         console.done(recipe, "no problem found")
         return

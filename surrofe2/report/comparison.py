@@ -216,7 +216,6 @@ _COSTS: Mapping[str, Callable[[RunRecord], float]] = {
     "wall_time": lambda record: record.wall_time["total"],
     "law_time_per_stress": _law_time,
     "rve_solves": lambda record: record.spent.get("rve_solves", 0),
-    "right_hand_sides": lambda record: record.spent.get("right_hand_sides", 0),
 }
 
 

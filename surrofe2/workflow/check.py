@@ -14,7 +14,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -34,7 +33,6 @@ from surrofe2.surrogate.deformation_paths import WatchedLaw
 from surrofe2.workflow import laws
 from surrofe2.workflow.generate import check_data
 from surrofe2.workflow.laws import law_by_region
-from surrofe2.workflow.run import run_study
 from surrofe2.workflow.train import is_trained
 
 Array = NDArray[np.float64]
@@ -50,7 +48,6 @@ _TIMED_STEPS, _TIMED_POINTS, _TIMED_SECONDS = 24, 128, 3.0
 and without a prediction; none is begun after so much processor time."""
 _LEARNING = 30.0
 """A run by RVEs that is shorter, in s, ends before a data set and a surrogate are made."""
-_COMPILED_STEPS = 3
 
 
 def recipe_faults(path: Path) -> list[str]:
@@ -344,30 +341,3 @@ def _rounded_up(value: float) -> float:
 def _plain(value: float) -> float:
     """Without the rounding of binary sums."""
     return float(f"{value:.12g}")
-
-
-def compile_kernels(recipe: Recipe) -> list[str]:
-    """Compile what runs of a recipe need, so that the processes of a job array only load it.
-
-    The first steps of a run by each law that the recipe can take are computed, and forgotten.
-
-    Returns:
-        These laws.
-    """
-    parts = recipe.parts().values()
-    kinds = ["rve"] if study_faults(recipe, ("rve", "table")) else ["rve", "table"]
-    if all(part.training_file and part.training_path().exists() for part in parts):
-        kinds.append("cached")
-    coarse = _coarser(recipe, 8) or recipe
-
-    def enough(reached: float, note: str) -> None:
-        steps.append(reached)
-        if len(steps) > _COMPILED_STEPS:
-            raise _CutShort
-
-    with TemporaryDirectory(prefix="surrofe2-") as folder:
-        for kind in kinds:
-            steps: list[float] = []
-            with suppress(_CutShort):
-                run_study(coarse, kind, Path(folder) / kind, report=enough)
-    return kinds

@@ -307,12 +307,7 @@ def _with_tangents(law: StressLaw, harvest: dict[str, Any], same: float) -> dict
 
 def _arrays_of(answers: Harvest | StressSamples) -> dict[str, Any]:
     """The arrays that samples and harvests have, and tangents where there are some."""
-    arrays: dict[str, Any] = {
-        "F": answers.F,
-        "F_dot": answers.F_dot,
-        "stress": answers.stress,
-        "status": answers.status,
-    }
+    arrays = {name: getattr(answers, name) for name in ("F", "F_dot", "stress", "status")}
     if isinstance(answers, StressSamples) and answers.P_by_F is not None:
         arrays |= {"P_by_F": answers.P_by_F, "P_by_F_dot": answers.P_by_F_dot}
     return arrays

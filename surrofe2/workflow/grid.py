@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -37,25 +37,20 @@ _WITHOUT = {
 """Sections that a run by a law does not depend on."""
 
 
+Work = Callable[[Stage], None]
+"""What a process can be given: a surrogate to make, or a run."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GridTask:
-    """Work that a process can be given: a surrogate, or a run.
+class _Run:
+    """A run of the grid; values: of the entries that change and that it depends on; true: the name
+    of the run of the same values by RVEs; needs: files of surrogates by name of the cell."""
 
-    Attributes:
-        name: of its file, or its folder.
-        values: of the entries that change and that the run depends on.
-        true: name of the run of the same values by RVEs.
-        needs: files of the surrogates of a run by name of the cell.
-        is_own: whether a surrogate is the recipe's own, which is never started over.
-    """
-
-    name: str
     recipe: Recipe
-    law: str = ""
-    values: Mapping[str, Any] = field(default_factory=dict)
-    true: str = ""
-    needs: Mapping[str, Path] = field(default_factory=dict)
-    is_own: bool = False
+    law: str
+    values: Mapping[str, Any]
+    true: str
+    needs: Mapping[str, Path]
 
 
 def run_grid(
@@ -90,18 +85,26 @@ def run_grid(
     if threads is None and isinstance(executor, Processes):
         threads = max(1, (os.cpu_count() or 1) // executor.workers)
     with locked_folder(out):
-        errors = _done(surrogates, partial(_learn, threads, fresh), executor, stage, "surrogates")
-        for name, task in runs.items():
-            failed = [errors[str(file)] for file in task.needs.values() if errors[str(file)]]
+        learning = {
+            str(recipe.training_path()): partial(_learn, recipe, is_own, threads, fresh)
+            for recipe, is_own in surrogates
+        }
+        errors = _done(learning, executor, stage, "surrogates")
+        for name, run in runs.items():
+            failed = [errors[str(file)] for file in run.needs.values() if errors[str(file)]]
             errors |= {name: failed[0]} if failed else {}
-        ready = {name: task for name, task in runs.items() if name not in errors}
-        errors |= _done(ready, partial(_run, out, threads, fresh), executor, stage, "runs")
+        running = {
+            name: partial(_run, run, out / name, threads, fresh)
+            for name, run in runs.items()
+            if name not in errors
+        }
+        errors |= _done(running, executor, stage, "runs")
         stored = {name: read_run(out / name) for name in runs if not errors[name]}
         rows = [
             grid_row(
-                task.values, task.law, name, stored.get(name), stored.get(task.true), errors[name]
+                run.values, run.law, name, stored.get(name), stored.get(run.true), errors[name]
             )
-            for name, task in runs.items()
+            for name, run in runs.items()
         ]
         grid = Grid(path.name, {name: tuple(each) for name, each in values.items()}, tuple(rows))
         write_text(out / GRID_FILES[0], grid.table.to_csv())
@@ -112,8 +115,8 @@ def run_grid(
 
 def _planned(
     path: Path, values: Mapping[str, Sequence[Any]], laws: Sequence[str], out: Path
-) -> tuple[dict[str, GridTask], dict[str, GridTask]]:
-    """Surrogates and runs by name, all checked; runs in the order of the values and laws."""
+) -> tuple[list[tuple[Recipe, bool]], dict[str, _Run]]:
+    """Surrogates, each with whether it is the recipe's own, and runs by name, all checked."""
     count = len(laws)
     for law in laws:
         if law not in LAWS:
@@ -123,8 +126,8 @@ def _planned(
         if not 0 < count <= MOST_RUNS:
             raise InputError(f"{name}: {count:,} runs; a grid has 1 to {MOST_RUNS:,}")
     base, checked = load_recipe(path), list[Any]()
-    surrogates: dict[str, GridTask] = {}
-    runs: dict[str, GridTask] = {}
+    surrogates: dict[Path, tuple[Recipe, bool]] = {}
+    runs: dict[str, _Run] = {}
     for combination in itertools.product(*values.values()):
         changes = dict(zip(values, combination, strict=True))
         recipe = load_recipe(path, changes)
@@ -134,23 +137,23 @@ def _planned(
             checked.append(stated)
         counting = {law: _without(changes, _WITHOUT[law]) for law in LAWS}
         for law in laws:
-            needed: list[GridTask] = []
+            needs: dict[str, Path] = {}
             for name, part in recipe.parts().items():
                 if law == "table":
                     part.sampling_range()
                 elif law in ("cached", "surrogate"):
-                    needed.append(_surrogate(base, name, part, changes, out))
-            surrogates |= {task.name: task for task in needed}
-            task = GridTask(
-                name=name_of_values(counting[law], law),
+                    known, is_own = _surrogate(base, name, part, changes, out)
+                    needs[name] = known.training_path()
+                    surrogates[needs[name]] = known, is_own
+            run = _Run(
                 recipe=recipe,
                 law=law,
                 values=counting[law],
                 true=name_of_values(counting["rve"], "rve"),
-                needs={task.recipe.cell_name: Path(task.name) for task in needed},
+                needs=needs,
             )
-            runs.setdefault(task.name, task)
-    return surrogates, runs
+            runs.setdefault(name_of_values(counting[law], law), run)
+    return [*surrogates.values()], runs
 
 
 def _without(changes: Mapping[str, Any], sections: Sequence[str]) -> dict[str, Any]:
@@ -159,8 +162,9 @@ def _without(changes: Mapping[str, Any], sections: Sequence[str]) -> dict[str, A
 
 def _surrogate(
     base: Recipe, name: str, part: Recipe, changes: Mapping[str, Any], out: Path
-) -> GridTask:
-    """The surrogate of a cell: the base's where what it learns is the same, else one in `out`."""
+) -> tuple[Recipe, bool]:
+    """The surrogate of a cell, the base's where what it learns is the same, else one in `out`; and
+    whether it is the base's, which is never started over."""
     original = base.parts().get(name)
     if original is not None and _learnt(original) == _learnt(part):
         known, stem = original, f"{base.path.stem}{name and '-'}{name}"
@@ -181,10 +185,9 @@ def _surrogate(
         samples=replace(known.samples, file=data or f"{here}.h5"),
         training_file=trained or f"{here}-surrogate.h5",
     )
-    path = recipe.training_path()
-    if trained is None or not path.exists():
+    if trained is None or not recipe.training_path().exists():
         recipe.sampling_range()
-    return GridTask(name=str(path), recipe=recipe, is_own=trained is not None)
+    return recipe, trained is not None
 
 
 def _learnt(part: Recipe) -> tuple[Any, ...]:
@@ -194,24 +197,18 @@ def _learnt(part: Recipe) -> tuple[Any, ...]:
 
 
 def _done(
-    tasks: Mapping[str, GridTask],
-    work: Callable[[GridTask, Stage], None],
-    executor: Any,
-    stage: Stage,
-    what: str,
+    tasks: Mapping[str, Work], executor: Any, stage: Stage, what: str
 ) -> dict[str, str | None]:
     """The error message that ended each task by its name, or None; done here, or by workers."""
     errors: dict[str, str | None] = {}
     if executor is None:
-        for k, (name, task) in enumerate(tasks.items(), 1):
+        for k, (name, work) in enumerate(tasks.items(), 1):
             place = f"{k}/{len(tasks)}"
             errors[name] = _error_of(
-                work, task, lambda what, *of, place=place: stage(f"{place} {what}", *of)
+                work, lambda what, *of, place=place: stage(f"{place} {what}", *of)
             )
         return errors
-    futures = {
-        name: executor.submit(_error_of, work, task, no_stage) for name, task in tasks.items()
-    }
+    futures = {name: executor.submit(_error_of, work, no_stage) for name, work in tasks.items()}
     with stage(what, len(tasks), what) as report:
         for name, future in futures.items():
             errors[name] = future.result()
@@ -219,27 +216,24 @@ def _done(
     return errors
 
 
-def _error_of(work: Callable[[GridTask, Stage], None], task: GridTask, stage: Stage) -> str | None:
+def _error_of(work: Work, stage: Stage) -> str | None:
     try:
-        work(task, stage)
+        work(stage)
     except (InputError, SimulationError) as error:
         return str(error)
     return None
 
 
-def _learn(threads: int | None, fresh: bool, task: GridTask, stage: Stage) -> None:
+def _learn(recipe: Recipe, is_own: bool, threads: int | None, fresh: bool, stage: Stage) -> None:
     """Make data set and surrogate of a cell where they are not there."""
     use_threads(threads)
-    recipe, name = task.recipe, Path(task.name).stem
-    if task.is_own and is_trained(recipe):
-        return
-    fresh = fresh and not task.is_own
-    learn(recipe, fresh=fresh, stage=lambda what, *of: stage(f"{what} {name}", *of))
+    if not (is_own and is_trained(recipe)):
+        name = recipe.training_path().stem
+        fresh = fresh and not is_own
+        learn(recipe, fresh=fresh, stage=lambda what, *of: stage(f"{what} {name}", *of))
 
 
-def _run(out: Path, threads: int | None, fresh: bool, task: GridTask, stage: Stage) -> None:
-    """Run a member of a grid in its folder."""
+def _run(run: _Run, folder: Path, threads: int | None, fresh: bool, stage: Stage) -> None:
     use_threads(threads)
-    folder = out / task.name
-    with stage(task.name, task.recipe.duration, "µs") as report:
-        run_study(task.recipe, task.law, folder, surrogates=task.needs, fresh=fresh, report=report)
+    with stage(folder.name, run.recipe.duration, "µs") as report:
+        run_study(run.recipe, run.law, folder, surrogates=run.needs, fresh=fresh, report=report)

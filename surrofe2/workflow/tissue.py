@@ -101,31 +101,6 @@ def run_tissue(
     return run.record
 
 
-def resized(recipe: Recipe, cells: tuple[int, int]) -> Recipe:
-    """The recipe on a rectangle of so many plant cells, its watched point moved along.
-
-    Raises:
-        InputError: less than one in a direction, or the recipe states a problem other than the bar.
-    """
-    stated = recipe.stated
-    if stated.section != "load":
-        raise InputError(
-            f"--cells: {cells[0]} {cells[1]}; {recipe.path.name} has its extent in [mesh]: change "
-            "that"
-        )
-    if min(cells) < 1:
-        raise InputError(f"--cells: {cells[0]} {cells[1]}; both must be at least 1")
-    assert stated.mesh.width is not None
-    assert stated.mesh.height is not None
-    width, height = (count * recipe.cell.cell_side for count in cells)
-    mesh = replace(stated.mesh, width=width, height=height)
-    watched = {
-        name: (x * width / stated.mesh.width, y * height / stated.mesh.height)
-        for name, (x, y) in stated.watched.items()
-    }
-    return replace(recipe, stated=replace(stated, mesh=mesh, watch=watched))
-
-
 def tissue_summary(record: RunRecord) -> str:
     """What a finished run did and what it cost."""
     wall, counts = record.wall_time, record.counts

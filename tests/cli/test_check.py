@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 import re
 import subprocess
 import sys
@@ -215,14 +214,11 @@ sys.exit(os.waitstatus_to_exitcode(code))
 """By a process between: a child's peak of memory begins with what its parent has."""
 
 
-def checked(path, *options, **environment):
+def checked(path, *options):
     """The command in a process: (what it prints, processor seconds, memory in MB)."""
     command = [sys.executable, "-m", "surrofe2", "check", str(path), *options]
     watched = [sys.executable, "-c", WATCH, *command]
-    done = subprocess.run(
-        watched, stdout=subprocess.PIPE, text=True, check=True, env={**os.environ, **environment}
-    )
-    printed = done.stdout
+    printed = subprocess.run(watched, stdout=subprocess.PIPE, text=True, check=True).stdout
     seconds, memory = map(float, printed.splitlines()[-1].split())
     return printed, seconds, memory
 
@@ -239,18 +235,3 @@ def test_a_check_ends_soon_and_takes_little_memory(recipe_path, elements, is_lar
     assert memory < 1000.0
     assert ("the mesh is large" in printed) == is_large
     assert re.search("use --law (rve|cached)", printed)
-
-
-@pytest.mark.slow
-def test_kernels_are_compiled_ahead_of_a_job_array(recipe_path, tmp_path):
-    """After it a run compiles none: there are no other files of kernels than before."""
-    kept = {"NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
-    printed, _, _ = checked(recipe_path, "--only", "--compile", **kept)
-    assert "kernels of rve, table: compiled" in printed
-    before = {path.name for path in (tmp_path / "kernels").rglob("*.nbc")}
-    assert len(before) > 10
-    for law in ("rve", "table"):
-        words = ["run", recipe_path, "--law", law, "--out", tmp_path / law]
-        command = [sys.executable, "-m", "surrofe2", *map(str, words)]
-        subprocess.run(command, check=True, env={**os.environ, **kept}, capture_output=True)
-    assert {path.name for path in (tmp_path / "kernels").rglob("*.nbc")} == before

@@ -56,12 +56,12 @@ def test_run_folder(short, folder):
     assert done.stdout.startswith(f"{folder}: 1 µs of 181 particles in ")
 
 
-def test_cells_and_step_replace_the_recipe_s(short, folder):
-    assert invoke(short, "--out", folder, "--cells", 1, 2, "--micro-step", 1e-3).exit_code == 0
-    record = read_record(folder)
-    assert (record.recipe["mesh"]["width"], record.recipe["mesh"]["height"]) == (25.0, 50.0)
-    assert record.recipe["watch"]["point"] == [25.0, 25.0]
-    assert record.counts["steps"] == 1000
+def with_step(recipe, micro_step):
+    """Another recipe with a step of its own, µs."""
+    path = recipe.with_name("stepped.toml")
+    text = recipe.read_text(encoding="utf-8")
+    path.write_text(f"{text}\n[tissue]\nmicro_step = {micro_step}\n", encoding="utf-8")
+    return path
 
 
 def test_interrupted_and_continued(short, folder, monkeypatch):
@@ -80,7 +80,7 @@ def test_interrupted_and_continued(short, folder, monkeypatch):
     assert "resume with: surrofe2 tissue" in stopped.stderr
     assert read_record(folder).status == "interrupted"
     monkeypatch.setattr(simulation, "advance", advance)
-    other = invoke(short, "--out", folder, "--micro-step", 1e-3)
+    other = invoke(with_step(short, 1e-3), "--out", folder)
     assert other.exit_code == 1
     assert "tissue.micro_step: this call has 0.001" in other.stderr
     assert invoke(short, "--out", folder).exit_code == 0
@@ -88,7 +88,7 @@ def test_interrupted_and_continued(short, folder, monkeypatch):
 
 
 def test_step_that_is_too_long(short, folder):
-    failed = invoke(short, "--out", folder, "--micro-step", 8e-3)
+    failed = invoke(with_step(short, 8e-3), "--out", folder)
     assert failed.exit_code != 0
     assert "tissue.micro_step: 0.008 µs; at most" in failed.stderr
     assert not (folder / "run.json").exists()
