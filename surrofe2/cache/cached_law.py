@@ -119,9 +119,6 @@ class CachedLaw(Viewed):
             "by the fallback": f"{counts['fallbacks']:,}",
         }
 
-    def __repr__(self) -> str:
-        return f"<CachedLaw: {self.counts['hits']} hits; {self.surrogate}, else {self.fallback}>"
-
     @property
     def has_tangents(self) -> bool:
         return self.surrogate.has_tangents and self.fallback.has_tangents

@@ -27,7 +27,6 @@ TABLE = Kind(
         "stress": Column((None, OUTPUTS), unit=STRESS),
         "slope": Column((None, OUTPUTS, INPUTS), unit=f"{STRESS} over that of centre"),
         "curvature": Column((None, INPUTS, INPUTS), unit=f"{STRESS} over that of centre, twice"),
-        "extent": Column((None, INPUTS), unit=f"that of centre, squared, over {STRESS}"),
     },
 )
 SURFACE = Kind(

@@ -47,7 +47,7 @@ Array = NDArray[np.float64]
 _ROUNDING = 1e-12  # of the largest spread: less is no spread
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class SurrogateLaw(Viewed):
     """σ(F, Ḟ) of one RVE, learnt; rotation and, for the square cell, D4 hold exactly.
 
@@ -83,9 +83,9 @@ class SurrogateLaw(Viewed):
     calibration: Calibration | None = None
     reference: ReferenceState | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
-    tolerance: Array | None = field(default=None, repr=False)
-    arrays: NetworkArrays = field(init=False, repr=False)
-    bound_arrays: BoundArrays = field(init=False, repr=False)
+    tolerance: Array | None = None
+    arrays: NetworkArrays = field(init=False)
+    bound_arrays: BoundArrays = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "arrays", NetworkArrays.of(self.network, self.range))
@@ -108,13 +108,6 @@ class SurrogateLaw(Viewed):
                 if name in ("xx", "xy", "yx", "yy")
             },
         }
-
-    def __repr__(self) -> str:
-        bound = "bound calibrated" if self.is_calibrated else "no bound"
-        return (
-            f"<SurrogateLaw: cell {self.cell.fingerprint}, {self.initialisation}, "
-            f"{self.network.symmetry}, {bound}; {self.range}>"
-        )
 
     @property
     def density(self) -> float:

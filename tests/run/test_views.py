@@ -120,9 +120,9 @@ def test_html_is_whole_and_a_line_says_what_matters(run, stored, surrogate):
         (run, "<MacroRun: 4 elements, ", ["SoftLaw", "4 elements, 9 nodes", "<img alt="]),
         (stored, "<StoredRun: folder ", ["saved", "SoftLaw", "<img alt="]),
         (samples, "<StressSamples: samples 100, usable 100, ", ["100</td>", "bifurcation"]),
-        (surrogate, "<SurrogateLaw: cell ", ["error of xy", error]),
+        (surrogate, "<SurrogateLaw: plant cell ", ["error of xy", error]),
         (law, "<RveLaw: plant cell ", ["constrained-runs", f"{law.rest_length:.4g} µm"]),
-        (CachedLaw(surrogate, law), "<CachedLaw: 0 hits; <SurrogateLaw: cell ",
+        (CachedLaw(surrogate, law), "<CachedLaw: surrogate <SurrogateLaw: plant cell ",
          ["0.001 of the spread of stress", "by the fallback"]),
     ]  # fmt: skip
     for shown, line, words in expected:

@@ -198,11 +198,11 @@ def _write_stress(room, lane, total, stress, p):  # type: ignore[no-untyped-def]
     return np.isfinite(stress[p, 0, 0] + stress[p, 0, 1] + stress[p, 1, 0] + stress[p, 1, 1])
 
 
-def make_screen(records: Records, count: int) -> Array:
-    """(count, `PRODUCTS`) coefficients of the bounds of the first `count` records."""
-    centre, curvature = records.centre[:count], records.curvature[:count]
+def make_screen(records: Records) -> Array:
+    """(n, `PRODUCTS`) coefficients of the bounds of n records."""
+    centre, curvature = records.centre, records.curvature
     pull = np.einsum("nij,nj->ni", curvature, centre)
-    whole = np.empty((count, INPUTS + 1, INPUTS + 1))
+    whole = np.empty((len(centre), INPUTS + 1, INPUTS + 1))
     whole[:, :INPUTS, :INPUTS], whole[:, :INPUTS, INPUTS] = curvature, -pull
     whole[:, INPUTS, INPUTS] = (centre * pull).sum(axis=1)
     i, j = _PAIRS.T

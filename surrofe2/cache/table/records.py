@@ -47,15 +47,12 @@ class Records(NamedTuple):
         stress: (n, 4) s₀, µN/µm.
         slope: (n, 4, 7) G = ∂s/∂x.
         curvature: (n, 7, 7) C.
-        extent: (n, 7) diagonal of C⁻¹: the ellipsoid of a tolerance has half widths
-            √(tolerance · extent).
     """
 
     centre: Array
     stress: Array
     slope: Array
     curvature: Array
-    extent: Array
 
     def take(self, index: NDArray[np.intp]) -> Records:
         return Records(*(part[index] for part in self))
@@ -64,13 +61,7 @@ class Records(NamedTuple):
 def no_records() -> Records:
     """An empty table's records."""
     inner = (INPUTS,), (OUTPUTS,), (OUTPUTS, INPUTS), (INPUTS, INPUTS)
-    return make_records(*(np.empty((0, *shape)) for shape in inner))
-
-
-def make_records(centre: Array, stress: Array, slope: Array, curvature: Array) -> Records:
-    """Records with their extents."""
-    extent = np.diagonal(np.linalg.inv(curvature), axis1=1, axis2=2).copy()
-    return Records(centre, stress, slope, curvature, extent)
+    return Records(*(np.empty((0, *shape)) for shape in inner))
 
 
 def curvature_from_slopes(slope: Array, probed: Array, step: Array, reach: Array) -> Array:
@@ -145,7 +136,7 @@ def records_from_neighbours(
         tolerance,
         reach,
     )
-    return make_records(x[found], s, slopes[:, 0], curvature), found, len(F)
+    return Records(x[found], s, slopes[:, 0], curvature), found, len(F)
 
 
 def input_slopes(R: Array, by_F: Array, by_F_dot: Array) -> Array:
@@ -193,8 +184,8 @@ def update_ellipsoids(
     tolerance: float,
     rule: Rule = _RULE,
 ) -> tuple[NDArray[np.bool_], dict[str, int]]:
-    """(covered (m,), counts) of m RVE answers x (m, 7) and s (m, 4), by which curvature and extent
-    of the records change in place; `images`: 4 with the symmetry D4, 1 without."""
+    """(covered (m,), counts) of m RVE answers x (m, 7) and s (m, 4), by which curvatures
+    change in place; `images`: 4 with the symmetry D4, 1 without."""
     covered = np.zeros(len(x), dtype=np.bool_)
     counts = np.zeros(2, dtype=np.int64)
     _update(x, s, images, rule, records, float(tolerance), covered, counts)
@@ -217,7 +208,7 @@ def _update(x, s, images, rule, records, tolerance, covered, counts):  # type: i
                 error = _error(p, s[point], flips, records.stress[k], records.slope[k])
                 if bound <= tolerance and error > max(bound, rule.shrinking * tolerance):
                     counts[1] += 1
-                    set_bound(p, rule.margin * error, records.curvature[k], records.extent[k])
+                    set_bound(p, rule.margin * error, records.curvature[k])
                     bound = rule.margin * error
                 elif bound <= rule.grown * tolerance:
                     within = True
@@ -227,8 +218,7 @@ def _update(x, s, images, rule, records, tolerance, covered, counts):  # type: i
                 covered[point] |= bound <= tolerance
         if nearest >= 0 and not within:
             counts[0] += 1
-            target = rule.grown * tolerance
-            set_bound(candidate, target, records.curvature[nearest], records.extent[nearest])
+            set_bound(candidate, rule.grown * tolerance, records.curvature[nearest])
             covered[point] = True
 
 
@@ -257,8 +247,8 @@ def _error(p, s, flips, stress, slope):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def set_bound(p, target, curvature, extent):  # type: ignore[no-untyped-def]
-    """Change C (7, 7), and diag C⁻¹ (7,), by rank one in place so that pᵀ C p is `target`."""
+def set_bound(p, target, curvature):  # type: ignore[no-untyped-def]
+    """Change C (7, 7) by rank one in place so that pᵀ C p is `target`."""
     pull = np.zeros(INPUTS)
     bound = 0.0
     for i in range(INPUTS):
@@ -271,7 +261,6 @@ def set_bound(p, target, curvature, extent):  # type: ignore[no-untyped-def]
     for i in range(INPUTS):
         for j in range(INPUTS):
             curvature[i, j] += factor * pull[i] * pull[j]
-        extent[i] += (1.0 / target - 1.0 / bound) * p[i] * p[i]
 
 
 def merged(first: Records, second: Records, tolerance: float, images: int) -> Records:

@@ -61,6 +61,7 @@ class StressTable:
     """
 
     has_tangents, learns, is_calibrated = False, True, True
+    _records: Records
 
     def __init__(
         self,
@@ -91,9 +92,14 @@ class StressTable:
         self.restore(records if records is not None else no_records())
 
     @property
+    def size(self) -> int:
+        """How many records it has."""
+        return len(self._records.centre)
+
+    @property
     def records(self) -> Records:
         """What the table knows now, a copy."""
-        return Records(*(part[: self.size].copy() for part in self._records))
+        return Records(*(part.copy() for part in self._records))
 
     def with_tolerance(self, tolerance: float, relative: float) -> StressTable:
         """Itself, with risks by this share of the spread; it is grown for its own tolerance."""
@@ -117,7 +123,7 @@ class StressTable:
         F, F_dot: contiguous float64 (n, 2, 2).
         """
         if self._screen is None:
-            self._screen = make_screen(self._records, self.size)
+            self._screen = make_screen(self._records)
         tolerances = float(limit) * self._allowed, self.tolerance
         stress, status, risk = look_up(
             F, F_dot, tolerances, self.images, self._records, self._screen
@@ -140,8 +146,7 @@ class StressTable:
         self._screen = None
         x, R = to_inputs(F, F_dot)
         s = to_components(transpose(R) @ stress @ R)
-        known = Records(*(part[: self.size] for part in self._records))
-        covered, counts = update_ellipsoids(x, s, self.images, known, self.tolerance)
+        covered, counts = update_ellipsoids(x, s, self.images, self._records, self.tolerance)
         self._count(counts)
         left = np.flatnonzero(~covered)
         while len(left) and self.size < self.most_records:
@@ -150,7 +155,8 @@ class StressTable:
             left = np.setdiff1d(left, chosen, assume_unique=True)
             covered, counts = update_ellipsoids(x[left], s[left], self.images, new, self.tolerance)
             left = left[~covered]
-            self._add(new)
+            both = zip(self._records, new, strict=True)
+            self._records = Records(*(np.concatenate(pair) for pair in both))
             self._count({**counts, "added": len(new.centre)})
             if self.size >= self.most_records:
                 _log.warning(
@@ -170,8 +176,7 @@ class StressTable:
 
     def restore(self, records: Records) -> None:
         """Know these records and no others."""
-        self.size, self._screen = len(records.centre), None
-        self._make_room(records, self.size)
+        self._records, self._screen = Records(*(part.copy() for part in records)), None
 
     def to_arrays(self) -> dict[str, NDArray]:
         return {**self.records._asdict(), "counts": np.array(list(self.counts.values()))}
@@ -179,22 +184,6 @@ class StressTable:
     def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
         self.restore(Records(*(arrays[name] for name in Records._fields)))
         self.counts = dict(zip(self.counts, arrays["counts"].tolist(), strict=True))
-
-    def _add(self, new: Records) -> None:
-        """Append records in place; room is doubled where there is none."""
-        size = self.size + len(new.centre)
-        if size > len(self._records.centre):
-            self._make_room(self.records, size)
-        for mine, theirs in zip(self._records, new, strict=True):
-            mine[self.size : size] = theirs
-        self.size = size
-
-    def _make_room(self, known: Records, size: int) -> None:
-        """Arrays with room for twice `size` records, of which these are the first."""
-        room = 2 * max(size, 32)
-        self._records = Records(*(np.empty((room, *part.shape[1:])) for part in known))
-        for mine, theirs in zip(self._records, known, strict=True):
-            mine[: len(theirs)] = theirs
 
     def _count(self, changes: Mapping[str, int]) -> None:
         for name, count in changes.items():
@@ -205,7 +194,7 @@ class StressTable:
         taken to be like that of the latest record; a first record comes alone."""
         if not self.size:
             return np.zeros(1, dtype=np.intp)
-        curvature, x = self._records.curvature[self.size - 1], x * INPUT_SIGNS[self._image(x)]
+        curvature, x = self._records.curvature[-1], x * INPUT_SIGNS[self._image(x)]
         chosen, left = [], np.arange(len(x))
         while len(left):
             chosen.append(left[0])
@@ -228,7 +217,6 @@ class StressTable:
             records.stress * outer,
             records.slope * outer[:, :, None] * inner[:, None],
             records.curvature * inner[:, :, None] * inner[:, None],
-            records.extent,
         )
 
     def _image(self, x: Array) -> NDArray[np.intp]:
