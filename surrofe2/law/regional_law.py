@@ -46,10 +46,8 @@ class RegionalLaw(Viewed):
     """
 
     def __init__(self, laws: Mapping[str, StressLaw], points: Mapping[str, Index]) -> None:
-        """A law of `laws` for each entry of `points`, which together number 0 … n − 1 once.
-
-        Raises:
-            InputError: a region has no law, or a point belongs to no region or to two.
+        """A law of `laws` for each entry of `points`, which together number 0 … n − 1 once. Raises
+        `InputError` where a region has no law, or a point belongs to no region or to two.
         """
         for name in points:
             if name not in laws:

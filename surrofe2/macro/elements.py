@@ -97,9 +97,7 @@ class Discretisation(NamedTuple):
 
     def locate(self, point: Array, name: str = "point") -> tuple[Index, Array]:
         """Nodes and shape functions at a reference position, so that values there are N_a u_a.
-
-        Raises:
-            InputError: it is outside the mesh.
+        Raises `InputError` where it is outside the mesh.
         """
         at = np.flatnonzero((self.nodes == point).all(axis=1))
         if at.size:
@@ -110,10 +108,8 @@ class Discretisation(NamedTuple):
 
 
 def make_discretisation(mesh: skfem.Mesh) -> Discretisation:
-    """The finite elements of a mesh, integrated as the head of this file says.
-
-    Raises:
-        InputError: an element folds over within.
+    """The finite elements of a mesh, integrated as the head of this file says. Raises `InputError`
+    where an element folds over within.
     """
     elements = element_nodes(mesh)
     k = elements.shape[1]
@@ -154,11 +150,9 @@ def n_points_of(mesh: skfem.Mesh) -> int:
 def points_by_region(
     mesh: skfem.Mesh, names: Sequence[str], where: str = "regions"
 ) -> dict[str, Index]:
-    """Numbers of the points in each of the regions, which together must be the whole mesh.
-
-    Raises:
-        InputError: an element is in none of them or in two, or there is no region of a name;
-            `where` says who asks.
+    """Numbers of the points in each of the regions, which together must be the whole mesh. Raises
+    `InputError` where an element is in none of them or in two, or there is no region of a name;
+    `where` says who asks.
     """
     regions = {name: region(mesh, name, where) for name in names}
     region_numbers(mesh, regions, where, np.arange(mesh.nelements))

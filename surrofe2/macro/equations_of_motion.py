@@ -42,19 +42,14 @@ class Evaluation(NamedTuple):
     """The equations of motion at one state.
 
     Attributes:
-        t: µs.
-        within: a time inside the piece of all amplitudes that it belongs to, µs.
-        y: (2 m,) displacement and velocity of the m free unknowns, µm and µm/µs.
-        u, v: (n, 2) displacement and velocity of all nodes and bodies.
-        internal: (n, 2) internal force, µN.
-        forces: (k, n, 2) the other forces of the system, µN.
+        t: µs. within: a time inside the piece of all amplitudes that it belongs to, µs.
+        y: (2 m,) displacement and velocity of the m free unknowns, µm and µm/µs; rate: that of y.
+        u, v: (n, 2) displacement and velocity of all nodes and bodies. F, F_dot: (n_points, 2, 2).
+        internal: (n, 2) internal force, µN; forces: (k, n, 2) the other forces of the system.
         residual: (m,) forces − internal − what prescribed accelerations take, µN.
         powers: (k + 3,) of the internal force, the other forces, the supports and inertia M ü,
             pJ/µs.
-        rate: (2 m,) rate of y.
-        F, F_dot: (n_points, 2, 2).
-        response: what the stress law answered.
-    """
+        response: what the stress law answered."""
 
     t: float
     within: float
@@ -84,12 +79,9 @@ class NoStress(Exception):  # noqa: N818 - of a trial state; whoever tries anoth
 
 
 class Switched(Exception):  # noqa: N818 - as above
-    """Points left their branch of the law within a step: the step must be restarted.
+    """Points left their branch of the law within a step, which must be restarted.
 
-    Attributes:
-        y: (2 m,) state at which they were found.
-        points: (n_points,) int8, as of `StressResponse.switched`.
-    """
+    y (2 m,) is the state at which they were found, points (n_points,) `StressResponse.switched`."""
 
     def __init__(self, y: Array, points: NDArray[np.int8]) -> None:
         super().__init__("points left their branch of the law")
@@ -112,13 +104,10 @@ class EquationsOfMotion:
     only in `accept` and `restart_step`, the piece of the amplitudes only in `enter_piece`.
 
     Attributes:
-        system: what is computed.
-        corners: (p + 1,) ends of the pieces of all amplitudes, µs.
-        piece: number of the one under way.
-        clock: how a message calls the time; a quasi-static load has a factor in its place.
+        system: what is computed. clock: how a message calls the time, or a factor of the loads.
+        corners: (p + 1,) ends of the pieces of all amplitudes, µs; piece: number of the one now.
         law_state: what the stress law committed last.
-        is_committing: whether the law may have taken down more than was recorded of the run.
-    """
+        is_committing: whether the law may have taken down more than was recorded of the run."""
 
     def __init__(
         self, system: System, law: StressLaw, clock: str = "t = {:.6g} µs", t: float = 0.0
@@ -181,10 +170,8 @@ class EquationsOfMotion:
         return now
 
     def accept(self, now: Evaluation) -> Evaluation:
-        """Let the law commit its answer: the evaluation by which the next step begins.
-
-        Raises:
-            NoStress: the law does not accept a point.
+        """Let the law commit its answer: the evaluation by which the next step begins. Raises
+        `NoStress` where the law does not accept a point.
         """
         self.is_committing = True
         started = clock()
@@ -226,10 +213,8 @@ class EquationsOfMotion:
                 self.restart_step(switched.points)
 
     def restart_step(self, points: NDArray[np.int8]) -> Evaluation:
-        """The start of the step under way with these points on another branch of the law.
-
-        Raises:
-            NoStress: a point has none there.
+        """The start of the step under way with these points on another branch of the law. Raises
+        `NoStress` where a point has none there.
         """
         start, law = self._start, cast(SwitchingLaw, self.law)
         response = replace(start.response, state=self.law_state)

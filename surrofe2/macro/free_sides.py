@@ -70,11 +70,8 @@ class FreeSides:
 
 
 def free_sides(problem: Problem) -> FreeSides:
-    """The sides that the surface of a problem names.
-
-    Raises:
-        InputError: a boundary or a region is not there, no side is free, or a side beside an
-            element of no law or of two.
+    """The sides that the surface of a problem names. Raises `InputError` where a boundary or a
+    region is not there, no side is free, or a side beside an element of no law or of two.
     """
     mesh, surface = problem.mesh, problem.surface
     assert surface is not None

@@ -136,35 +136,30 @@ class Frames:
     def of(
         cls,
         space: Discretisation,
-        t: float,
-        motion: tuple[Array, Array],
-        gradients: tuple[Array, Array],
-        stress: Array,
+        now: Evaluation,
         sources: Sources | None = None,
         dissipated: Array = NOTHING,
         *,
         points: bool = True,
     ) -> Frames:
-        """Those of one time, from displacement and velocity (n, 2) of nodes and bodies, from F, Ḟ
-        and values at the points, which are kept if `points` says so, and from `dissipated` (n_el,).
-        """
-        (u, v), (F, F_dot), n = motion, gradients, len(space.nodes)
+        """Those of one state, with values at the points if asked for, and `dissipated` (n_el,)."""
+        n, stress = len(space.nodes), now.response.stress
         known = np.empty((2, 0))
         if sources is not None:
             known = np.stack([sources.source, sources.risk]).astype(np.float64)
         largest = known.reshape(2, len(space.elements), -1).max(axis=2) if known.size else known
         kept = slice(0, int(points))  # of the only row
         return cls(
-            t=np.array([t]),
-            displacement=u[None, :n],
-            velocity=v[None, :n],
-            stress=element_mean_stress(space, F, stress)[None],
-            F=element_mean_F(space, F)[None],
-            F_dot=element_mean_F(space, F_dot)[None],
+            t=np.array([now.t]),
+            displacement=now.u[None, :n],
+            velocity=now.v[None, :n],
+            stress=element_mean_stress(space, now.F, stress)[None],
+            F=element_mean_F(space, now.F)[None],
+            F_dot=element_mean_F(space, now.F_dot)[None],
             source=largest[:1],
             risk=largest[1:],
             dissipated=dissipated[None],
-            point_t=np.array([t])[kept],
+            point_t=np.array([now.t])[kept],
             point_stress=stress[None][kept],
             point_source=known[:1][kept],
             point_risk=known[1:][kept],
@@ -205,8 +200,7 @@ class MacroState(RunState):
         law_state: what the law has committed; None: it starts cold.
         rest: as `System.rest`; (0, 2) of None.
         mark: where the run goes back to if what follows does not stand, without the law's state,
-            which the law knows; None: it never does.
-    """
+            which the law knows; None: it never does."""
 
     SERIES: ClassVar[tuple[str, ...]] = (
         "rows", "samples", *(f"frames.{item.name}" for item in fields(Frames))
@@ -373,10 +367,8 @@ class Recorder:
         return self._state.t
 
     def watch(self, resume: MacroState | None) -> None:
-        """From here on an audited law is asked after every step whether what was recorded stands.
-
-        Args:
-            resume: that the run continues from; its window does so, too, where the law knows of it.
+        """From here on an audited law is asked after every step whether what was recorded stands;
+        the window of the state that the run continues from does so, too, where the law knows it.
         """
         law = self._equations.law
         self._audited = law if isinstance(law, AuditedLaw) and law.is_audited else None
@@ -479,11 +471,7 @@ class Recorder:
         return np.concatenate([[t], *flat, depths, [stored, kinetic], work])
 
     def _frame(self, now: Evaluation, density: Array) -> dict[str, Array]:
-        answer, space = now.response, self._system.discretisation
-        sources = None if answer.sources is None else answer.sources()
+        sources = None if now.response.sources is None else now.response.sources()
         kept = (self._frames_due(now.t) - 1) % POINTS_EVERY == 0 or now.t >= self.end
-        motion, gradients = (now.u, now.v), (now.F, now.F_dot)
-        frame = Frames.of(
-            space, now.t, motion, gradients, answer.stress, sources, density, points=kept
-        )
-        return frame_series(frame)
+        space = self._system.discretisation
+        return frame_series(Frames.of(space, now, sources, density, points=kept))

@@ -29,7 +29,6 @@ from surrofe2.macro.equations_of_motion import (
     Evaluation,
     NoStress,
     Switched,
-    Tally,
     factorised,
 )
 from surrofe2.macro.forces import Contact, Grip, Slopes
@@ -195,11 +194,8 @@ def find_rest(
     if resume is not None and resume.u.shape != (system.n_rows, 2):
         raise MismatchError("resume: the mesh is not that of the state; start the rest again")
     equations = EquationsOfMotion(system, law, clock="load factor {:.6g}")
-    if problem.surface is not None and resume is not None:
-        equations.system = system.from_rest(resume.rest)
-    elif problem.surface is not None:
-        u, equations.law_state = settle(problem, law, settings, equations.tally)
-        equations.system = system.from_rest(u)
+    if problem.surface is not None:
+        begin_at_rest(equations, problem, settings, resume)
     way = Loading(Newton(equations, settings), factor, factor / load_steps)
     return carry_out(
         way.steps(resume),
@@ -234,10 +230,8 @@ class Loading:
         return replace(rest, journal=rest.journal.copy())
 
     def steps(self, resume: RestState | None) -> Iterator[float]:
-        """The factor of each equilibrium, the one without load first.
-
-        Raises:
-            SimulationError: there is none without load, or ten halvings of a load step find none.
+        """The factor of each equilibrium, the one without load first. Raises `SimulationError`
+        where there is none without load, or ten halvings of a load step find none.
         """
         newton, equations = self._newton, self._newton.equations
         try:
@@ -314,34 +308,39 @@ def _check_held(system: System, K: Matrix) -> None:
         )
 
 
-def settle(
-    problem: Problem, law: StressLaw, settings: MacroSettings, tally: Tally
-) -> tuple[Array, Any]:
-    """A tissue with free sides at rest under its surface tension, before anything moves it.
+def begin_at_rest(
+    equations: EquationsOfMotion, problem: Problem, settings: MacroSettings, resume: Any = None
+) -> None:
+    """Let all displacements count from the rest under the surface tension of free sides.
 
-    Supports hold what they hold and bodies are away, so that all displacements can count from
-    there. Where Newton's method does not come to it at once, the tension grows in steps.
+    Before anything moves the tissue: supports hold what they hold and bodies are away. Where
+    Newton's method does not come to it at once, the tension grows in steps.
 
-    Returns:
-        Displacement (n, 2), zero of rigid bodies, and what the law committed there.
+    Args:
+        resume: a state with such a rest, which is then not sought again.
 
     Raises:
-        InputError: the law has no tangents. SimulationError: there is no such rest."""
-    require_tangents(law, "surface")
-    system = system_of(replace(problem.proportional(), bodies=()), law)
-    equations = EquationsOfMotion(system, law, clock="before the load")
-    equations.tally, newton = tally, Newton(equations, settings)
+        InputError: the law has no tangents. SimulationError: there is no such rest.
+    """
+    if resume is not None:
+        equations.system = equations.system.from_rest(resume.rest)
+        return
+    require_tangents(equations.law, "surface")
+    system = system_of(replace(problem.proportional(), bodies=()), equations.law)
+    alone = EquationsOfMotion(system, equations.law, clock="before the load")
+    alone.tally, newton = equations.tally, Newton(alone, settings)
     u, share, step = np.zeros((system.n_rows, 2)), 0.0, 1.0
     while share < 1.0:
         acting = partial(replace, share=share + step)
-        equations.system = system.with_forces(SurfaceForce, acting)
+        alone.system = system.with_forces(SurfaceForce, acting)
         try:
             u, share = newton.balanced(0.0, partial(system.pick, u))[0].u, share + step
         except NoStress as failure:
             step *= 0.5
             if step < _SMALLEST_SHARE:
                 raise SimulationError(f"no rest under the surface tension: {failure}") from failure
-    return np.pad(u, ((0, len(problem.bodies)), (0, 0))), equations.law_state
+    rest = np.pad(u, ((0, len(problem.bodies)), (0, 0)))
+    equations.system, equations.law_state = equations.system.from_rest(rest), alone.law_state
 
 
 @dataclass(slots=True)
@@ -352,10 +351,8 @@ class Newton:
     settings: MacroSettings
 
     def rest_at(self, factor: float, last: Rest | None, next_step: float) -> Rest:
-        """The equilibrium at `factor` after the last one; the law commits it.
-
-        Raises:
-            NoStress: there is none.
+        """The equilibrium at `factor` after the last one; the law commits it. Raises `NoStress`
+        where there is none.
         """
         equations = self.equations
         if last is None:
@@ -366,7 +363,7 @@ class Newton:
             self._grip(last.u, last.drags)
             now, residuals, slopes = self.balanced(factor, partial(self.predicted, factor, last))
         equations.tally.counts["load_steps"] += factor != 0.0
-        system, reaction, still = equations.system, equations.reaction(now), 0.0 * now.u
+        system, reaction = equations.system, equations.reaction(now)
         acts = np.stack([now.internal, *now.forces, reaction])
         works, journal, extremes = np.zeros(len(acts)), Journal.of({}), NO_EXTREMES.copy()
         if last is not None:
@@ -377,10 +374,7 @@ class Newton:
         widen_extremes(extremes, now.F, now.F_dot)
         stored = sum(each.energy(now.u) for each in system.contacts)
         row = np.concatenate([[factor], system.at_watched_points(now.u)[0], [stored], works])
-        frame = Frames.of(
-            equations.discretisation, factor, (now.u, still), (now.F, now.F_dot),
-            now.response.stress,
-        )  # fmt: skip
+        frame = Frames.of(equations.discretisation, now)
         rows = {"rows": row[None], "forces": system.resultants(now.forces, reaction)[None]}
         return Rest(
             factor=factor,

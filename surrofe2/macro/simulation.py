@@ -20,7 +20,7 @@ from surrofe2.macro.elements import displacement_basis
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, NoStress, Switched
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha
 from surrofe2.macro.history import NOTHING, Frames, MacroState, MetRange, Recorder, columns_of
-from surrofe2.macro.rest import settle
+from surrofe2.macro.rest import begin_at_rest
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.system import System, system_of
 from surrofe2.macro.time_stepping import DormandPrince, Method, Stepper
@@ -185,12 +185,9 @@ def simulate(
     begin = clock()
     equations = EquationsOfMotion(system, law, t=0.0 if resume is None else resume.t)
     if problem.surface is not None:
-        if resume is None:
-            with one_blas_thread():
-                rest, equations.law_state = settle(problem, law, settings, equations.tally)
-        else:
-            rest = resume.rest
-        system = equations.system = system.from_rest(rest)
+        with one_blas_thread():
+            begin_at_rest(equations, problem, settings, resume)
+        system = equations.system
     recorder = Recorder(equations, settings, resume, begin)
     # BLAS has vectors to add up here; its threads would stand in the way of those of the law.
     with one_blas_thread():

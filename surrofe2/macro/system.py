@@ -56,15 +56,12 @@ def tissue_mass(mesh: skfem.Mesh, density: Array) -> Matrix:
 
 
 def mass_solver(mass: Matrix, free: Index) -> Callable[[Array], Array]:
-    """Inverse of the mass (m, m) between the free unknowns, applied to (m,).
-
-    The matrix is symmetric and positive definite, so a sparse one needs no pivoting and an
-    ordering that keeps symmetry.
-    """
+    """Inverse of the mass (m, m) between the free unknowns, applied to (m,)."""
     if mass.shape[0] <= DENSE_LIMIT:
         inverse = np.linalg.inv(mass.toarray())
         return lambda r: inverse @ r
-    # Where x and y are free alike, both have one factor.
+    # Where x and y are free alike, both have one factor. The matrix is symmetric and positive
+    # definite, so it needs no pivoting and an ordering that keeps symmetry.
     each = 2 if np.array_equal(free[::2] + 1, free[1::2]) and not (free[::2] % 2).any() else 1
     factor = scipy.sparse.linalg.splu(
         scipy.sparse.csc_matrix(mass[::each][:, ::each]),
@@ -72,12 +69,7 @@ def mass_solver(mass: Matrix, free: Index) -> Callable[[Array], Array]:
         diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},
     )
-
-    def solve(r: Array) -> Array:
-        result: Array = factor.solve(r.reshape(-1, each)).ravel()
-        return result
-
-    return solve
+    return lambda r: factor.solve(r.reshape(-1, each)).ravel()
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,12 +77,10 @@ class System:
     """Everything of a problem that never changes.
 
     Attributes:
-        problem: of which it is made.
-        discretisation: its finite elements.
+        problem, discretisation: of which it is made, and its finite elements.
         mass_of: (2 n_nodes, 2 n_nodes) mass of a share (n_el,) of each element and its sides, ng.
         mass: (2 n, 2 n) ng, of n nodes and bodies; free_mass: (m, m) between the free unknowns.
-        free: (m,) unknowns that move freely, increasing.
-        supports: of the others.
+        free: (m,) unknowns that move freely, increasing. supports: of the others.
         forces: besides the tissue's own.
         solve_mass: inverse of the mass of the free unknowns, applied to (m,).
         initial_velocity: (n, 2) µm/µs.
@@ -98,8 +88,7 @@ class System:
         boundary_weights: (n_nodes,) weights of the mean over each boundary that is acted on.
         rest: (n, 2) displacement of the mesh at rest under surface tension alone, from which all
             others count, µm; None: none.
-        moving: supports that move. n_rows: nodes and rigid bodies.
-    """
+        moving: supports that move. n_rows: nodes and rigid bodies."""
 
     problem: Problem
     discretisation: Discretisation
@@ -178,8 +167,7 @@ class System:
 
     def inertia(self, a: Array) -> Array:
         """(n, 2) mass times (n, 2) of all rows."""
-        product: Array = (self.mass @ a.ravel()).reshape(-1, 2)
-        return product
+        return np.asarray(self.mass @ a.ravel()).reshape(-1, 2)
 
     def prescribed_acceleration(self, t: float, within: float) -> Array | None:
         """(n, 2) of supports that move, zero elsewhere; None if none accelerates."""
@@ -193,10 +181,8 @@ class System:
         return a.reshape(-1, 2) if accelerates else None
 
     def start(self, within: float) -> tuple[Array, Array]:
-        """y at t = 0, and the work (1 + forces + 2,) of what sets supports into motion.
-
-        Raises:
-            InputError: as of `Problem.check_course`.
+        """y at t = 0, and the work (1 + forces + 2,) of what sets supports into motion. Raises
+        `InputError` as of `Problem.check_course`.
         """
         self.problem.check_course()
         velocity = self.pick(self.initial_velocity)
@@ -398,10 +384,8 @@ def _boundary_weights(problem: Problem) -> dict[str, Array]:
 
 
 def _initial_velocity(problem: Problem, supports: tuple[Support, ...], n: int) -> Array:
-    """(n, 2) velocities at t = 0; what is held has none.
-
-    Raises:
-        InputError: one is given to nothing but what supports hold or move.
+    """(n, 2) velocities at t = 0; what is held has none. Raises `InputError` where one is given to
+    nothing but what supports hold or move.
     """
     velocity, held = np.zeros((n, 2)), np.zeros(2 * n, dtype=bool)
     for support in supports:

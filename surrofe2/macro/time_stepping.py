@@ -47,8 +47,7 @@ class StepResult:
         mean_power: (k,) of what `Evaluation.powers` lists, pJ/µs.
         bulge, power_bulge: b of y and of the work; 0 if there is none.
         memory: for the step that begins at its end; empty where the method needs none.
-        work_before: of a jump of prescribed velocities where it begins, pJ; 0 if there is none.
-    """
+        work_before: of a jump of prescribed velocities where it begins, pJ; 0 if there is none."""
 
     start: Evaluation
     end: Evaluation
@@ -92,9 +91,8 @@ class StepControl:
         gain: 1 answers the error in full. A weaker answer settles where stability and not
             accuracy limits the step, while the full one swings between rejected and needlessly
             short steps (Hairer and Wanner 1996, Solving Ordinary Differential Equations II, IV.2).
-        largest_growth: the next step is asked to be at most so many times as long.
-        splits_rest: a run ends by two equal steps rather than by a long and a short one.
-    """
+        largest_growth: largest ratio of the next length to this one.
+        splits_rest: a run ends by two equal steps rather than by a long and a short one."""
 
     order: int
     gain: float
@@ -135,15 +133,9 @@ class Method(Protocol):
 
 
 class Stepper:
-    """Accepted steps, one after another, from `start` to t_end.
-
-    Attributes:
-        now, memory: where the next step begins, and what the method knows of earlier ones.
-        next_length: proposed for the next step, µs; by the method if it is not given.
-
-    Raises:
-        SimulationError: there is no stress near where it starts.
-    """
+    """Accepted steps, one after another, from `start` to t_end: `now` and `memory` are where the
+    next one begins and what the method knows of earlier ones, `next_length` is proposed for it, µs.
+    Raises `SimulationError` where there is no stress near where it starts."""
 
     def __init__(
         self,
@@ -296,12 +288,11 @@ class DormandPrince:
     """The explicit `Method`; it needs no memory, for each step starts from y alone.
 
     Attributes:
-        rhs: ẏ and powers at (t, y), or why there are none.
+        rhs: ẏ and powers at (t, y).
         absolute_tolerance, relative_tolerance: error of y allowed in a step.
         mass: (m, m) of the free unknowns, ng, where a step must also keep energy to a tenth of
             the relative tolerance. A stiff contact needs that: it is damped where stability
-            limits the step, which the error of y does not see.
-    """
+            limits the step, which the error of y does not see."""
 
     rhs: Callable[[float, Array], Evaluation]
     absolute_tolerance: float

@@ -182,11 +182,7 @@ class Surface:
 
 
 def checked_sides(on: Any) -> tuple[str, ...] | Literal["free"]:
-    """What `Surface.on` says.
-
-    Raises:
-        InputError: it is no list of names and not "free".
-    """
+    """What `Surface.on` says. Raises `InputError` where it is no list of names and not "free"."""
     if isinstance(on, tuple | list) and on and all(isinstance(name, str) for name in on):
         return tuple(on)
     if on != FREE:

@@ -140,10 +140,8 @@ def rectangle(width: float, height: float, elements: tuple[int, int]) -> skfem.M
 
 
 def with_boundaries(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
-    """The mesh with more boundaries: the outer sides whose nodes all lie in a part.
-
-    Raises:
-        InputError: there is none.
+    """The mesh with more boundaries: the outer sides whose nodes all lie in a part. Raises
+    `InputError` where there is none.
     """
     outer = mesh.boundary_facets()
     sides, named = facet_nodes(mesh, outer), {}
@@ -157,10 +155,8 @@ def with_boundaries(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
 
 
 def with_regions(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
-    """The mesh with more regions: the elements whose centre lies in a part.
-
-    Raises:
-        InputError: there is none.
+    """The mesh with more regions: the elements whose centre lies in a part. Raises `InputError`
+    where there is none.
     """
     centres, named = mesh.p.T[element_nodes(mesh)].mean(axis=1), {}
     for name, part in parts.items():
@@ -246,12 +242,9 @@ def _named(
 
 
 def check_mesh(mesh: skfem.Mesh) -> skfem.Mesh:
-    """The mesh of a problem, a `MeshTri1` with the middles of its sides.
-
-    Raises:
-        InputError: it is of another kind, an element is inverted or degenerate, elements lie on one
-            another, a node has no element, there are several pieces, or a boundary has a facet
-            within the tissue.
+    """The mesh of a problem, a `MeshTri1` with the middles of its sides. Raises `InputError` where
+    it is of another kind, an element is inverted or degenerate, elements lie on one another, a node
+    has no element, there are several pieces, or a boundary has a facet within the tissue.
     """
     if not isinstance(mesh, skfem.Mesh) or mesh.elem not in _ELEMENTS:
         raise InputError(

@@ -102,8 +102,8 @@ class Problem:
         least = self.duration / MOST_ROWS
         if not max(least, np.finfo(float).tiny) <= self.output_interval < np.inf:
             raise InputError(
-                f"problem.output_interval: {self.output_interval} µs; it must be at least "
-                f"{least:g} µs, a millionth of the duration, and finite"
+                f"problem.output_interval: {self.output_interval}; it must be finite and at least "
+                f"{least:g} µs, a millionth of the duration"
             )
 
     def _check_names(self) -> None:
@@ -129,10 +129,8 @@ class Problem:
 
     def check_course(self) -> None:
         """Refuse amplitudes that no run can follow, or that are zero all of it but not constant.
-
-        Raises:
-            InputError: a prescribed motion does not begin at 0 or jumps, or a load or a motion is
-                zero from the start of the run to its end.
+        Raises `InputError` where a prescribed motion does not begin at 0 or jumps, or a load or a
+        motion is zero from the start of the run to its end.
         """
         driven = [each for each in self.conditions if isinstance(each, DrivenCondition)]
         moved = [body for body in self.bodies if any(body.displacement)]
@@ -180,10 +178,8 @@ class Problem:
         return [name for name in self.mesh.boundaries or {} if name in places]
 
     def cells_inside(self, name: str, cells: tuple[int, int], side: float) -> NDArray[np.bool_]:
-        """(n, m) which square plant cells of a `side` in µm have their middle in a region.
-
-        Raises:
-            InputError: there is no region of that name.
+        """(n, m) which square plant cells of a `side` in µm have their middle in a region. Raises
+        `InputError` where there is no region of that name.
         """
         middles = side * (np.indices(cells).reshape(2, -1).T + np.array(0.5))
         if name in self.regions:
@@ -247,28 +243,22 @@ class Support:
 
 
 def supports_of(problem: Problem, places_of: Callable[[Condition], Index]) -> list[Support]:
-    """A support for each condition that is one; they may share unknowns.
-
-    Args:
-        places_of: the places that a condition holds or moves.
-    """
+    """A support for each condition that holds or moves `places_of` it; they may share unknowns."""
     supports = []
     for condition in problem.conditions:
         match condition:
             case Fixed():
-                components = [k for k in (0, 1) if "xy"[k] in condition.components]
-                largest: dict[int, float] = dict.fromkeys(components, 0.0)
+                ends = {k: 0.0 for k in (0, 1) if "xy"[k] in condition.components}
             case Symmetry():
-                largest = {_normal_component(problem.mesh, condition): 0.0}
-            case PrescribedMotion():
-                ends = enumerate(condition.displacement)
-                largest = {k: value for k, value in ends if value is not None}
+                ends = {_normal_component(problem.mesh, condition): 0.0}
+            case PrescribedMotion(displacement=moved):
+                ends = {k: value for k, value in enumerate(moved) if value is not None}
             case _:
                 continue
         places = places_of(condition)
-        unknowns = (2 * places[:, None] + np.array([*largest], dtype=np.int64)).ravel()
+        unknowns = (2 * places[:, None] + np.array([*ends], dtype=np.int64)).ravel()
         amplitude = condition.amplitude if isinstance(condition, PrescribedMotion) else ONE
-        values = np.tile([*largest.values()], places.size)
+        values = np.tile([*ends.values()], places.size)
         supports.append(Support(label(condition), unknowns, values, amplitude))
     return supports
 
@@ -285,27 +275,24 @@ def without_overlap(
     Raises:
         InputError: two move one component differently.
     """
-    size = max((int(each.unknowns.max(initial=-1)) for each in supports), default=-1) + 1
-    owner, value, kept = np.full(size, -1), np.zeros(size), list[Support]()
-    for k, support in enumerate(supports):
-        before = owner[support.unknowns]
-        others = [j for j in np.unique(before) if j >= 0]
-        unlike = [j for j in others if supports[j].amplitude != support.amplitude]
-        moves_apart = (support.largest != 0.0) & np.isin(before, unlike)
-        clash = (before >= 0) & ((support.largest != value[support.unknowns]) | moves_apart)
-        if clash.any():
-            first = int(clash.argmax())
-            place, component = divmod(int(support.unknowns[first]), 2)
-            x, y = at[place]
-            raise InputError(
-                f"{support.name}: component {'xy'[component]} of the {what} at "
-                f"({x:.6g}, {y:.6g}) µm; {supports[before[first]].name} prescribes it otherwise, "
-                "and only one may"
-            )
-        mine = before < 0
-        owned = replace(support, unknowns=support.unknowns[mine], largest=support.largest[mine])
-        owner[owned.unknowns], value[owned.unknowns] = k, owned.largest
-        kept.append(owned)
+    owners, kept = dict[int, tuple[Support, float]](), list[Support]()
+    for support in supports:
+        mine = np.ones(support.unknowns.size, dtype=bool)
+        for k, each in enumerate(zip(support.unknowns.tolist(), support.largest, strict=True)):
+            unknown, largest = each
+            owner, value = owners.setdefault(unknown, (support, largest))
+            mine[k] = owner is support
+            moves_apart = largest != 0.0 and owner.amplitude != support.amplitude
+            if largest != value or moves_apart:
+                place, component = divmod(unknown, 2)
+                x, y = at[place]
+                raise InputError(
+                    f"{support.name}: component {'xy'[component]} of the {what} at "
+                    f"({x:.6g}, {y:.6g}) µm; {owner.name} prescribes it otherwise, "
+                    "and only one may"
+                )
+        unknowns, values = support.unknowns[mine], support.largest[mine]
+        kept.append(replace(support, unknowns=unknowns, largest=values))
     return tuple(kept)
 
 

@@ -187,9 +187,7 @@ class RigidBody:
 
 def check_outside(body: str, shape: Shape, position: Array, points: Array, allowed: float) -> None:
     """Refuse a body that begins with points (n, 2) of a tissue deeper inside it than `allowed`.
-
-    Raises:
-        InputError: naming the deepest place.
+    Raises `InputError` naming the deepest place.
     """
     gap, _, _ = shape.gap(points - position)
     deepest = int(gap.argmin())

@@ -67,11 +67,9 @@ class Curve:
         name: decides colour, dash and marker, so that a name looks alike in all figures.
         x, y: (m,) values in the units of the panel's axes; NaN leaves a gap, as does a value that a
             logarithm does not show.
-        label: for the legend; empty: the name.
-        markers: whether single points are marked.
+        label: for the legend; empty: the name. markers: whether single points are marked.
         colour: which one of those for curves without a style; None: the next one.
-        dash: of matplotlib; empty: as the name or the turn has it.
-    """
+        dash: of matplotlib; empty: as the name or the turn has it."""
 
     name: str
     x: Array
@@ -83,10 +81,8 @@ class Curve:
 
     def __post_init__(self) -> None:
         if np.shape(self.x) != np.shape(self.y) or np.ndim(self.x) != 1:
-            raise InputError(
-                f"curve {self.name}: x {np.shape(self.x)} and y {np.shape(self.y)}; both must be "
-                "(m,)"
-            )
+            shapes = f"x {np.shape(self.x)} and y {np.shape(self.y)}"
+            raise InputError(f"curve {self.name}: {shapes}; both must be (m,)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,40 +208,25 @@ def _draw_legends(figure: Figure, width: float, columns: int) -> float:
     labels = []
     for place in figure.axes:
         here = place.get_legend_handles_labels()
-        for handle, label in zip(*here, strict=True):
-            handles.setdefault(label, handle)
+        handles = dict(zip(here[1], here[0], strict=True)) | handles
         labels.append({*here[1]})
     if len(handles) < 2:
         return 0.0
-    several = [each for each in labels if len(each) > 1]
-    if all(2 * len(each) > len(handles) for each in several):
-        return _legend_below(figure, handles, width)
+    if all(2 * len(each) > len(handles) for each in labels if len(each) > 1):
+        longest = max(map(len, handles))
+        in_a_row = max(1, min(3, int(width / (0.6 + 0.075 * longest))))
+        figure.legend(
+            [*handles.values()], [*handles], loc="outside lower center", ncols=in_a_row,
+            frameon=False, fontsize=9, handlelength=2.4,
+        )  # fmt: skip
+        return _LEGEND_ROOM + _LEGEND_ROW * -(-len(handles) // in_a_row)
     for place, each in zip(figure.axes, labels, strict=True):
-        if len(each) > _MOST_INSIDE and columns == 1:
-            place.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
-        elif len(each) > 1 and columns > 1:
-            place.legend(
-                loc="upper center",
-                bbox_to_anchor=(0.5, -0.2),
-                ncols=1 if max(map(len, each)) > _LONG else 2,
-                frameon=False,
-                fontsize=8,
-            )
-        elif len(each) > 1:
-            place.legend(loc="best", fontsize=8, framealpha=0.8)
+        where: dict[str, Any] = {"loc": "best", "framealpha": 0.8}
+        if columns > 1:
+            in_a_row = 1 if max(map(len, each), default=0) > _LONG else 2
+            where = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2), "ncols": in_a_row}
+        elif len(each) > _MOST_INSIDE:
+            where = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
+        if len(each) > 1:
+            place.legend(fontsize=8, **{"frameon": "framealpha" in where, **where})
     return 0.0
-
-
-def _legend_below(figure: Figure, handles: dict[str, Any], width: float) -> float:
-    longest = max(map(len, handles))
-    columns = max(1, min(3, int(width / (0.6 + 0.075 * longest))))
-    figure.legend(
-        list(handles.values()),
-        list(handles),
-        loc="outside lower center",
-        ncols=columns,
-        frameon=False,
-        fontsize=9,
-        handlelength=2.4,
-    )
-    return _LEGEND_ROOM + _LEGEND_ROW * -(-len(handles) // columns)

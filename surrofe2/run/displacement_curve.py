@@ -19,10 +19,8 @@ class DisplacementCurve:
 
     def __post_init__(self) -> None:
         if self.t.ndim != 1 or self.displacement.shape != (self.t.size, 2):
-            raise InputError(
-                f"displacement curve: t {self.t.shape} and displacement "
-                f"{self.displacement.shape}; they must be (m,) and (m, 2)"
-            )
+            shapes = f"t {self.t.shape} and displacement {self.displacement.shape}"
+            raise InputError(f"displacement curve: {shapes}; they must be (m,) and (m, 2)")
 
     def __repr__(self) -> str:
         if not self.t.size:
@@ -53,12 +51,8 @@ class CurveDifference:
 def difference(curve: DisplacementCurve, reference: DisplacementCurve) -> CurveDifference:
     """How far `curve` is from `reference` at the reference's times they both cover.
 
-    Vectors are compared by their Euclidean distance; `curve` is interpolated linearly where its
-    times differ.
-
-    Raises:
-        InputError: they have no common time.
-    """
+    By Euclidean distance; `curve` is interpolated linearly where its times differ. Raises
+    `InputError` where they have no common time."""
     within = (reference.t >= curve.t[0]) & (reference.t <= curve.t[-1])
     if not within.any():
         raise InputError("displacement curves: no common time; they must overlap")

@@ -94,10 +94,8 @@ class RunState:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray]) -> Self:
-        """The state whose `to_arrays` gave `arrays`.
-
-        Raises:
-            InputError: one of them is missing.
+        """The state whose `to_arrays` gave `arrays`. Raises `InputError` where one of them is
+        missing.
         """
         values: dict[str, Any] = {}
         for item in fields(cls):  # type: ignore[arg-type]

@@ -22,13 +22,9 @@ SHARE = 0.05
 
 
 class CheckpointClock:
-    """Asked after every step; results do not depend on what it says.
+    """Says after a step whether a checkpoint is due; results do not depend on it.
 
-    Args:
-        interval: s between checkpoints at least; 0: one is due whenever it is asked.
-
-    Raises:
-        InputError: the interval is negative or not a number.
+    A checkpoint is due `interval` seconds after the last one, or later where that took long.
     """
 
     def __init__(self, interval: float) -> None:
@@ -38,7 +34,6 @@ class CheckpointClock:
         self._due = monotonic() + interval
 
     def is_due(self) -> bool:
-        """Whether the interval has passed, and such a time that the last one was cheap."""
         return monotonic() >= self._due
 
     def write(self, checkpoint: Callable[[], None]) -> None:
@@ -76,13 +71,11 @@ def carry_out(
     Args:
         results: gives those so far, and learns whether the run is finished.
         progress: called with (t, duration) in µs after every step.
-        checkpoint: called with `recorder.checkpoint()` when `interval` seconds have passed since
-            it last was, or more where that took long, and upon an interrupt, which then goes its
-            way.
+        checkpoint: called with `recorder.checkpoint()` every `interval` seconds, as of
+            `CheckpointClock`, and upon an interrupt, which then goes its way.
 
     Raises:
-        SimulationError: of a step; `partial` is the run up to there.
-    """
+        SimulationError: of a step; `partial` is the run up to there."""
     due = CheckpointClock(interval)
     try:
         with interruptible():

@@ -48,8 +48,7 @@ def make_slab(cell: CellParameters, reference: ReferenceState, rows: int) -> Uni
 
     Raises:
         InputError: the cell is not one square, or its slab has no stable equilibrium.
-        MismatchError: the reference is of another cell.
-    """
+        MismatchError: the reference is of another cell."""
     if not cell.is_one_square:
         raise InputError(
             f"cell.arrangement: {cell.cells} of {cell.arrangement}; a surface law must be of one "

@@ -58,15 +58,9 @@ class Follow:
         return by_stretch, along + by_rate[:, 1, 1] * self.rate_by_rate
 
 
-@dataclass(frozen=True, slots=True)
-class SideFree:
-    """The bulk at n points.
-
-    Attributes:
-        F, F_dot: (n, 2, 2) diagonal.
-        P: (n,) P₁₁, µN/µm. by_stretch, by_rate: (n,) its slopes as the side follows.
-        valid: (n,) whether there is such a state.
-        follow: how the stretch across follows.
+class SideFree(NamedTuple):
+    """The bulk at n points: F and Ḟ (n, 2, 2) diagonal; P₁₁ (n,), µN/µm, and its slopes as the side
+    follows; where (n,) there is such a state; and how the stretch across follows.
     """
 
     F: Array
@@ -171,14 +165,12 @@ class SlabLaw:
         cell: one square plant cell.
         settings: initialisation and tolerance; solver direct.
         initialisation: instead of that of the settings.
-        rows: plant cells across the slab; from 6 on the law does not depend on it, see
-            `rows_across`.
+        rows: plant cells across the slab; from 6 on the law does not depend on it.
         reference: the cell's settled reference state; None: it is settled here.
 
     Raises:
         InputError: not one square plant cell, solver iterated, or no stable slab.
-        MismatchError: `reference` is of another cell.
-    """
+        MismatchError: `reference` is of another cell."""
 
     def __init__(
         self,
@@ -217,10 +209,8 @@ class SlabLaw:
     @cached_property
     def depth(self) -> float:
         """Depth at which the slab's two sides must act for it to be as stiff in bending as it is,
-        between a plant cell above the outline and the slab's middle, µm.
-
-        Raises:
-            InputError: the slab has no state of rest, straight or bent.
+        between a plant cell above the outline and the slab's middle, µm. Raises `InputError` where
+        the slab has no state of rest, straight or bent.
         """
         stretch, surface, bulk = self.rest(self.rows)
         at = self.point(stretch, 0.0 * stretch)
@@ -270,9 +260,7 @@ class SlabLaw:
 
     def rest(self, across: int) -> tuple[Array, SurfaceResponse, SideFree]:
         """Stretch (1,) of a strip of `across` plant cells without load, its surface and bulk.
-
-        Raises:
-            InputError: the strip has no state of rest.
+        Raises `InputError` where the strip has no state of rest.
         """
         stretch, still = np.ones(1), np.zeros(1)
         for _ in range(_REST_LIMIT):

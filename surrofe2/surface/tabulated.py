@@ -174,11 +174,7 @@ def _coefficients(law: SlabLaw, stretch: tuple[float, float], rate: float, p: in
 
 
 def _tensions(law: SlabLaw, stretch: Array, rate: Array) -> Array:
-    """(n,) the slab's answers.
-
-    Raises:
-        InputError: there is none at a point.
-    """
+    """(n,) the slab's answers. Raises `InputError` where there is none at a point."""
     found = []
     for first in range(0, len(stretch), _BATCH):
         part = slice(first, first + _BATCH)
@@ -214,9 +210,7 @@ def _trimmed(
 
 def table_within(slab: SlabLaw, stretch: tuple[float, float], rate: float) -> TabulatedSurface:
     """The table over a range, or over half of it and less where the slab has no state out there.
-
-    Raises:
-        InputError: there is none over an eighth of the range.
+    Raises `InputError` where there is none over an eighth of the range.
     """
     for halvings in range(_HALVINGS + 1):
         share = 0.5**halvings

@@ -140,13 +140,6 @@ def test_results_belong_together():
     assert (np.diff(frames.t) > 0.0).all()
     held = run.nodes[:, 0] == 0.0
     assert not frames.displacement[:, held].any()
-    # The watched point lies between two nodes of the right side.
-    watched = np.isin(run.nodes, [60.0]).any(axis=1) & (abs(run.nodes[:, 1] - 20.0) < 7.0)
-    last = frames.displacement[-1, watched].mean(axis=0)
-    np.testing.assert_allclose(last, run.curve.displacement[-1], rtol=1e-10)
-    gradient = np.diff(frames.displacement[-1, run.elements][:, [0, 1]], axis=1)[:, 0]
-    gradient += np.diff(frames.displacement[-1, run.elements][:, [3, 2]], axis=1)[:, 0]
-    np.testing.assert_allclose(frames.F[-1, :, :, 0], [1, 0] + gradient / (2 * 30.0), atol=1e-12)
     assert frames.stress.shape == (frames.t.size, 6, 2, 2)
 
     low, high = run.met.stretch
