@@ -117,7 +117,7 @@ if TYPE_CHECKING:
     from surrofe2.workflow.check import proposed_range as proposed_range
     from surrofe2.workflow.generate import sample_stress as sample_stress
     from surrofe2.workflow.grid import run_grid as run_grid
-    from surrofe2.workflow.report import write_report as write_report
+    from surrofe2.report.page import write_report as write_report
     from surrofe2.workflow.run import save_run as save_run
     from surrofe2.workflow.zoom import write_zoom as write_zoom, zoom_into as zoom_into
 

@@ -36,7 +36,7 @@ def compare(
 
     Example: surrofe2 compare out/rve out/cached --out out/comparison
     """
-    from surrofe2.workflow.report import write_report  # pictures of plant cells need kernels
+    from surrofe2.report.page import write_report  # pictures of plant cells need kernels
 
     folder = runs[0].parent / "comparison" if out is None else out
     if len(runs) > 1:

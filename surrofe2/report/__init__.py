@@ -7,5 +7,5 @@ comparison  runs against a reference, and its picture
 grid        a parameter study
 html        elements of a page
 player      what a page has of runs, and the tissue in motion
-page        runs as one HTML page, with `page.css` and `page.js`
+page        runs as one HTML file, with `page.css` and `page.js`
 """

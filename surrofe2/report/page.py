@@ -9,20 +9,24 @@ import shlex
 from collections.abc import Mapping, Sequence
 from html import escape
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.base.units import number
 from surrofe2.law.stress_law import SURROGATE, TABLE
 from surrofe2.report.comparison import (
     audit_panels,
     audit_sentence,
     clock_of,
+    compare,
     comparison_title,
     difference_panels,
     displacement_panels,
     fallback_reasons,
+    order_runs,
 )
 from surrofe2.report.figures import Colours
 from surrofe2.report.html import (
@@ -37,15 +41,68 @@ from surrofe2.report.html import (
     table,
     table_of,
 )
-from surrofe2.report.player import SOURCES, ReportData, RunData, motion_section, tissue_image
+from surrofe2.report.player import (
+    OF_ELEMENTS,
+    SOURCES,
+    ReportData,
+    RunData,
+    motion_section,
+    tissue_image,
+)
 from surrofe2.report.tables import percent
 from surrofe2.run.charts import Curve, Panel
-from surrofe2.store.fields import SOURCE_NAME
-from surrofe2.store.run_folder import caches_of, made_for
-from surrofe2.store.store import flat
+from surrofe2.store.fields import DISPLACEMENT_NAME, FIELDS, SOURCE_NAME, read_fields
+from surrofe2.store.run_folder import EVENTS, StoredRun, caches_of, made_for, read_run
+from surrofe2.store.store import check_replaceable, flat, read_bytes, write_text
 
 _CACHE = (SURROGATE, TABLE)
-_MOST_EVENTS = 200
+_MOST_EVENTS, _MOST_PICTURES = 200, 4
+
+
+def write_report(folders: Sequence[str | Path], out: str | Path) -> Path:
+    """Write one HTML file on these runs, which needs nothing else; its path.
+
+    Args:
+        out: the file; a page that is there is replaced, and no other file.
+
+    Raises:
+        FileError: a folder has no run, or the file cannot be written.
+        InputError: a run has not begun to have results, or no folder is given.
+    """
+    if not folders:
+        raise InputError("report: no run folder; give at least one")
+    path, page = Path(out), page_of(load_runs(folders))
+    check_replaceable(path, "page", "<!doctype html>", "surrofe2")
+    write_text(path, page)
+    return path
+
+
+def load_runs(folders: Sequence[str | Path]) -> ReportData:
+    """What these run folders hold, the reference first."""
+    runs = [read_run(folder, finished=False) for folder in folders]
+    if len(runs) == 1:
+        return ReportData(
+            (_load(runs[0]),), None, "One run, so there is nothing to compare it with."
+        )
+    seen = tuple(_load(run) for run in order_runs(runs))
+    try:
+        return ReportData(seen, compare(runs))
+    except MismatchError as error:
+        return ReportData(seen, None, f"Not compared: {error}.")
+
+
+def _load(run: StoredRun) -> RunData:
+    folder = run.folder
+    has_fields = (folder / f"{FIELDS}.h5").exists()
+    events = folder / EVENTS
+    lines = read_bytes(events).decode("utf-8").splitlines() if events.exists() else []
+    zooms = sorted(folder.glob("zoom-*/zoom.png"))[:_MOST_PICTURES]
+    return RunData(
+        run=run,
+        fields=read_fields(folder, [DISPLACEMENT_NAME], OF_ELEMENTS) if has_fields else None,
+        events=[json.loads(line) for line in lines],
+        particles={path.parent.name: read_bytes(path) for path in zooms},
+    )
 
 
 def page_of(seen: ReportData) -> str:

@@ -12,7 +12,6 @@ In reading order:
     calibrate    the bound of a surrogate's error, along walks and runs under other loads
     train        a surrogate with its bound
     refine       active learning: rounds of cached run, sampling and training
-    report       runs on one page
     zoom         the plant cells of a run: at a point, and what all of them met
     grid         parameter studies
     check        faults of a recipe, the range it needs, how long it takes, which law to take

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.report.comparison import Comparison, compare_runs
+from surrofe2.report.page import write_report
 from surrofe2.run.loop import Stage
 from surrofe2.store.run_folder import RunRecord
 from surrofe2.workflow.check import refuse_faults
 from surrofe2.workflow.generate import data_summary
-from surrofe2.workflow.report import write_report
 from surrofe2.workflow.run import run_study, run_summary
 from surrofe2.workflow.train import is_trained, large_errors, learn, training_summary
 

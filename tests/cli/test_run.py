@@ -15,11 +15,11 @@ import pytest
 from surrofe2.base import compilation, interruption
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.report.comparison import compare_runs
+from surrofe2.report.page import write_report
 from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
 from surrofe2.store.run_folder import read_record, read_run
 from surrofe2.store.store import read_columns
 from surrofe2.workflow import laws
-from surrofe2.workflow.report import write_report
 from surrofe2.workflow.run import run_study
 from tests.cli.finished_run import RUN_FILES
 from tests.laws import SoftLaw, StoppingLaw

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from surrofe2.cache.audit import ErrorRecord
-from surrofe2.report.comparison import audit_curves, displacement_panels
+from surrofe2.report.comparison import audit_curves, comparison_title, displacement_panels
 from surrofe2.store.run_folder import read_run
 from tests.report.made_runs import made_runs
 
@@ -28,3 +30,13 @@ def test_curves_that_coincide_are_one_line_with_both_names(recipe, tmp_path):
     runs[1].curve.displacement[:] *= 1.1
     (panel,) = displacement_panels(runs)
     assert [curve.label for curve in panel.curves] == ["rve", "cached"]
+
+
+def test_a_title_has_words_and_numbers_for_people(recipe, tmp_path):
+    run = read_run(made_runs(recipe, tmp_path)[0])
+    cell = {**run.record.recipe["cell"], "wall_stiffness": 5000.0}
+    record = replace(run.record, recipe={**run.record.recipe, "cell": cell})
+    title = comparison_title([replace(run, record=record)])
+    assert title.endswith("cell by preset “printed” with wall stiffness 5,000, constrained runs"), (
+        title
+    )

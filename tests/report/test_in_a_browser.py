@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from surrofe2.workflow.report import write_report
+from surrofe2.report.page import write_report
 from tests.report.made_runs import made_runs
 
 PROGRAM = shutil.which("chromium") or shutil.which("chromium-browser")
