@@ -305,6 +305,8 @@ def tangents_of_both(
 ) -> Tangents | None:
     """Those of the surrogate at free points and of the fallback, `of_known`, at its own."""
     free, known = state.free().nonzero()[0], state.on_fallback.points
+    if not len(known):
+        return surrogate.tangents(F, F_dot)
     both = joined_tangents(surrogate.tangents(F[free], F_dot[free]), of_known)
     if both is None:
         return None

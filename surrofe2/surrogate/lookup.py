@@ -125,7 +125,7 @@ class NetworkArrays(NamedTuple):
             biases=biases,
         )
         # what the network gives at rest is subtracted as the very same instructions give it
-        room = _make_room(arrays, 0, 1)
+        room = _make_room(arrays, 0)
         room.rows[:ONE] = 0.0
         room.rows[ONE] = 1.0
         first = _evaluate_factors(arrays, room)
@@ -211,24 +211,21 @@ def lookup(
 
     F, F_dot: (n, 2, 2) contiguous float64. limit: of the risk.
     """
-    stress = np.empty(F.shape)
-    return stress, *_look_up(F, F_dot, network, bounds, limit, stress)
+    count = len(F)
+    stress, status, risk = np.empty(F.shape), np.empty(count, dtype=np.int8), np.empty(count)
+    compute = _lookup_parallel if count >= MANY else _lookup_part
+    compute(0, count, F, F_dot, network, bounds, float(limit), stress, status, risk)
+    return stress, status, risk
 
 
 def status_and_risk(
     F: Array, F_dot: Array, network: NetworkArrays, bounds: BoundArrays, limit: float
 ) -> tuple[NDArray[np.int8], Array]:
     """Status and risk of `lookup` without the stress, whose finiteness is not tested."""
-    return _look_up(F, F_dot, network, bounds, limit, np.empty((0, 2, 2)))
-
-
-def _look_up(
-    F: Array, F_dot: Array, network: NetworkArrays, bounds: BoundArrays, limit: float, stress: Array
-) -> tuple[NDArray[np.int8], Array]:
     count = len(F)
     status, risk = np.empty(count, dtype=np.int8), np.empty(count)
-    compute = _lookup_parallel if count >= MANY else _lookup_part
-    compute(0, count, F, F_dot, network, bounds, float(limit), stress, status, risk)
+    test = _test_parallel if count >= MANY else _test_part
+    test(0, count, F, F_dot, network.bounds, bounds, float(limit), status, risk)
     return status, risk
 
 
@@ -256,20 +253,17 @@ def _lookup_parallel(  # type: ignore[no-untyped-def]
 def _lookup_part(  # type: ignore[no-untyped-def]
     begin, end, F, F_dot, network, bounds, limit, stress, status, risk
 ):
-    """Set the answer at points `begin` to `end`; stress only where it is not empty."""
-    with_stress = stress.shape[0] > 0
-    frame, room = np.empty((_FRAME_ROWS, TILES, TILE)), _make_room(network, 0, int(with_stress))
+    """Set the answer at points `begin` to `end`."""
+    frame, room = np.empty((_FRAME_ROWS, TILES, TILE)), _make_room(network, np.int64(0))
     domain = _make_domain_room(bounds)
     for start in range(begin, end, BLOCK):
         _read_points(start, F, F_dot, frame)
         _take_rotation_out(frame)
         _set_inside(frame, network.bounds)
-        _test_block(start, frame, bounds, limit, domain, status, risk)
-        if not with_stress:
-            continue
         _scale_inputs(frame, network.input_factor, room.rows)
         _evaluate_network(network, room)
         _set_stress(room.y, frame)
+        _test_block(start, frame, bounds, limit, domain, status, risk)
         for p in range(min(BLOCK, end - start)):
             point, t, lane = start + p, p // TILE, p % TILE
             is_finite = True
@@ -281,6 +275,24 @@ def _lookup_part(  # type: ignore[no-untyped-def]
                 status[point], risk[point] = _NOT_FINITE, np.inf
             if status[point] != _OK:
                 stress[point] = np.nan
+
+
+@parallel_kernel
+def _test_parallel(begin, end, F, F_dot, limits, bounds, limit, status, risk):  # type: ignore[no-untyped-def]
+    for part in prange((end - begin + _PART - 1) // _PART):
+        first = begin + part * _PART
+        last = min(first + _PART, end)
+        _test_part(first, last, F, F_dot, limits, bounds, limit, status, risk)
+
+
+@kernel
+def _test_part(begin, end, F, F_dot, limits, bounds, limit, status, risk):  # type: ignore[no-untyped-def]
+    frame, domain = np.empty((_FRAME_ROWS, TILES, TILE)), _make_domain_room(bounds)
+    for start in range(begin, end, BLOCK):
+        _read_points(start, F, F_dot, frame)
+        _take_rotation_out(frame)
+        _set_inside(frame, limits)
+        _test_block(start, frame, bounds, limit, domain, status, risk)
 
 
 @kernel
@@ -310,7 +322,7 @@ def _test_block(start, frame, bounds, limit, room, status, risk):  # type: ignor
 
 @kernel
 def _slopes(F, F_dot, network, P, slopes):  # type: ignore[no-untyped-def]
-    frame, room = np.empty((_FRAME_ROWS, TILES, TILE)), _make_room(network, INPUTS, 1)
+    frame, room = np.empty((_FRAME_ROWS, TILES, TILE)), _make_room(network, np.int64(INPUTS))
     for start in range(0, F.shape[0], BLOCK):
         _read_points(start, F, F_dot, frame)
         _take_rotation_out(frame)
@@ -410,10 +422,9 @@ class _Room(NamedTuple):
 
 
 @kernel
-def _make_room(arrays, inputs, is_needed):  # type: ignore[no-untyped-def]
-    """Room for values and for slopes along so many inputs, 0 or 7; none where it is not needed."""
-    rows = is_needed * (ONE + 1 + arrays.products.shape[0])
-    units = is_needed * arrays.sizes.sum()
+def _make_room(arrays, inputs):  # type: ignore[no-untyped-def]
+    """Room for values and for slopes along so many inputs, 0 or 7."""
+    rows, units = ONE + 1 + arrays.products.shape[0], arrays.sizes.sum()
     return _Room(
         np.empty((rows, TILES, TILE)),
         np.empty((COMPONENTS, TILES, TILE)),
