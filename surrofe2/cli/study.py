@@ -12,10 +12,10 @@ from surrofe2.base.units import rough_number, rough_time
 from surrofe2.cli import console
 from surrofe2.cli.compare import show_comparison
 from surrofe2.recipe.entries import listed_values
+from surrofe2.recipe.schema import TEMPLATES, write_recipe
 from surrofe2.workflow import check as checking
 from surrofe2.workflow.grid import GRID_FILES, run_grid
 from surrofe2.workflow.laws import open_study, use_threads
-from surrofe2.workflow.new_recipe import KINDS, write_recipe
 from surrofe2.workflow.run import cache_notes
 from surrofe2.workflow.study import run_recipe
 from surrofe2.workflow.workers import executor_of
@@ -24,7 +24,7 @@ from surrofe2.workflow.workers import executor_of
 def new(
     name: Annotated[Path, typer.Argument(metavar="NAME", help="Of the recipe, .toml is added.")],
     example: Annotated[
-        str, typer.Option(metavar="KIND", help=f"{', '.join(KINDS)}; default: bar.")
+        str, typer.Option(metavar="KIND", help=f"{', '.join(TEMPLATES)}; default: bar.")
     ] = "bar",
     fresh: console.Fresh = False,
 ) -> None:
@@ -41,7 +41,7 @@ def new(
     path = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
     first, *others = write_recipe(path, example, fresh=fresh)
     beside = "".join(f", with {other}" for other in others)
-    console.done(first, f"recipe of {KINDS[example]}{beside}", timed=False)
+    console.done(first, f"recipe of {TEMPLATES[example]}{beside}", timed=False)
     console.print_line(f"next: surrofe2 check {path}, after changes; then generate, train, run")
 
 

@@ -6,5 +6,5 @@ In reading order:
     problem_sections  `[mesh]`, `[conditions]`, `[watch]`, `[time]`: a problem
     cell_types        `[cell]`, `[cells]`: its plant cells
     entries           values by their names
-    schema            a JSON schema of all this, for editors
+    schema            a JSON schema of all this, for editors, and new recipes
 """

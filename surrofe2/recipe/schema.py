@@ -1,17 +1,22 @@
 """A JSON schema of recipes, by which editors complete keys, explain them and mark mistakes.
 
 It is made of the settings that read a recipe. What only the program sees (keys that exclude each
-other, names of boundaries, files) is left to `surrofe2 check`.
+other, names of boundaries, files) is left to `surrofe2 check`. A new recipe, of a template for each
+kind of problem, names it.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
+from importlib import resources
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin
 
-from surrofe2.base.settings import hints_of
+from surrofe2.base.errors import InputError
+from surrofe2.base.settings import hints_of, unknown
 from surrofe2.base.units import NONE
 from surrofe2.plant_cell.parameters import PRESETS
 from surrofe2.problem.amplitude import KINDS, Amplitude
@@ -23,10 +28,21 @@ from surrofe2.recipe.cell_types import ALIASES
 from surrofe2.recipe.cell_types import SECTIONS as SECTIONS_OF_CELL
 from surrofe2.recipe.problem_sections import MeshSettings, TimeSettings
 from surrofe2.recipe.recipe import SECTIONS
+from surrofe2.store.store import read_bytes, write_text
 
 Schema = dict[str, Any]
 
 TITLE = "Recipe of surrofe2"
+TEMPLATES = {
+    "bar": "the paper's bending bar",
+    "strip": "a strip that is pulled and held",
+    "contact": "a block between two plates",
+    "mesh": "a mesh file of your own",
+    "voronoi": "irregular plant cells",
+    "cells": "several kinds of plant cell by region",
+}
+"""Of recipes, by name."""
+SCHEMA = "recipe.schema.json"
 _TEXT: Schema = {"type": "string"}
 _BOUNDS = {
     "least": "minimum",
@@ -141,3 +157,34 @@ def _value(hint: Any, bounds: Any) -> Schema:
         return {"enum": [*one_of]}
     limits = {_BOUNDS[key]: bounds[key] for key in _BOUNDS if key in bounds}
     return {"type": _PLAIN[hint], **(limits if hint in (float, int) else {})}
+
+
+def write_recipe(path: Path, kind: str, *, fresh: bool = False) -> list[Path]:
+    """Write the recipe of a kind, its mesh file and the schema for editors; what was written.
+
+    The recipe names the schema, which lies beside it, in its first line, as Taplo and Even Better
+    TOML read it; so it stays valid where the folder moves, and needs no network.
+
+    Raises:
+        InputError: there is no such kind, or another file is there, and not `fresh`.
+    """
+    if kind not in TEMPLATES:
+        raise unknown(f"--example: {kind!r}", kind, "kind", TEMPLATES)
+    text = _template(f"{kind}.toml").replace("NAME", path.stem)
+    files = {path: f"#:schema ./{SCHEMA}\n\n{text}"}
+    if kind == "mesh":
+        files[path.with_suffix(".msh")] = _template("mesh.msh")
+    for each, text in files.items():
+        if each.exists() and not fresh and read_bytes(each) != text.encode("utf-8"):
+            raise InputError(f"{each}: another file is there; --fresh writes this one in its place")
+    schema = path.with_name(SCHEMA)
+    if schema.exists() and not fresh and TITLE.encode() not in read_bytes(schema):
+        raise InputError(f"{schema}: another file is there; --fresh writes a schema in its place")
+    files[schema] = json.dumps(recipe_schema(), indent=1, ensure_ascii=False) + "\n"
+    for each, text in files.items():
+        write_text(each, text)
+    return list(files)
+
+
+def _template(name: str) -> str:
+    return (resources.files("surrofe2") / "templates" / name).read_text(encoding="utf-8")

@@ -8,19 +8,19 @@ from pathlib import Path
 import pytest
 
 from surrofe2.recipe.recipe import load_recipe
+from surrofe2.recipe.schema import TEMPLATES, write_recipe
 from surrofe2.store.run_folder import read_record
-from surrofe2.workflow.new_recipe import KINDS, write_recipe
 from tests.laws import SquareLaw
 
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", TEMPLATES)
 def test_each_kind_loads_and_runs_some_steps(invoke, tmp_path, kind):
     path = tmp_path / "mine.toml"
     done = invoke("new", path, "--example", kind)
     assert done.exit_code == 0, done.output
-    assert done.stdout.startswith(f"{path}: recipe of {KINDS[kind]}")
+    assert done.stdout.startswith(f"{path}: recipe of {TEMPLATES[kind]}")
     recipe = load_recipe(path)
     for part in recipe.parts().values():
         assert part.data_path().parent == part.training_path().parent == tmp_path
@@ -36,7 +36,7 @@ def test_each_kind_loads_and_runs_some_steps(invoke, tmp_path, kind):
     assert read_record(out).counts["steps"] > 2
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", TEMPLATES)
 def test_what_is_a_comment_is_a_default(tmp_path, kind):
     """With all keys that stand as comments the recipe is the same."""
     path = tmp_path / "mine.toml"

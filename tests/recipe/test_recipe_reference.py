@@ -10,8 +10,7 @@ from jsonschema import Draft7Validator
 
 from surrofe2.base.errors import InputError
 from surrofe2.recipe.recipe import make_recipe
-from surrofe2.recipe.schema import recipe_schema
-from surrofe2.workflow.new_recipe import KINDS, write_recipe
+from surrofe2.recipe.schema import TEMPLATES, recipe_schema, write_recipe
 from tests.recipe.test_problem_recipes import RECIPE
 
 ROOT = Path(__file__).parents[2]
@@ -44,7 +43,7 @@ def test_the_schema_takes_shipped_recipes(schema, path):
     schema.validate(tomllib.loads(path.read_text(encoding="utf-8")))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", TEMPLATES)
 def test_a_new_recipe_names_the_schema_beside_it(tmp_path, kind):
     path = tmp_path / "mine.toml"
     write_recipe(path, kind)
