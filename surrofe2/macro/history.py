@@ -242,8 +242,7 @@ def columns_of(system: System) -> list[str]:
     support, surface load and body the force it exerts on the tissue; for each body its
     displacement and the depth of the deepest penetration; kinetic energy; works.
     """
-    vectors = [f"displacement {name}" for name in system.problem.watched]
-    vectors += [f"mean displacement {name}" for name in system.boundaries]
+    vectors = [*system.probe_names]
     vectors += [f"force {name}" for name in system.force_names]
     vectors += [f"position {contact.name}" for contact in system.contacts]
     both = [f"{name} {axis}" for name in vectors for axis in "xy"]
@@ -464,7 +463,7 @@ class Recorder:
         u, v = system.spread(y, t, self._equations.within)
         kinetic = 0.5 * np.vdot(v, system.inertia(v))
         bodies = u[len(system.discretisation.nodes) :]
-        vectors = [system.at_watched_points(u), system.mean_displacements(u), forces, bodies]
+        vectors = [system.probes @ u, forces, bodies]
         depths = [contact.penetration(u) for contact in system.contacts]
         stored = sum(contact.energy(u) for contact in system.contacts)
         flat = [part.ravel() for part in vectors]

@@ -373,7 +373,7 @@ class Newton:
             works = journal["rows"][-1, 4:] + step
         widen_extremes(extremes, now.F, now.F_dot)
         stored = sum(each.energy(now.u) for each in system.contacts)
-        row = np.concatenate([[factor], system.at_watched_points(now.u)[0], [stored], works])
+        row = np.concatenate([[factor], system.probes[0] @ now.u, [stored], works])
         frame = Frames.of(equations.discretisation, now)
         rows = {"rows": row[None], "forces": system.resultants(now.forces, reaction)[None]}
         return Rest(

@@ -8,7 +8,7 @@ motion. y holds the displacement of the free unknowns, then their velocity.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
@@ -84,8 +84,8 @@ class System:
         forces: besides the tissue's own.
         solve_mass: inverse of the mass of the free unknowns, applied to (m,).
         initial_velocity: (n, 2) µm/µs.
-        watched: nodes and weights of each watched point.
-        boundary_weights: (n_nodes,) weights of the mean over each boundary that is acted on.
+        probes: (k, n) weights of the displacements that are recorded, watched points and means of
+            boundaries that are acted on by unloaded length; probe_names: what they are.
         rest: (n, 2) displacement of the mesh at rest under surface tension alone, from which all
             others count, µm; None: none.
         moving: supports that move. n_rows: nodes and rigid bodies."""
@@ -100,8 +100,8 @@ class System:
     forces: tuple[Force, ...]
     solve_mass: Callable[[Array], Array]
     initial_velocity: Array
-    watched: tuple[tuple[Index, Array], ...]
-    boundary_weights: Mapping[str, Array]
+    probes: Array
+    probe_names: tuple[str, ...]
     rest: Array | None = None
     moving: tuple[Support, ...] = field(init=False)
     n_rows: int = field(init=False)
@@ -213,11 +213,6 @@ class System:
         return y, work
 
     @property
-    def boundaries(self) -> tuple[str, ...]:
-        """Boundaries that conditions and bodies act on."""
-        return tuple(self.boundary_weights)
-
-    @property
     def force_names(self) -> tuple[str, ...]:
         """Supports and forces whose resultants are recorded."""
         return *(each.name for each in self.supports), *(each.name for each in self.forces)
@@ -231,11 +226,6 @@ class System:
             part[support.unknowns] = reaction.ravel()[support.unknowns]
         of_forces = forces[:, : len(self.discretisation.nodes)].sum(axis=1)
         return np.concatenate([held.reshape(-1, self.n_rows, 2).sum(axis=1), of_forces])
-
-    def mean_displacements(self, u: Array) -> Array:
-        """(b, 2) mean displacement of each of `boundaries` by unloaded length, µm."""
-        means = [w @ u[: w.size] for w in self.boundary_weights.values()]
-        return np.array(means).reshape(-1, 2)
 
     @property
     def regions(self) -> dict[str, Index]:
@@ -267,10 +257,6 @@ class System:
             free = self.surface.sides
             parts["surface"] = [free.names, free.nodes, free.law]
         return {name: _digest(part) for name, part in parts.items()}
-
-    def at_watched_points(self, u: Array) -> Array:
-        """(w, 2) values of a field (n, 2) at the watched points."""
-        return np.stack([weights @ u[nodes] for nodes, weights in self.watched])
 
 
 def _digest(contents: list[Any]) -> Array:
@@ -345,6 +331,7 @@ def make_system(
         ),
         *surface,
     ]
+    probes = _probes(problem, space, n)
     return System(
         problem=problem,
         discretisation=space,
@@ -356,11 +343,8 @@ def make_system(
         forces=tuple(forces),
         solve_mass=mass_solver(free_mass, free),
         initial_velocity=_initial_velocity(problem, supports, n),
-        watched=tuple(
-            space.locate(np.array(at, dtype=np.float64), f"watched.{name}")
-            for name, at in problem.watched.items()
-        ),
-        boundary_weights=_boundary_weights(problem),
+        probes=np.stack([*probes.values()]),
+        probe_names=tuple(probes),
     )
 
 
@@ -376,11 +360,16 @@ def _supports(problem: Problem) -> tuple[Support, ...]:
     return without_overlap(found, mesh.p.T)
 
 
-def _boundary_weights(problem: Problem) -> dict[str, Array]:
-    mesh = problem.mesh
-    names = problem.acted_boundaries()
-    loads = {name: traction_load(mesh, boundary(mesh, name), (1.0, 1.0))[:, 0] for name in names}
-    return {name: load / load.sum() for name, load in loads.items()}
+def _probes(problem: Problem, space: Discretisation, n: int) -> dict[str, Array]:
+    """By name, the (n,) weights of displacements that are recorded."""
+    found, mesh = dict[str, Array](), problem.mesh
+    for name, at in problem.watched.items():
+        nodes, weights = space.locate(np.array(at, dtype=np.float64), f"watched.{name}")
+        found[f"displacement {name}"] = np.bincount(nodes, weights, n).astype(np.float64)
+    for name in problem.acted_boundaries():
+        load = traction_load(mesh, boundary(mesh, name), (1.0, 1.0))[:, 0]
+        found[f"mean displacement {name}"] = np.pad(load / load.sum(), (0, n - load.size))
+    return found
 
 
 def _initial_velocity(problem: Problem, supports: tuple[Support, ...], n: int) -> Array:
