@@ -1,5 +1,4 @@
-"""Audits: answers of the cache, chosen at random, are compared with RVEs, and the errors
-recorded.
+"""Audits: answers of the cache, chosen at random, are compared with RVEs.
 
 Each answer at a kept step draws a number u from [0, 1). It is audited at once where u is below the
 audited fraction. Answers with the next smallest u are remembered, as many as `trust.AUDITS` audits
@@ -153,8 +152,7 @@ class Finding(NamedTuple):
 
 
 class Audit:
-    """Chooses answers at random, by a seed, and compares them batch by batch; `record` is of all so
-    far.
+    """Chooses answers at random and compares them batch by batch; `record` is of all so far.
 
     Args:
         fraction: of the answers that are audited at once; 0: none is, at the end neither.

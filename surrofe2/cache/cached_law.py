@@ -391,12 +391,12 @@ class CachedLaw(Viewed):
         result = self._audit.run(whole=whole)
         if result is None:
             return
-        asked, is_one = result.asked, ~beyond_bifurcation(result.state, len(result.error))
+        asked, is_unique = result.asked, ~beyond_bifurcation(result.state, len(result.error))
         if self.on_true_answer is not None:
-            kept = asked.F[is_one], asked.F_dot[is_one], result.stress[is_one]
-            why = np.full(int(is_one.sum()), AUDIT, dtype=np.int8)
-            self.on_true_answer(*kept, result.status[is_one], why)
-        wrong = (result.broken & (result.status == 0) & is_one).nonzero()[0]
+            kept = asked.F[is_unique], asked.F_dot[is_unique], result.stress[is_unique]
+            why = np.full(int(is_unique.sum()), AUDIT, dtype=np.int8)
+            self.on_true_answer(*kept, result.status[is_unique], why)
+        wrong = (result.broken & (result.status == 0) & is_unique).nonzero()[0]
         if len(wrong):
             state = None if result.state is None else result.state.take(wrong)
             self.surrogate.learn(asked.F[wrong], asked.F_dot[wrong], result.stress[wrong], state)

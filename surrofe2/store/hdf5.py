@@ -100,11 +100,11 @@ def write(path: Path, kind: Kind, header: Mapping[str, Any], arrays: Arrays) -> 
     with writing(path, kind, header) as file:
         for name, values in arrays.items():
             store_array(file, name, values)
-        for name in kind.columns.keys() & arrays.keys():
-            file[name].attrs["unit"] = kind.columns[name].unit
-            meaning = kind.columns[name].meaning
-            if meaning:
-                file[name].attrs["meaning"] = meaning
+            if name in kind.columns:
+                column = kind.columns[name]
+                file[name].attrs["unit"] = column.unit
+                if column.meaning:
+                    file[name].attrs["meaning"] = column.meaning
 
 
 @contextmanager
@@ -291,7 +291,7 @@ class Stored:
 
 
 def check_finite(name: str, values: NDArray[Any]) -> None:
-    """Refuse numbers that are none."""
+    """Refuse NaN and infinity."""
     if not np.isfinite(values).all():
         raise ValueError(f"{name}: not finite")
 

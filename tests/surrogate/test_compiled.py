@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from surrofe2.base.sampling import contains, sample
-from surrofe2.base.simd import fill_tanh
-from surrofe2.base.tensors import to_inputs
+from surrofe2.base.simd import TILE, fill_tanh
+from surrofe2.base.square_symmetry import parity
+from surrofe2.base.tensors import INPUTS, to_inputs
 from surrofe2.law.stress_law import Status
 from surrofe2.surrogate import TrainingSettings
 from surrofe2.surrogate.features import SYMMETRIES, input_scale
@@ -20,7 +21,7 @@ from surrofe2.surrogate.lookup import (
     lookup,
 )
 from surrofe2.surrogate.network import StressNetwork
-from surrofe2.surrogate.products import BLOCK
+from surrofe2.surrogate.products import BLOCK, ONE, TILES, Polynomials, columns, evaluate, monomials
 from tests.laws import RANGE
 from tests.surrogate.twins import differentiate, network_stress
 
@@ -43,7 +44,7 @@ def make_arrays(network):
     return NetworkArrays.of(network.to_parameters(), RANGE)
 
 
-def evaluate(F, F_dot, arrays):
+def look_up(F, F_dot, arrays):
     """(stress, status), within the range and whatever the error."""
     return lookup(F, F_dot, arrays, EVERYWHERE, np.inf)[:2]
 
@@ -62,7 +63,7 @@ def turned_points(count):
 def test_agrees_with_torch(hidden, degree, symmetry, count):
     network = make_network(hidden, degree, symmetry)
     F, F_dot = turned_points(count)
-    stress, status = evaluate(F, F_dot, make_arrays(network))
+    stress, status = look_up(F, F_dot, make_arrays(network))
     expected = network_stress(network, F, F_dot)
     assert not status.any()
     assert np.abs(stress - expected).max() < 1e-12 * np.abs(expected).max()
@@ -85,7 +86,7 @@ def slopes_of(network, F, F_dot):
 
 def test_no_points():
     network, none = make_network((4,), 1), np.empty((0, 2, 2))
-    shapes = [each.shape for each in evaluate(none, none, make_arrays(network))]
+    shapes = [each.shape for each in look_up(none, none, make_arrays(network))]
     assert shapes == [(0, 2, 2), (0,)]
     assert [each.shape for each in slopes_of(network, none, none)] == [(0, 4), (0, 4, 7)]
 
@@ -93,18 +94,18 @@ def test_no_points():
 def test_many_points_on_all_cores_give_the_same():
     arrays = make_arrays(make_network((16, 16), 2))
     F, F_dot = turned_points(MANY + 7)
-    whole, _ = evaluate(F, F_dot, arrays)
+    whole, _ = look_up(F, F_dot, arrays)
     half = MANY // 2 // BLOCK * BLOCK
-    parts = [evaluate(F[s], F_dot[s], arrays)[0] for s in (slice(half), slice(half, None))]
+    parts = [look_up(F[s], F_dot[s], arrays)[0] for s in (slice(half), slice(half, None))]
     assert np.array_equal(whole, np.concatenate(parts))
 
 
 def test_the_bits_of_an_answer_do_not_depend_on_its_place():
     arrays = make_arrays(make_network((12, 12), 3))
     F, F_dot = turned_points(4 * BLOCK)
-    whole = evaluate(F, F_dot, arrays)[0]
+    whole = look_up(F, F_dot, arrays)[0]
     for k in range(1, BLOCK + 1):
-        part = evaluate(F[k:].copy(), F_dot[k:].copy(), arrays)[0]
+        part = look_up(F[k:].copy(), F_dot[k:].copy(), arrays)[0]
         assert np.array_equal(part, whole[k:], equal_nan=True), k
 
 
@@ -117,7 +118,7 @@ def test_range_test_is_that_of_the_range():
     F[100:200, 0] *= -1.0
     inside = contains(RANGE, F, F_dot)
     assert 100 < inside.sum() < 2000
-    stress, status = evaluate(F, F_dot, arrays)
+    stress, status = look_up(F, F_dot, arrays)
     assert np.array_equal(status, np.where(inside, Status.OK, Status.OUT_OF_RANGE))
     assert np.array_equal(np.isfinite(stress).all(axis=(1, 2)), inside)
 
@@ -127,7 +128,7 @@ def test_a_weight_that_is_no_number_is_seen(layer, value):
     network = make_network((8, 8), 2)
     with torch.no_grad():
         network.factors[layer].weight[0, 0] = value
-    stress, status = evaluate(*turned_points(50), make_arrays(network))
+    stress, status = look_up(*turned_points(50), make_arrays(network))
     assert (status == Status.NOT_FINITE).all()
     assert np.isnan(stress).all()
 
@@ -151,3 +152,53 @@ def test_a_fingerprint_is_of_weights_and_range():
     assert again.fingerprint(replace(RANGE, rate=0.02)) != parameters.fingerprint(RANGE)
     other = {**parameters.tensors, "factors.1.bias": parameters.tensors["factors.1.bias"] + 1e-12}
     assert replace(parameters, tensors=other).fingerprint(RANGE) != parameters.fingerprint(RANGE)
+
+
+def all_products(degree, symmetric):
+    products = [(), *monomials(degree)]
+    if symmetric:
+        return [(product, parity(product)) for product in products]
+    return [(product, component) for product in products for component in range(3)]
+
+
+def differentiated(product, k):
+    left = list(product)
+    if k not in left:
+        return 0.0, ()
+    left.remove(k)
+    return float(product.count(k)), tuple(left)
+
+
+@pytest.mark.parametrize("inputs", [0, INPUTS])
+@pytest.mark.parametrize(("degree", "symmetric"), [(1, True), (4, True), (3, False), (5, True)])
+def test_values_and_slopes_are_sums_of_monomials(degree, symmetric, inputs):
+    rng = np.random.default_rng(degree)
+    listed = all_products(degree, symmetric)
+    coefficients = rng.normal(size=len(listed)).tolist()
+    x = rng.uniform(-1.0, 1.0, (TILES * TILE, INPUTS + 1))
+    x[:, ONE] = 1.0
+    expected, slopes = np.zeros((4, len(x))), np.zeros((INPUTS, 4, len(x)))
+    for (product, component), c in zip(listed, coefficients, strict=True):
+        expected[component] += c * columns(x, [product])[0]
+        for k in range(INPUTS):
+            count, left = differentiated(product, k)
+            slopes[k, component] += c * count * columns(x, [left])[0]
+    each = [
+        [(product, c) for (product, at), c in zip(listed, coefficients, strict=True) if at == k]
+        for k in range(4)
+    ]
+    kept = [(0, 3, 6), (2,), ()]
+    polynomials = Polynomials.of(ONE + 1, each, kept)
+    rows = np.full((ONE + 1 + len(polynomials.products), TILES, TILE), np.nan)
+    rows[: ONE + 1] = x.T.reshape(-1, TILES, TILE)
+    y, row_slopes = np.empty((4, TILES, TILE)), np.empty((inputs, *rows.shape))
+    y_slopes = np.empty((inputs, *y.shape))
+    evaluate(polynomials, rows, y, row_slopes, y_slopes)
+    assert np.abs(y.reshape(4, -1) - expected).max() < 1e-12 * np.abs(expected).max()
+    found = y_slopes.reshape(inputs, 4, len(x)) - slopes[:inputs]
+    assert np.abs(found).max(initial=0.0) < 1e-12 * np.abs(slopes).max()
+    read = rows[polynomials.kept].reshape(len(kept), -1)
+    assert np.allclose(read, columns(x, kept), rtol=1e-15, atol=0.0)
+    for k in range(inputs):
+        wanted = x[:, 3] * x[:, 6] if k == 0 else x[:, 0] * x[:, 9 - k] if k in (3, 6) else 0.0 * k
+        assert np.allclose(row_slopes[k, polynomials.kept[0]].ravel(), wanted, rtol=1e-15)

@@ -1,5 +1,6 @@
-"""Rotation, the square cell's group, the state at rest, and smoothness, for a trained network."""
+"""Rotation, the square cell's group, rest and smoothness of a trained network; cells without it."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -9,13 +10,20 @@ import torch
 from surrofe2.base.sampling import sample
 from surrofe2.base.square_symmetry import parity
 from surrofe2.base.tensors import to_components
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.surrogate import TrainingSettings, train
 from surrofe2.surrogate.features import (
     COVARIANTS,
     INVARIANTS,
     monomials,
 )
 from surrofe2.surrogate.network import Shapes, along
-from tests.laws import WELL_INSIDE
+from tests.laws import (
+    CELL,
+    WELL_INSIDE,
+    lattice_samples,
+    lattice_stress,
+)
 from tests.surrogate.twins import make_network, torch_stress
 
 ROTATIONS = [
@@ -136,3 +144,45 @@ def test_correction_and_its_slope(symmetry, second_order):
     for part, wanted in zip(found, expected, strict=True):
         torch.testing.assert_close(part, wanted, rtol=1e-12, atol=1e-12)
     assert expected[1].abs().max() > 1e-3
+
+
+IRREGULAR = CellParameters.preset("printed", arrangement="voronoi", cells=9)
+TURN = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
+
+
+def turned_samples(cell, count=1500):
+    samples = lattice_samples(count, cell=cell)
+    return replace(samples, stress=lattice_stress(samples.F @ TURN, samples.F_dot @ TURN))
+
+
+@pytest.fixture(scope="module")
+def irregular():
+    settings = TrainingSettings(hidden=(16, 16), baseline_degree=3, iterations=100)
+    return train(turned_samples(IRREGULAR), settings)
+
+
+@pytest.mark.parametrize(
+    ("arrangement", "symmetry"), [("square", "D4"), ("hexagon", "none"), ("voronoi", "none")]
+)
+def test_only_the_square_takes_d4_for_granted(arrangement, symmetry):
+    cell = CellParameters.preset("printed", arrangement=arrangement, cells=4)
+    settings = TrainingSettings(hidden=(4,), baseline_degree=1, iterations=1)
+    assert train(lattice_samples(200, cell=cell), settings).network.symmetry == symmetry
+
+
+def test_learns_what_a_square_cell_could_not(irregular):
+    """The same data with D4 taken for granted leaves errors of the order of the stress."""
+    worst = max(irregular.errors["rms"].values())
+    assert worst < 0.02
+    settings = replace(irregular.settings, iterations=20)
+    square = train(turned_samples(CELL, 800), settings)
+    assert max(square.errors["rms"].values()) > 0.1 > 5.0 * worst
+
+
+def test_rests_without_stress_and_turns_with_the_frame(irregular):
+    assert not irregular.respond(np.eye(2)[None], np.zeros((1, 2, 2))).stress.any()
+    F, F_dot = sample(WELL_INSIDE, 50, seed=1)
+    Q = np.array([[0.6, -0.8], [0.8, 0.6]])
+    stress = irregular.respond(F, F_dot).stress
+    turned = irregular.respond(Q @ F, Q @ F_dot).stress
+    np.testing.assert_allclose(turned, Q @ stress @ Q.T, rtol=0, atol=1e-11)

@@ -264,8 +264,7 @@ def set_bound(p, target, curvature):  # type: ignore[no-untyped-def]
 
 
 def merged(first: Records, second: Records, tolerance: float, images: int) -> Records:
-    """All records of both but those of the second that the first has too, for a tolerance in
-    µN/µm.
+    """All records of both but those of the second that the first has too; tolerance in µN/µm.
 
     The stress at each centre is an RVE's, and shrinks every ellipsoid that is wrong there.
     """
