@@ -51,7 +51,7 @@ elements = [2, 2]
 """
 
 
-FIRST = ("test_against_twin", "test_tabulated_surface")
+FIRST = ("test_rve_law", "test_tabulated_surface")
 NEXT = ("test_slow_manifold", "test_bound_of_plant_cells", "test_arranged_cells", "test_pipeline",
         "test_memory", "test_bar")  # fmt: skip
 """Files that take long though they have few tests, or compile the kernels of RVEs, each others."""

@@ -36,7 +36,6 @@ from surrofe2.tissue.external_forces import (
     OutlineForces,
 )
 from surrofe2.tissue.layout import Tissue, shares, tiled
-from surrofe2.tissue.pair_lists import bonded_particles
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -63,7 +62,7 @@ class Conditions:
 
     def boundary(self, name: str) -> Index:
         """Numbers of the wall particles of a boundary, increasing."""
-        indices = np.flatnonzero(self._is_outer(self.tissue.outline))
+        indices = np.sort(self._outer[:, 0])
         points = self.tissue.outline[indices]
         part = self.problem.boundaries.get(name)
         indices = indices[self._on_sides(name, points) if part is None else part.holds(points)]
@@ -244,7 +243,7 @@ class Conditions:
         points, springs, owners = [_NONE], [np.zeros((0, 4))], [_NONE]
         for n, load in enumerate(loads):
             if isinstance(load, Pressure):
-                bonds = self._sides(load.on)
+                bonds = self._pairs_on(load.on)
                 pairs.append(bonds)
                 sizes.append(np.full(len(bonds), load.pressure))
                 numbers.append(np.full(2 * len(bonds), n))
@@ -309,37 +308,23 @@ class Conditions:
         near: NDArray[np.bool_] = off < 1e-6
         return near
 
-    def _sides(self, name: str) -> Index:
-        """(k, 2) particles of the bonds along a boundary, the tissue on their left."""
-        pairs = self._pairs_on(name)
-        pairs = pairs[self._is_outer(self.tissue.outline[pairs].mean(axis=1))]
-        ends = self.tissue.outline[pairs]
-        along, inward = ends[:, 1] - ends[:, 0], 0.5 * self._extent - ends[:, 0]
-        is_left = along[:, 0] * inward[:, 1] > along[:, 1] * inward[:, 0]
-        turned: Index = np.where(is_left[:, None], pairs, pairs[:, ::-1])
-        return turned
-
     def _pairs_on(self, name: str) -> Index:
-        """(k, 2) bonds whose two particles are on a boundary."""
-        inside = np.zeros(self.tissue.particles, dtype=np.bool_)
-        inside[self.boundary(name)] = True
-        return self._bonds[inside[self._bonds].all(axis=1)]
-
-    @property
-    def _extent(self) -> Array:
-        """(2,) width and height, µm."""
-        return self.tissue.cell.cell_side * np.array(self.tissue.cells, dtype=np.float64)
-
-    def _is_outer(self, points: Array) -> NDArray[np.bool_]:
-        """(n,) which points (n, 2) lie on the outline; infinite ones do not."""
-        ends = np.stack([points, self._extent - points], axis=2).min(axis=2)
-        on: NDArray[np.bool_] = abs(ends).min(axis=1) < 1e-9 * self.tissue.cell.cell_side
-        return on
+        """(k, 2) bonds along the outline whose two particles are on a boundary."""
+        return self._outer[np.isin(self._outer, self.boundary(name)).all(axis=1)]
 
     @cached_property
-    def _bonds(self) -> Index:
-        """(b, 2) bonded particles."""
-        return bonded_particles(self.tissue)
+    def _outer(self) -> Index:
+        """(k, 2) bonds along the outline, the tissue on their left."""
+        cell, (x, y) = self.tissue.cell, self.tissue.outline[: self.tissue.wall_particles].T
+        width, height = cell.cell_side * np.array(self.tissue.cells, dtype=np.float64)
+        near = 1e-9 * cell.cell_side
+        way = np.select(
+            [y < near, x > width - near, y > height - near, x < near],
+            [x, width + y, 2.0 * width + height - x, 2.0 * (width + height) - y],
+            np.inf,
+        )
+        ring = np.argsort(way)[: int(np.isfinite(way).sum())]
+        return np.stack([ring, np.roll(ring, -1)], axis=1)
 
 
 def _outline(name: str, shape: Shape) -> tuple[int, tuple[float, ...]]:

@@ -106,16 +106,3 @@ def test_stiffness_rates_are_the_slopes_of_the_elastic_force_rates(local):
         )
         scale = np.abs(rates[m]).max()
         np.testing.assert_allclose(rates[m], (up - down) / (2.0 * step), rtol=0, atol=1e-6 * scale)
-
-
-def test_third_derivatives_of_the_energy_are_symmetric(local):
-    """γ·K̇ u along v: any two of the three may change places."""
-    u, gamma = local.fields, local.others
-    for m in range(4):
-        v = np.ascontiguousarray(np.roll(local.others, 1, axis=0)[m])
-        one = along(local.stiffness_rates(u, v), gamma)[m]
-        swapped = np.repeat(v[None], 4, axis=0)
-        two = along(local.stiffness_rates(swapped, np.ascontiguousarray(u[m])), gamma)[m]
-        three = along(local.stiffness_rates(gamma, v), u)[m]
-        np.testing.assert_allclose(two, one, rtol=0, atol=1e-8 * np.abs(one).max())
-        np.testing.assert_allclose(three, one, rtol=0, atol=1e-8 * np.abs(one).max())
