@@ -258,19 +258,6 @@ LIVING: dict[str, tuple[LivingTissue, dict[str, str]]] = {
 }
 """Parenchymas by the name of their preset, and the source of each measured value."""
 
-_MEASURED = {
-    "cell_side": ("cell_size",),
-    "fluid_particle_mass": ("density", "cell_size"),
-    "wall_particle_mass": ("wall_thickness", "cell_size"),
-    "wall_stiffness": ("wall_modulus", "wall_thickness", "cell_size"),
-    "repulsion_strength": ("turgor", "cell_size"),
-    "repulsion_cutoff": ("cell_size",),
-    "smoothing_length": ("cell_size",),
-    "sound_speed": ("turgor", "density"),
-    "viscosity": ("sap_viscosity",),
-}
-"""What each constant of a living tissue follows from."""
-
 PRESETS = {
     "printed": CellParameters(),
     "water": CellParameters(fluid_particle_mass=0.27),
@@ -279,15 +266,8 @@ PRESETS = {
 
 
 def sources(preset: str) -> dict[str, str]:
-    """Where each constant of a preset comes from, by its name.
-
-    Raises:
-        InputError: no preset is called so.
-    """
+    """Where the constants of a preset come from, or the measurements that they follow from."""
     CellParameters.preset(preset)
-    found = {item.name: str(item.metadata["source"]) for item in fields(CellParameters)}
     if preset in LIVING:
-        _, measured = LIVING[preset]
-        for constant, origins in _MEASURED.items():
-            found[constant] = "; ".join(f"from {key}: {measured[key]}" for key in origins)
-    return found
+        return LIVING[preset][1]
+    return {item.name: str(item.metadata["source"]) for item in fields(CellParameters)}

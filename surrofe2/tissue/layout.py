@@ -113,7 +113,7 @@ class Tissue:
     @property
     def outline(self) -> Array:
         """(particles, 2) places of wall particles on the grid of walls; infinite for fluid, µm."""
-        at = _wall_grid(self.cell, self.column, self.row)
+        at = wall_grid(self.cell, self.column, self.row)
         places = np.full((len(self.column), self.own, 2), np.inf)
         places[:, : self.walls] = self.cell.cell_side * at / self.cell.wall_springs_per_side
         return self.to_particles(np.moveaxis(tiled(places), 2, 1))
@@ -170,7 +170,7 @@ def make_tissue(
     for k, each in enumerate(types):
         share = shares(cell, kind == k, column, row)
         mass += share * np.where(is_wall, each.wall_particle_mass, each.fluid_mass)
-    at, ends = _wall_grid(cell, column, row), cell.wall_springs_per_side * np.array([n, m])
+    at, ends = wall_grid(cell, column, row), cell.wall_springs_per_side * np.array([n, m])
     mass[:, :walls][((at == 0) | (at == ends)).any(axis=2)] *= cell.outer_wall
     exists = mass > 0.0
     place = np.full((column.max() + 1, row.max() + 1), -1)
@@ -211,7 +211,7 @@ def _places(cells: tuple[int, int]) -> tuple[Ints, Ints]:
     return column, row
 
 
-def _wall_grid(cell: CellParameters, column: Ints, row: Ints) -> Ints:
+def wall_grid(cell: CellParameters, column: Ints, row: Ints) -> Ints:
     """(places, walls, 2) where own wall particles lie on the grid of springs."""
     per_side = cell.wall_springs_per_side
     along = np.arange(1, per_side)

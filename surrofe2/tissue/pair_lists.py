@@ -37,7 +37,7 @@ from surrofe2.base.errors import SimulationError
 from surrofe2.base.simd import TILE, load
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tiles import Constants
-from surrofe2.tissue.layout import Tissue, shares, tiled
+from surrofe2.tissue.layout import Tissue, shares, tiled, wall_grid
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -75,9 +75,7 @@ def make_pair_kinds(cell: CellParameters) -> PairKinds:
     walls = 2 * per_side - 1
     around = range(-RINGS, RINGS + 1)
     shifts = np.array([shift for shift in product(around, around) if shift >= (0, 0)])
-    along = np.arange(1, per_side)
-    at = np.zeros((walls, 2), dtype=np.int64)  # column and row on the grid of springs
-    at[1:per_side, 0], at[per_side:, 1] = along, along
+    at = wall_grid(cell, shifts[:1, 0], shifts[:1, 1])[0]
 
     number, i, j = np.indices((len(shifts), walls, walls)).reshape(3, -1)
     number, i, j = np.stack([number, i, j])[:, (number > 0) | (j > i)]
@@ -228,12 +226,8 @@ class PairLister:
 
     def _set_constants(self) -> None:
         """Those of bonds and fluid, and what contacts have by their particles and wall lines."""
-        tissue, kinds, column, row = (
-            self._tissue,
-            self._kinds,
-            self._tissue.column,
-            self._tissue.row,
-        )
+        tissue, kinds = self._tissue, self._kinds
+        column, row = tissue.column, tissue.row
         # one more type, the last, for plant cells that are not there
         table = np.array([*tissue.constants, np.zeros(len(Constants._fields))])
         of = dict(zip(Constants._fields, table.T, strict=True))

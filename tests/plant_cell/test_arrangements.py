@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from surrofe2.base.errors import InputError
 from surrofe2.plant_cell.arrangement import make_arrangement, start_positions
 from surrofe2.plant_cell.neighbours import FARTHEST, make_neighbours
 from surrofe2.plant_cell.parameters import CellParameters
@@ -111,26 +110,6 @@ def test_arrangements_have_fingerprints_and_symmetries_of_their_own():
     assert CellParameters().fingerprint == "c9558db4e65f7203"  # as before there were arrangements
     assert [cell.symmetry for cell in cells] == ["D4", "D4", "D6", "none", "none"]
     assert CellParameters(**cells[3].to_dict()) == cells[3]
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"arrangement": "brick"}, "cell.arrangement: 'brick'; it must be one of square, hexagon"),
-        ({"cells": 3}, "cell.cells: 3; with arrangement square it must be a square number"),
-        ({"cells": 4.0}, "cell.cells: 4.0; it must be an integer"),
-        ({"cells": 0}, "cell.cells: 0; it must be an integer of at least 1"),
-        ({"arrangement": "voronoi", "cells": 3}, "cells: 3; with arrangement voronoi it must be"),
-        (
-            {"arrangement_seed": -1},
-            "arrangement_seed: -1; it must be an integer of at least 0",
-        ),
-    ],
-)
-def test_bad_arrangements_are_named(changes, message):
-    with pytest.raises(InputError, match=r"^[^\n]*$") as caught:
-        CellParameters.preset("printed", **changes)
-    assert message in str(caught.value)
 
 
 def test_fluid_may_reach_every_wall_around_it_from_wherever_it_is():

@@ -31,6 +31,10 @@ def test_fingerprint_tells_parameters_apart_and_ignores_how_a_number_is_written(
         ({"fluid_particles_per_side": 2.5}, "fluid_particles_per_side: 2.5; it must be an integer"),
         ({"wall_springs_per_side": 3}, "wall_springs_per_side: 3; it must be an integer of at"),
         ({"wall_stifness": 1.0}, "cell.wall_stifness: unknown; known are"),
+        ({"arrangement": "brick"}, "cell.arrangement: 'brick'; it must be one of square, hexagon"),
+        ({"cells": 3}, "cell.cells: 3; with arrangement square it must be a square number"),
+        ({"cells": 0}, "cell.cells: 0; it must be an integer of at least 1"),
+        ({"arrangement": "voronoi", "cells": 3}, "cells: 3; with arrangement voronoi it must be"),
     ],
 )
 def test_bad_parameters_are_named_with_what_is_allowed(changes, message):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from surrofe2 import LoadCase, Table
-from surrofe2.base.errors import InputError, MismatchError
+from surrofe2.base.errors import MismatchError
 from surrofe2.tissue import TissueDynamics, TissueSettings, relax, simulate_tissue
 from surrofe2.tissue.simulation import held_and_loaded, make_conditions
 from tests.macro.bars import with_load
@@ -164,14 +164,6 @@ def test_relaxed_tissue_shrinks_where_its_boundary_is_free(reference):
     assert (strain[:5] < -0.002).all()
     assert (strain[:5] > -0.008).all()
     assert at((150.0, 62.5))[0] - at((150.0, 50.0))[0] > 2.0
-
-
-@pytest.mark.parametrize(("name", "extent"), [("width", 60.0), ("height", 20.0)])
-def test_wrong_extent_is_named(reference, name, extent):
-    cell, at_rest = reference("printed")
-    load_case = LoadCase(**{"width": 50.0, "height": 25.0, "watched": (0.0, 0.0), name: extent})
-    with pytest.raises(InputError, match=rf"^mesh.{name}: {extent:g}; a tissue needs a whole num"):
-        simulate_tissue(load_case, cell, reference=at_rest)
 
 
 def test_reference_of_another_cell_is_refused(reference):

@@ -365,6 +365,8 @@ CLAMP = Fixed(name="clamp", on="left")
             {"mesh": replace(PRESSED.mesh, doflocs=PRESSED.mesh.p + 1.0)},
             r"mesh: a full tissue needs a rectangle \[0, width\]",
         ),
+        ({"mesh": rectangle(60.0, 50.0, (2, 2))}, "mesh.width: 60; a tissue needs a whole number"),
+        ({"mesh": rectangle(50.0, 20.0, (2, 2))}, "mesh.height: 20; a tissue needs a whole num"),
     ],
 )  # fmt: skip
 def test_what_a_tissue_cannot_bear_is_named(reference, changes, message):
