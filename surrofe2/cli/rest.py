@@ -74,7 +74,7 @@ def modes(
     record = modes_study(study, methods, count, out, fresh=fresh, stage=console.progress)
     n = study.problem().mesh.nelements
     for state, of_state in record["states"].items():
-        title = f"{state.capitalize()}, {n} elements, preset {study.preset}"
+        title = f"{state.capitalize()}, {n} elements, preset {study.cells[study.cell_name].preset}"
         console.show_table(title, _table(of_state))
         for method, numbers in of_state.items():
             if not numbers["stable"]:

@@ -84,10 +84,6 @@ class Recipe:
         names = self.cells if wanted is None else (wanted,)
         return {each: replace(self, part=each) for each in names}
 
-    def whole(self) -> Recipe:
-        """The recipe for all its cells."""
-        return replace(self, part=None)
-
     @property
     def cell_name(self) -> str:
         """Of the selected cell, or of the only one.
@@ -103,13 +99,8 @@ class Recipe:
         return next(iter(self.cells)) if self.part is None else self.part
 
     @property
-    def preset(self) -> str:
-        """Of the selected cell; so all these."""
-        return self.cells[self.cell_name].preset
-
-    @property
     def cell(self) -> CellParameters:
-        """The plant cell itself."""
+        """The plant cell that is selected; so all these."""
         return self.cells[self.cell_name].cell
 
     @property

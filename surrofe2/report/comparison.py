@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,6 @@ from surrofe2.store.run_folder import (
     StoredRun,
     balance_of,
     caches_of,
-    presets_of,
     read_run,
 )
 from surrofe2.store.store import digest, flat, keep, write_bytes
@@ -46,7 +45,6 @@ class ComparedRun:
 
     name: str
     law: str
-    preset: str
     difference: CurveDifference
     wall_time: float
     counts: Mapping[str, int]
@@ -181,17 +179,18 @@ def force_curves(run: StoredRun) -> dict[str, DisplacementCurve]:
 def compared_run(run: StoredRun, reference: StoredRun) -> ComparedRun:
     """Difference and speed-up of a run against another of its load case."""
     there, apart = force_curves(reference), difference(run.curve, reference.curve)
+    before = _costs(reference.record)
     if not apart.scale:
         raise InputError(f"{reference.folder}: the watched point does not move; nothing to compare")
     return ComparedRun(
         name=run.name,
         law=run.record.law,
-        preset=presets_of(run.record.recipe),
         difference=apart,
         wall_time=run.record.wall_time["total"],
         counts=run.record.spent,
         speed_up={
-            name: _ratio(cost(reference.record), cost(run.record)) for name, cost in _COSTS.items()
+            name: before[name] / cost if cost and before[name] else None
+            for name, cost in _costs(run.record).items()
         },
         cache=run.record.cache or {},
         forces={
@@ -203,20 +202,11 @@ def compared_run(run: StoredRun, reference: StoredRun) -> ComparedRun:
     )
 
 
-def _ratio(reference: float, run: float) -> float | None:
-    return reference / run if run and reference else None
-
-
-def _law_time(record: RunRecord) -> float:
-    asked = record.spent.get("stress_points", 0) + record.spent.get("dissipation_points", 0)
-    return record.wall_time.get("law", 0.0) / max(asked, 1)
-
-
-_COSTS: Mapping[str, Callable[[RunRecord], float]] = {
-    "wall_time": lambda record: record.wall_time["total"],
-    "law_time_per_stress": _law_time,
-    "rve_solves": lambda record: record.spent.get("rve_solves", 0),
-}
+def _costs(record: RunRecord) -> dict[str, float]:
+    return {
+        "wall_time": record.wall_time["total"],
+        "rve_solves": record.spent.get("rve_solves", 0),
+    }
 
 
 def audit_sentence(cache: Mapping[str, Any]) -> str:

@@ -177,7 +177,7 @@ def shaped_bound(
 
 def _runs(recipe: Recipe, surrogate: SurrogateLaw, count: int, seed: int) -> Iterator[list[State]]:
     """What runs under other loads meet at points of a cell; others follow their quadratic law."""
-    problem, whole, macro = _coarse_problem(recipe), recipe.whole(), recipe.macro
+    problem, whole, macro = _coarse_problem(recipe), replace(recipe, part=None), recipe.macro
     cases = varied_problems(problem, count, seed)
     if recipe.stated.section == "load":
         cases = random_loads(problem, count, seed)
@@ -196,7 +196,7 @@ def _runs(recipe: Recipe, surrogate: SurrogateLaw, count: int, seed: int) -> Ite
 
 def _coarse_problem(recipe: Recipe) -> Problem:
     """The recipe's problem, on a coarser mesh where that is a rectangle and has all it names."""
-    whole, stated = recipe.whole(), recipe.stated
+    whole, stated = replace(recipe, part=None), recipe.stated
     if stated.mesh.elements is not None and len(whole.cells) == 1:
         along, across = (min(n, RUN_ELEMENTS) for n in stated.mesh.elements)
         mesh = replace(stated.mesh, elements=(along, across))

@@ -51,7 +51,7 @@ def test_single_constants_change_a_preset():
     assert recipe.cell == CellParameters.preset("water", wall_stiffness=1000.0)
     assert recipe.problem().conditions == LoadCase().conditions
     by_paper = make_recipe({"cell": {"preset": "ghysels2009-light", "wall_stiffness": 1000}})
-    assert (by_paper.preset, by_paper.cell) == ("water", recipe.cell)
+    assert (by_paper.cells[""].preset, by_paper.cell) == ("water", recipe.cell)
 
 
 def test_files_are_relative_to_the_recipe(recipe, recipe_path):
@@ -95,13 +95,6 @@ def test_a_mistake_gets_one_sentence(changed_recipe, old, new, sentence):
     told = message(InputError, changed_recipe(old, new))
     assert told.startswith(f"recipe.toml: {sentence}")
     assert "\n" not in told
-
-
-def test_value_in_place_of_a_section(recipe_path):
-    recipe_path.write_text("samples = 5\n", encoding="utf-8")
-    assert message(InputError, recipe_path) == (
-        "recipe.toml: samples: 5; it must be a section [samples]"
-    )
 
 
 @pytest.mark.parametrize(

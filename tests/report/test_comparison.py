@@ -42,7 +42,6 @@ def test_difference_and_speed_up(make_run):
     assert run.difference.rms == pytest.approx(0.005)
     assert run.speed_up["wall_time"] == pytest.approx(15.0)
     assert run.speed_up["rve_solves"] == pytest.approx(100.0)
-    assert run.speed_up["law_time_per_stress"] == pytest.approx((24.0 / 100) / (1.6 / 50))
 
 
 def test_the_largest_are_compared_whenever_they_are_reached(make_run):
