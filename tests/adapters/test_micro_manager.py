@@ -229,24 +229,6 @@ def entries(F, F_dot):
     return rows(np.array(F), np.array(F_dot))
 
 
-def test_a_state_goes_to_another_simulation(adapter):
-    one, other = adapter.MicroSimulation(3), adapter.MicroSimulation(4)
-    ahead = [entries([[1.0 + 0.01 * k, 0.02], [0.0, 1.0]], np.zeros((2, 2))) for k in range(4)]
-    assert one.get_state() is None
-    for step in ahead[:2]:
-        one.solve(step, 1.0)
-    state = one.get_state()
-    other.set_state(state)
-    first = other.solve(ahead[2], 1.0)
-    other.set_state(state)
-    again, own = other.solve(ahead[2], 1.0), one.solve(ahead[2], 1.0)
-    for name, values in first.items():
-        assert (values == again[name]).all()
-        assert (values == own[name]).all()
-    other.set_global_id(one.get_global_id())
-    assert other.get_global_id() == 3
-
-
 def test_a_point_that_moves_to_another_rank_keeps_its_state(adapter):
     """Its RVE by what is sent, and that it may not come back to the surrogate in this window; of
     points that are gone nothing is kept."""

@@ -19,7 +19,7 @@ from surrofe2.store.run_folder import read_record, read_run
 from surrofe2.store.samples import read_harvest
 from surrofe2.store.tables import read_table
 from surrofe2.workflow import laws
-from surrofe2.workflow.check import dry_run
+from surrofe2.workflow.check import dry_run, proposed_range, range_section
 from surrofe2.workflow.rest import rest_study
 from surrofe2.workflow.run import run_study
 from tests.laws import SoftLaw, SquareLaw, StoppingLaw
@@ -337,6 +337,9 @@ def test_rest_and_range_ask_each_cell(written, tmp_path):
     np.testing.assert_allclose(ends["same"], ends["one"], rtol=1e-6)
     assert np.linalg.norm(ends["both"] - ends["one"]) > 0.02 * np.linalg.norm(ends["one"])
     of = dry_run(recipe, 600.0).met
+    printed = CliRunner().invoke(app, ["check", str(recipe.path), "--seconds", "600"]).stdout
+    for name, met in of.items():
+        assert range_section(proposed_range(met), name) in printed
     true = run_study(recipe, "rve", tmp_path / "run").met
     rate, shear = (max(getattr(met, name) for met in of.values()) for name in ("rate", "shear"))
     assert rate == pytest.approx(true["rate"], rel=0.02)
