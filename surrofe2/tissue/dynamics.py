@@ -35,8 +35,7 @@ class TissueDynamics:
     Args:
         tissue: the particles.
         skin: by how much pair lists reach beyond the cut-off, µm; it changes the cost only.
-        held: (particles,) or (particles, 2) which particles do not move by their forces; None:
-            none.
+        held: (particles, 2) which components do not move by their forces; None: none.
         load: (particles, 2) or (loads, particles, 2) force on each at amplitude 1, µN; None: none.
         driven: motion of some that are held.
 
@@ -60,7 +59,6 @@ class TissueDynamics:
         self.tissue = tissue
         self.counts: Counter[str] = Counter()
         self._lister = PairLister(tissue, skin)
-        self._listed: Array | None = None
         self.driven = driven
         self.bodies: BodyContacts = NO_BODIES
         self.outline: OutlineForces = NO_OUTLINE
@@ -81,7 +79,8 @@ class TissueDynamics:
         )
         fluid_pairs = tissue.walls + np.stack(np.triu_indices(tissue.own - tissue.walls, 1), axis=1)
         self._fluid = Fluid(fluid_pairs.astype(np.int32), tissue.own, tissue.walls)
-        self.place(tissue.to_particles(tissue.start))
+        start = tissue.to_particles(tissue.start)
+        self._put(start, np.zeros_like(start))
 
     @property
     def x(self) -> Array:
@@ -108,32 +107,11 @@ class TissueDynamics:
             each.work[:] = 0.0
         return works
 
-    @property
-    def listed(self) -> Array:
-        """(particles, 2) positions at which the lists in use were made, µm."""
-        return self.tissue.to_particles(self._watch.listed)
-
-    def place(self, x: Array, v: Array | None = None, listed: Array | None = None) -> None:
-        """Put particles at x with velocities v (None: at rest), lists as made at `listed`.
-
-        With the `listed` of another run this one continues as that one would, bit by bit.
-        """
-        tissue, tiles, own = self.tissue, self.tissue.tiles, self.tissue.own
-        at = tissue.to_tiles(x if listed is None else listed, tissue.start)
-        if self._listed is None or not np.array_equal(at, self._listed):
-            self._lists, constants = self._lister.make(at)
-            self._scaled = {WHOLE: constants}
-            self._listed = at
-            self.counts["list_builds"] += 1
-        shape = (tiles + 1, 2, self._lists.local, TILE)
-        particles = Particles(np.full(shape, NOWHERE), np.zeros(shape), np.zeros(shape))
-        particles.x[:-1, :, :own] = tissue.to_tiles(x, tissue.start)
-        particles.v[:-1, :, :own] = tissue.to_tiles(np.zeros_like(x) if v is None else v)
-        self._particles = particles
-        mean, nothing = np.zeros((tiles, 2, TILE)), np.zeros((tiles, TILE))
-        self._watch = Watch(at, mean, nothing, nothing.copy())
-        if listed is not None:
-            self.forces()  # so that how far they have moved since is known
+    def place(self, x: Array, v: Array | None = None) -> None:
+        """Put particles at x with velocities v (None: at rest)."""
+        self._put(x, np.zeros_like(x) if v is None else v, self._watch.listed)
+        # lists stay until they may miss a pair; this measures how far particles are from there
+        self.forces(with_outline=False)
 
     def start(self, velocity: Array, rates: Array) -> float:
         """Set particles, at rest until now, into motion; the work of the impulse on driven ones.
@@ -189,7 +167,7 @@ class TissueDynamics:
         try:
             while len(steps.length):
                 if renewed:
-                    self.place(self.x, self.v)
+                    self._put(self.x, self.v)
                 taken = leap(
                     self._particles, self._lists, self._constants(factors), self._lister.grid,
                     self._fluid, body, acting, self._watch, steps,
@@ -248,6 +226,22 @@ class TissueDynamics:
         """½ Σ m v², pJ."""
         v = self._particles.v[:-1, :, : self.tissue.own]
         return 0.5 * float(np.sum(self.tissue.mass * (v * v).sum(axis=1)))
+
+    def _put(self, x: Array, v: Array, listed: Array | None = None) -> None:
+        """Put particles with the lists made at `listed` (tiles, 2, own, TILE), or new ones."""
+        tissue, tiles, own = self.tissue, self.tissue.tiles, self.tissue.own
+        own_x = tissue.to_tiles(x, tissue.start)
+        if listed is None:
+            listed = own_x
+            self._lists, constants = self._lister.make(listed)
+            self._scaled = {WHOLE: constants}
+            self.counts["list_builds"] += 1
+        shape = (tiles + 1, 2, self._lists.local, TILE)
+        particles = Particles(np.full(shape, NOWHERE), np.zeros(shape), np.zeros(shape))
+        particles.x[:-1, :, :own], particles.v[:-1, :, :own] = own_x, tissue.to_tiles(v)
+        self._particles = particles
+        mean, nothing = np.zeros((tiles, 2, TILE)), np.zeros((tiles, TILE))
+        self._watch = Watch(listed, mean, nothing, nothing.copy())
 
     def _constants(self, factors: Factors) -> PairConstants:
         """Of the listed pairs, with factors on their elastic and their damping part."""

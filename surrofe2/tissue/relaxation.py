@@ -124,15 +124,15 @@ def stable_step(
     at_rest = dynamics.x
 
     def stiffness(u: Array) -> Array:
-        dynamics.place(at_rest + _SHIFT * u, listed=at_rest)
+        dynamics.place(at_rest + _SHIFT * u)
         ahead = dynamics.forces()
-        dynamics.place(at_rest - _SHIFT * u, listed=at_rest)
+        dynamics.place(at_rest - _SHIFT * u)
         return (dynamics.forces() - ahead) / (2.0 * _SHIFT)
 
     def damping(v: Array) -> Array:
-        dynamics.place(at_rest, v, listed=at_rest)
+        dynamics.place(at_rest, v)
         moving = dynamics.forces()
-        dynamics.place(at_rest, listed=at_rest)
+        dynamics.place(at_rest)
         return dynamics.forces() - moving
 
     mass = dynamics.free_mass[:, None]

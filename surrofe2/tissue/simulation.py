@@ -52,7 +52,7 @@ Cells = CellParameters | Sequence[CellParameters]
 References = ReferenceState | Sequence[ReferenceState]
 
 DEFAULTS = TissueSettings()
-_STATE = 2
+_STATE = 3
 """Version of what a state holds."""
 
 
@@ -62,7 +62,7 @@ class TissueState(RunState):
 
     Attributes:
         relaxed, x, v: (particles, 2) the unloaded equilibrium, positions and velocities, µm and
-            µm/µs. listed: (particles, 2) positions at which the pair lists in use were made.
+            µm/µs.
         elastic: stored energy of the unloaded tissue, pJ; resting: (k, 2) forces there, µN.
         bodies: (2, b, 2) position and velocity of rigid bodies.
         journal: ``rows`` (r, c) at the output times passed, the columns of `columns_of`;
@@ -77,7 +77,6 @@ class TissueState(RunState):
     relaxed: Array
     x: Array
     v: Array
-    listed: Array
     elastic: float
     resting: Array
     bodies: Array
@@ -205,7 +204,6 @@ class Recorder:
             relaxed=relaxed,
             x=relaxed,
             v=v,
-            listed=dynamics.listed,
             elastic=elastic,
             resting=resting,
             bodies=np.stack([dynamics.bodies.x, dynamics.bodies.v]),
@@ -222,7 +220,7 @@ class Recorder:
         """Continue from where `state` was taken."""
         dynamics = self._dynamics
         dynamics.bodies.x[:], dynamics.bodies.v[:] = state.bodies
-        dynamics.place(state.x, state.v, state.listed)
+        dynamics.place(state.x, state.v)
         dynamics.counts = Counter(state.counts)
         self._state = replace(state, journal=state.journal.copy())
         self._started = clock() - state.seconds["run"]
@@ -244,9 +242,7 @@ class Recorder:
             frame = ParticleFrames(np.array([t]), (x - before.relaxed)[None], v[None])
             journal = journal.written(frame_series(frame))
         bodies = np.stack([dynamics.bodies.x, dynamics.bodies.v])
-        self._state = self._with_counts(
-            replace(before, x=x, v=v, listed=dynamics.listed, bodies=bodies, journal=journal)
-        )
+        self._state = self._with_counts(replace(before, x=x, v=v, bodies=bodies, journal=journal))
 
     @property
     def rows(self) -> int:
