@@ -27,12 +27,8 @@ _LONGEST = 120
 def with_changes(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """The tables of a recipe with other entries, by their dotted names.
 
-    What stands in a list, as [[conditions]] do, is named by its number, from 0.
-
-    Raises:
-        InputError: a name leads to nothing; whether the recipe takes the entry is seen when it is
-            made.
-    """
+    What stands in a list, as [[conditions]] do, is named by its number, from 0. A name that leads
+    to nothing is an InputError."""
     changed = deepcopy(dict(table))
     for name, value in changes.items():
         *way, last = name.split(".")
@@ -70,9 +66,6 @@ def listed_values(name: str, text: str) -> list[Any]:
 
     FIRST:LAST:COUNT stands for as many numbers at equal distances, FIRST:LAST:COUNT:log at equal
     ratios.
-
-    Args:
-        name: whose values they are, for the message.
 
     Raises:
         InputError: there is none, one is there twice, or a span is not of numbers.

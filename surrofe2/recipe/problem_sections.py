@@ -223,10 +223,7 @@ def load_mesh(path: str | Path, length_unit: str = "µm") -> skfem.Mesh:
 def stated_problem(
     table: Mapping[str, Any], folder: Path, elements: tuple[int, int]
 ) -> StatedProblem:
-    """The problem of a recipe's tables; without any of `SECTIONS`, the bar of [load].
-
-    Args:
-        elements: of the bar, in x and in y.
+    """The problem of a recipe's tables; without any of `SECTIONS`, the bar of [load] on `elements`.
 
     Raises:
         InputError: naming the entry that is not what it must be.

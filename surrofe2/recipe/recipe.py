@@ -69,14 +69,8 @@ class Recipe:
     part: str | None = None
 
     def parts(self, name: str | None = None) -> dict[str, Recipe]:
-        """The recipe for each of its cells, or for the selected one.
-
-        Args:
-            name: of the only cell wanted.
-
-        Raises:
-            InputError: there is no cell of that name.
-        """
+        """The recipe for each of its cells by name, or for the selected one; an unknown `name` is an
+        InputError."""
         if name is not None and name not in {*self.cells} - {""}:
             known = [each or "[cell]" for each in self.cells]
             raise unknown(f"--cell: {quoted(name)}", name, "cell", known)
@@ -86,11 +80,7 @@ class Recipe:
 
     @property
     def cell_name(self) -> str:
-        """Of the selected cell, or of the only one.
-
-        Raises:
-            InputError: there are several, and none is selected.
-        """
+        """Of the selected cell, or of the only one; an InputError where there are several."""
         if self.part is None and len(self.cells) > 1:
             raise InputError(
                 f"{self.path.name}: cells: {', '.join(self.cells)}; this needs a recipe with one "
@@ -134,19 +124,11 @@ class Recipe:
         return " ".join(part.cell.fingerprint for part in self.parts().values())
 
     def points_of_cells(self, mesh: skfem.Mesh) -> dict[str, NDArray[np.int64]]:
-        """Numbers of the points of the mesh that each cell fills.
-
-        Raises:
-            InputError: there is no such region, or an element is of no cell or of two.
-        """
+        """Numbers of the points of the mesh that each cell fills; raises as the function."""
         return points_of_cells(mesh, self.cells)
 
     def sampling_range(self) -> SamplingRange:
-        """The range of (F, Ḟ), for what cannot do without.
-
-        Raises:
-            InputError: the recipe has none.
-        """
+        """The range of (F, Ḟ), for what cannot do without; an InputError where there is none."""
         if self.range is None:
             name = self.section("range")
             raise InputError(

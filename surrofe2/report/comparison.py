@@ -30,14 +30,12 @@ COMPARISON_FILES = ("comparison.json", "comparison.png")
 
 @dataclass(frozen=True, slots=True)
 class ComparedRun:
-    """One run against the reference.
+    """One run, named by its folder, against the reference.
 
     Attributes:
-        name: the run's folder.
         difference: of the watched displacement, relative to the reference's largest.
         wall_time: seconds of law and macro together; compilation is not in it.
-        speed_up: ratios reference / this run, by what is counted; above 1 is less work. A ratio
-            is None where either needed none of it.
+        speed_up: ratios reference / this run, by what is counted; None where either needed none.
         cache: of a cached run, what its law reported: tolerance, audit, trust; else empty.
         forces: by name, of every force resultant that both runs have.
         balance: of a run through a cache, with what that cost to make; None where there is none.

@@ -179,12 +179,8 @@ def draw_tissue(
 ) -> Any:
     """The tissue at time k with supports, rigid bodies and a scale bar; what a colour bar takes.
 
-    A half with a line of symmetry at its end is drawn whole.
-
-    Args:
-        values: (e,) of the elements.
-        factor: displacements are drawn so many times as large.
-    """
+    A half with a line of symmetry at its end is drawn whole. `values` (e,) are of the elements;
+    displacements are drawn `factor` times as large."""
     at, order = fields.points + factor * fields.displacement[k], rim(fields)
     sides = _held_sides(fields)
     mirrors: list[tuple[int, float]] = []  # axis, and where on it
@@ -324,11 +320,8 @@ def cell_figure(
 ) -> Figure:
     """A look into the plant cells at a point: where it is, wall stretch over time, six times.
 
-    Args:
-        seen: the RVE of an element at the times of the fields.
-        point: that was asked for, in the undeformed tissue, µm.
-        clock: how a time is written.
-    """
+    `seen` is the RVE of an element at the times of the fields, `point` in the undeformed tissue,
+    µm, and `clock` how a time is written."""
     t = fields.t
     chosen = np.unique(np.linspace(0, len(t) - 1, min(_PANELS, len(t))).round().astype(int))
     columns = min(3, len(chosen))

@@ -26,13 +26,10 @@ _DECADE = 10.0
 
 @dataclass(frozen=True, slots=True)
 class GridRow:
-    """One run of a grid, by its law.
+    """One run of a grid, by its law; None where it failed.
 
-    Attributes:
-        values: of the entries that change and that it depends on, by dotted name.
-        run: None where it failed.
-        facts: its folder, the error message of one that failed, what the columns of the table have
-            of it, and the `tolerance` of its cache, relative to the spread of stress.
+    `values` of the entries that change and that it depends on are by dotted name; `facts` are what
+    the columns of the table have of it, and the `tolerance` of its cache over the spread of stress.
     """
 
     values: Mapping[str, Any]

@@ -33,10 +33,7 @@ OF_ELEMENTS = (VON_MISES, SOURCE_NAME, WALL_STRETCH)
 class RunData:
     """A run as a page shows it; what its folder lacks is None or empty.
 
-    Attributes:
-        events: lines of events.jsonl.
-        particles: PNG of each look into the plant cells, by the name of its folder.
-    """
+    `particles` are PNGs of looks into the plant cells, by the names of their folders."""
 
     run: StoredRun
     fields: StoredFields | None = None
@@ -56,13 +53,8 @@ class RunData:
 
 @dataclass(frozen=True, slots=True)
 class ReportData:
-    """All that a page is made of.
-
-    Attributes:
-        runs: the reference first.
-        comparison: of two runs and more of one load case.
-        why_not: why there is none.
-    """
+    """All that a page is made of: runs, the reference first, and their comparison or why there is
+    none."""
 
     runs: tuple[RunData, ...]
     comparison: Comparison | None = None

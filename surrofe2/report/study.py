@@ -97,16 +97,11 @@ def keep_study(
 ) -> tuple[Study | None, list[Path]]:
     """Make a study and write figure, points, table and at last its numbers, unless they are there.
 
-    Args:
-        name: of the study; its files are NAME-CELL.png, .csv, .md and .json in `out`.
-        asked: settings of the study besides the cell.
-
-    Returns:
-        The study, or None where it was there, and its files.
+    Its files are NAME-CELL.png, .csv, .md and .json in `out`. Returns the study, or None where it
+    was there, and its files.
 
     Raises:
         MismatchError: it is there by other settings, and not `fresh`.
-        FileError: another process makes it.
     """
     stem, known = f"{name}-{of.name}", of.identity(asked)
     png, csv, md, json = paths = [out / f"{stem}.{kind}" for kind in ("png", "csv", "md", "json")]

@@ -110,15 +110,13 @@ def _check_files(part: Recipe) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DryRun:
-    """How often a run calls its law, and what it meets.
+    """How often a run calls its law, and what it meets; dicts are by name of the cell.
 
     Attributes:
-        points: of quadrature; each call is for all of them.
-        calls: of the whole run; extrapolated where the dry run was cut short.
+        points: of quadrature; each of the run's `calls` is for all of them.
         reached: share of the duration by which `met` is known.
-        met: by name of the cell, which is "" where there is one.
-        steps: by name of the cell the last accepted (F, Ḟ), (n, 2, 2) each, of some of its points.
-        shares: by name of the cell, of the points.
+        steps: the last accepted (F, Ḟ), (n, 2, 2) each, of some of a cell's points.
+        shares: of a cell among the points.
         omitted: what the time or the size of the mesh did not allow; empty where nothing was.
     """
 
@@ -162,14 +160,11 @@ class _Recorder(WatchedLaw):
 
 
 def dry_run(recipe: Recipe, seconds: float = SECONDS, report: Report = no_report) -> DryRun:
-    """A dry run of a recipe's problem.
+    """A dry run of a recipe's problem, in so many seconds of processor time.
 
-    Where half of the time does not suffice for the whole run, a rectangle is meshed with half as
-    many elements each way, or a quarter, and so on, for the range and the steps; the number of
-    calls is that of the recipe's mesh, extrapolated.
-
-    Args:
-        seconds: of processor time, for the runs on all meshes together.
+    Where half of them do not suffice for the whole run, a rectangle is meshed with half as many
+    elements each way, or a quarter, and so on, for the range and the steps; the number of calls is
+    that of the recipe's mesh, extrapolated.
 
     Raises:
         InputError: the mesh is too large, and no rectangle that can be coarsened.

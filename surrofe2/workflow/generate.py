@@ -48,13 +48,8 @@ _SAME = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Generated:
-    """What is in a finished data set.
-
-    Attributes:
-        added: number of samples that this call computed; 0: it was already finished.
-        failed: reason → number of samples.
-        left: number of samples that have a stress, but whose RVE left a bifurcation.
-    """
+    """A finished data set; `added`: samples that this call computed, 0 if it was finished already;
+    `failed`: how many by reason; `left`: how many have a stress, but left a bifurcation."""
 
     path: Path
     count: int
@@ -211,13 +206,8 @@ def training_samples(
 ) -> StressSamples:
     """The first `count` samples of the recipe's data set, and all of the harvests.
 
-    A data set whose number of samples the recipe leaves out is continued where it has fewer.
-
-    Raises:
-        FileError: there is no data set.
-        InputError: it is not finished.
-        MismatchError: it is of another recipe.
-    """
+    A data set whose number of samples the recipe leaves out is continued where it has fewer; one
+    of another recipe is a MismatchError."""
     path = recipe.data_path()
     if not path.exists():
         raise FileError(f"{path}: no such file; make it with `surrofe2 generate {recipe.path}`")
@@ -234,11 +224,7 @@ def training_samples(
 
 
 def check_data(recipe: Recipe, samples: StressSamples, source: Path) -> None:
-    """Refuse a data set of another recipe.
-
-    Raises:
-        MismatchError: naming what differs.
-    """
+    """Refuse a data set of another recipe by a MismatchError that names what differs."""
     stored = stored_count(source)
     for name, here, there in (
         ("cell", recipe.cell, samples.cell),
@@ -259,12 +245,8 @@ def with_harvests(
 ) -> StressSamples:
     """The samples and, after them, the RVE stresses in these harvests.
 
-    The range stays that of the samples: states beyond it are trained on, and do not widen it.
-    Where the samples have tangents, those of harvested states are computed by RVEs from rest;
-    states where these find another stress are omitted.
-
-    Args:
-        law: whose tangents; default: the recipe's RVE.
+    The range stays that of the samples. Where these have tangents, those of harvested states are
+    computed by `law` from rest; states where it finds another stress are omitted.
 
     Raises:
         MismatchError: a harvest is of other cell parameters or initialisation.

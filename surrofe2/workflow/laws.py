@@ -118,11 +118,7 @@ def choose_law(
 ) -> ChosenLaw:
     """The law called `kind` for a recipe; its surrogate from `surrogate_file` or the recipe.
 
-    RVEs are on all ranks where this process drives several.
-
-    Args:
-        tables: files of tables that a run by a table starts from.
-        on_true_answer: takes RVE answers at accepted steps, see `CachedLaw`.
+    RVEs are on all ranks where this process drives several. A run by a table starts from `tables`.
 
     Raises:
         FileError: the surrogate is not there or cannot be read.
@@ -163,11 +159,7 @@ def make_table(recipe: Recipe, law: Fallback, files: Sequence[Path] = ()) -> Str
     """A table for a recipe, with the records of these files, or of the undeformed state.
 
     What it begins with took its `seconds`. The spread of the stress is that of the first file, or
-    of samples.
-
-    Raises:
-        MismatchError: a file is of other cell parameters or initialisation.
-    """
+    of samples. A file of other cell parameters or initialisation is a MismatchError."""
     wanted = recipe.sampling_range()
     meter = Meter()
     found = [read_table(path) for path in files]
@@ -203,9 +195,8 @@ def choose_laws(
 ) -> ChosenLaw:
     """The law called `kind` of each cell of a recipe, each at the points of its regions.
 
-    Args:
-        surrogates: files by name of the cell, instead of the recipe's; see `files_by_cell`.
-        tables: files to start from, each for the cells whose answers it has.
+    Files of surrogates, by name of the cell, replace the recipe's; each table is for the cells
+    whose answers it has.
 
     Raises:
         MismatchError: a surrogate or a table is of other cell parameters or initialisation.
@@ -223,12 +214,7 @@ def choose_laws(
 
 
 def files_by_cell(recipe: Recipe, files: Sequence[Path]) -> dict[str, Path]:
-    """Files of surrogates by name of the cells that they were trained for.
-
-    Raises:
-        InputError: two are for one cell.
-        MismatchError: one is for none of the cells.
-    """
+    """Files of surrogates by name of the cells that they were trained for, at most one for each."""
     found = _by_cell(recipe, files, read_surrogate, "--surrogate")
     for name, paths in found.items():
         if len(paths) > 1:

@@ -53,21 +53,15 @@ MOST_NEIGHBOURS = 20_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Round:
-    """A row of the table of rounds, of one cell.
+    """A row of the table of rounds, of one cell; "" is the only one.
 
     Attributes:
-        cell: its name, "" of the only one.
         hits: share of the answers at kept steps that came from the surrogate.
-        unknown: states at accepted steps that the surrogate could not answer, and audited ones
-            over the tolerance.
-        samples: valid ones that the surrogate was trained on.
+        unknown: states that the surrogate could not answer, and audited ones over the tolerance.
+        samples: valid ones that it was trained on; added: those taken in after the run.
         held_out: largest held-out RMS error of a stress component, relative to its spread.
-        audit: 99 % quantile of the audited errors as a share of the spread of stress; None where
-            nothing was audited.
-        range: of the surrogate.
-        wider: of the next one, that holds what the run met too.
-        added: samples taken in after the run.
-        seconds: since the round began, with run, sampling and training.
+        audit: 99 % quantile of the audited errors over the spread of stress; None: no audit.
+        range: of the surrogate; wider: of the next one, that holds what the run met too.
     """
 
     round: int
@@ -123,19 +117,13 @@ def refine_surrogate(
 ) -> list[Round]:
     """Rounds of training, cached run, harvest and sampling in a folder, until one is settled.
 
-    The first round runs on the recipe's surrogate, which is made where it is not there. Each
-    later one is trained on the recipe's data set and everything sampled since; where states
-    left the range, the range of the surrogate is the least box that holds them too. The last
-    surrogate is `out`/surrogate.h5, of several cells `out`/surrogate-NAME.h5.
-
-    Args:
-        cell: the only one of several that is refined; None: all, each until it is settled.
-        rounds: how many at most.
-        tell: called with the rows of each finished round.
+    The first round runs on the recipe's surrogate, which is made where it is missing. Each later
+    one is trained on the recipe's data set and everything sampled since; its range is the least
+    box that also holds the states that left it. The last surrogate is `out`/surrogate.h5, of
+    several cells `out`/surrogate-NAME.h5. With `cell` that one alone is refined.
 
     Raises:
-        InputError: no round is to be made.
-        SimulationError: the last round is not settled.
+        SimulationError: the last round of `rounds` is not settled.
     """
     if rounds < 1:
         raise InputError(f"rounds: {rounds}; it must be at least 1")
@@ -274,11 +262,7 @@ def unknown_states(
     """(rows of the harvest that were not known well enough, 99 % quantile of audited errors).
 
     A point also falls back where the surrogate knows its state but not what the step may come to;
-    such states are not unknown.
-
-    Args:
-        allowed: error of a stress, µN/µm.
-    """
+    such states are not unknown. `allowed` is the error of a stress, µN/µm."""
     if harvest is None:
         return np.empty(0, dtype=np.intp), None
     audited = np.flatnonzero((harvest.why == AUDIT) & (harvest.status == 0))

@@ -47,13 +47,9 @@ def rest_study(
     fresh: bool = False,
     report: Report = no_report,
 ) -> RunRecord:
-    """Load the recipe's tissue in steps and write the run folder.
+    """Load the recipe's tissue in steps, to `factor` times all loads, and write the run folder.
 
-    What was found before a failure or an interrupt is written, and the same call resumes from
-    there.
-
-    Args:
-        factor: of all loads and prescribed motions, at the end.
+    What was found before a failure or an interrupt is written, and the same call resumes there.
 
     Raises:
         SimulationError: a load step finds no equilibrium.

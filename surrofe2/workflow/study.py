@@ -34,13 +34,8 @@ def run_recipe(
 ) -> tuple[list[RunRecord], Comparison | None]:
     """Data set, surrogate, runs by each law in `out`, and their comparison: what is missing of it.
 
-    Args:
-        laws: of the runs, in their order.
-        true: folder of a run by RVEs to compare with besides.
-        tell: called with what each step came to.
-
-    Returns:
-        The runs that it made or found, and their comparison where there are two or more.
+    `true` is the folder of a run by RVEs to compare with besides; `tell` is called with what each
+    step came to. Returns the runs, and their comparison where there are two or more.
 
     Raises:
         InputError: the recipe's mesh, names, range or files are not what a study needs.

@@ -29,11 +29,7 @@ _MARGIN, _FASTER = 0.01, 1.5
 
 
 def with_surface(recipe: Recipe, problem: Problem) -> Problem:
-    """The problem with the surface law of its plant cells, if the recipe has a [surface].
-
-    Raises:
-        InputError: a cell has no surface law.
-    """
+    """The problem with the surface law of its plant cells, if the recipe has a [surface]."""
     if recipe.surface is None:
         return problem
     low, high = extent(problem.mesh)
@@ -52,11 +48,7 @@ def with_surface(recipe: Recipe, problem: Problem) -> Problem:
 
 
 def cell_surface(recipe: Recipe, across: float) -> TabulatedSurface:
-    """The surface law of a recipe's only cell: its table from the cache folder, or made.
-
-    Args:
-        across: plant cells across the tissue.
-    """
+    """The surface law of a recipe's only cell, `across` plant cells: its table, kept or made."""
     cell, method, (stretch, rate) = recipe.cell, recipe.rve.initialisation, _bounds(recipe)
     rows = rows_across(across)
 

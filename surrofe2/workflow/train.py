@@ -52,13 +52,8 @@ LARGE_ERROR = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Trained:
-    """A trained surrogate and its file.
-
-    Attributes:
-        kept: whether it was already there.
-        bound: lines on it.
-        samples: that it was trained on, failed ones included.
-    """
+    """A trained surrogate and its file; `kept`: it was already there; `bound`: lines on it;
+    `samples`: that it was trained on, failed ones included."""
 
     path: Path
     surrogate: SurrogateLaw
@@ -81,7 +76,6 @@ def train_surrogate(
     on twice as many. The surrogate is written before its calibration too, with no bound yet.
 
     Args:
-        fresh: start over, whatever is there.
         add: harvests to train on too.
         range: of the surrogate, where it is not the recipe's.
 

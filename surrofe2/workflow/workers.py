@@ -127,11 +127,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def executor_of(workers: int = 0, scheduler: str | None = None) -> Iterator[Any]:
-    """The executor that a command wants: processes, a Dask cluster, or None.
-
-    Args:
-        workers: number of processes; 0: none.
-        scheduler: address of a scheduler of dask.distributed, such as tcp://host:8786.
+    """The executor that a command wants: so many processes, a cluster of Dask at tcp://…, or None.
 
     Raises:
         InputError: both are given, dask.distributed is not installed, or no one answers.
@@ -179,14 +175,7 @@ def in_pieces(work: Work, items: range, unit: int, executor: Any = None) -> Iter
 
     Pieces are of whole `unit`s but the last. Without an executor each is a unit and is done here.
     With one, the first two units are done here as well: they load the kernels and say how many
-    units take a second.
-
-    Args:
-        executor: has `submit(work, *arguments)` that gives a future.
-
-    Raises:
-        SimulationError: a piece lost its worker several times.
-    """
+    units take a second."""
     at, seconds = items.start, 0.0
     while at < items.stop and (executor is None or at < items.start + 2 * unit):
         count, begin = min(unit, items.stop - at), time.perf_counter()

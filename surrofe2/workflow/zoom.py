@@ -137,16 +137,9 @@ def cell_numbers(motion: StoredFields, recipes: Mapping[str, Recipe]) -> NDArray
 
 
 def add_cell_fields(folder: Path) -> int:
-    """Add `Particles.extremes` of every element and frame to the fields of a run.
+    """Add `Particles.extremes` of every element and frame to the fields of a run; how many RVEs.
 
-    They are of RVEs with the mean F and Ḟ of the element, NaN where one has no stress.
-
-    Returns:
-        How many RVEs were solved.
-
-    Raises:
-        FileError: the folder has no run with fields of elements.
-    """
+    They are of RVEs with the mean F and Ḟ of the element, NaN where one has no stress."""
     recipes = recipes_of(read_record(folder))
     with locked_folder(folder):
         motion = read_fields(folder, FIELDS_OF_MOTION, (CELL,))
