@@ -69,8 +69,7 @@ class Recipe:
     part: str | None = None
 
     def parts(self, name: str | None = None) -> dict[str, Recipe]:
-        """The recipe for each of its cells by name, or for the selected one; an unknown `name` is an
-        InputError."""
+        """The recipe for each of its cells by name, or for the selected one."""
         if name is not None and name not in {*self.cells} - {""}:
             known = [each or "[cell]" for each in self.cells]
             raise unknown(f"--cell: {quoted(name)}", name, "cell", known)

@@ -32,8 +32,11 @@ from surrofe2.workflow.run import new_record
 def tissue_of(
     recipe: Recipe,
 ) -> tuple[Problem, list[CellParameters], NDArray[np.int64]]:
-    """The problem of a recipe, its plant cells, and which of these each one is (n, m); an InputError
-    names what a tissue of particles does not take."""
+    """The problem of a recipe, its plant cells, and which of these each one is (n, m).
+
+    Raises:
+        InputError: naming what a tissue of particles does not take.
+    """
     problem, stated = recipe.problem(), recipe.stated
     cells = [each.cell for each in recipe.cells.values()]
     with recipe.named(InputError):
