@@ -103,14 +103,6 @@ class StressNetwork(torch.nn.Module):
         component_of = torch.nn.functional.one_hot(torch.tensor([k for _, k in terms]), 4)
         self.register_buffer("component_of", component_of.double(), persistent=False)
 
-    @classmethod
-    def of(cls, parameters: NetworkParameters, settings: TrainingSettings) -> StressNetwork:
-        """The network that left as these parameters."""
-        network = cls(settings, parameters.symmetry)
-        tensors = parameters.tensors.items()
-        network.load_state_dict({name: torch.from_numpy(values) for name, values in tensors})
-        return network
-
     def to_parameters(self) -> NetworkParameters:
         """All that the network is, as arrays; the baseline takes away `rest_slopes`."""
         arrays = {name: values.numpy().copy() for name, values in self.state_dict().items()}

@@ -151,7 +151,7 @@ class SurrogateLaw(Viewed):
 
         F, F_dot: contiguous float64 (n, 2, 2), det F > 0.
         """
-        return to_tangents(F, F_dot, *self._slopes(F, F_dot))
+        return to_tangents(F, F_dot, *evaluate_slopes(F, F_dot, self.arrays))
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         return Acceptance(response.status, response.state)
@@ -223,7 +223,7 @@ class SurrogateLaw(Viewed):
     def extrapolate(self, F: Array, F_dot: Array) -> Array:
         """Stress (n, 2, 2) in µN/µm by the network alone, in range or not."""
         F, F_dot = check_deformation(F, F_dot)
-        return to_cauchy(F, self._slopes(F, F_dot)[0])
+        return to_cauchy(F, evaluate_slopes(F, F_dot, self.arrays)[0])
 
     def score(self, samples: StressSamples) -> dict[str, Any]:
         """`errors_of` this surrogate on samples of the same RVE, beyond the range too.
@@ -246,9 +246,6 @@ class SurrogateLaw(Viewed):
         if not len(known.F):
             raise InputError(f"samples: none of {len(samples.F)} has a stress; ask other states")
         return errors_of(self.extrapolate(known.F, known.F_dot), known)
-
-    def _slopes(self, F: Array, F_dot: Array) -> tuple[Array, Array]:
-        return evaluate_slopes(F, F_dot, self.arrays)
 
 
 def errors_of(answer: Array, samples: StressSamples) -> dict[str, Any]:

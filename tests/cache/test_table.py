@@ -5,7 +5,7 @@ import pytest
 
 from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import sample
-from surrofe2.base.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonical_image
+from surrofe2.base.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
 from surrofe2.base.tensors import from_inputs, stress_error, to_components, to_inputs, transpose
 from surrofe2.cache import CachedLaw, sampled_spread
 from surrofe2.cache.branches import RETURN
@@ -133,17 +133,6 @@ def test_rotation_and_group_are_for_nothing():
     np.testing.assert_allclose(table.lookup(*mirrored)[0], square_stress(*mirrored), atol=1e-9)
 
 
-def test_a_record_at_the_edge_of_a_sector_is_valid_across_it():
-    """U₁₁ − U₂₂ = ±1e-3, far from U₁₂ = 0: no sign can be flipped to bring one to the other."""
-    sides = [np.array([[[1.0 + e, 0.04], [0.04, 1.0 - e]]]) for e in (5e-4, -5e-4)]
-    rate = np.array([[[0.0, 0.004], [-0.002, 0.001]]])
-    table = taught(sides[0], rate)
-    stress, status, bound = table.lookup(sides[1], rate)
-    assert status[0] == 0
-    assert 0.0 < bound[0] <= table.tolerance
-    assert stress_error(stress, square_stress(sides[1], rate))[0] <= table.tolerance
-
-
 def test_without_symmetry_images_are_told_apart():
     F, F_dot = np.array([[[1.05, 0.0], [0.0, 1.0]]]), np.zeros((1, 2, 2))
     turned = F[:, ::-1, ::-1].copy()
@@ -240,15 +229,6 @@ def test_what_cannot_be_a_table():
         make(law)
     with pytest.raises(InputError, match="no sample"):
         sampled_spread(SquareLaw(fails_above=0.1), RANGE)
-
-
-def test_canonical_image_is_in_one_sector():
-    x = to_inputs(*states(400))[0]
-    image = canonical_image(x)
-    assert set(image) == {0, 1, 2, 3}
-    home = x * INPUT_SIGNS[image]
-    assert (home[:, 1] >= 0.0).all()
-    assert (home[:, 2] >= 0.0).all()
 
 
 def test_slopes_are_derivatives_along_the_inputs():

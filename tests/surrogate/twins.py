@@ -99,7 +99,10 @@ def within(domain, F, F_dot):
 
 def torch_stress(law, F, F_dot):
     """Stress (n, 2, 2) of a surrogate by its torch network, in range or not."""
-    return network_stress(StressNetwork.of(law.network, law.settings), F, F_dot)
+    network = StressNetwork(law.settings, law.network.symmetry)
+    tensors = law.network.tensors.items()
+    network.load_state_dict({name: torch.from_numpy(values) for name, values in tensors})
+    return network_stress(network, F, F_dot)
 
 
 def network_stress(network, F, F_dot):
