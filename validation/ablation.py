@@ -46,6 +46,7 @@ TABLE_TOLERANCE = 1e-3  # of a `StressTable`, relative to the spread of stress
 _SOLVES_A_RECORD = 8
 _TUNED_ON = 512  # samples that the length scales of the Gaussian process are fitted to
 _WEIGHT = 0.1
+TICKS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)  # µs
 
 _plain = partial(replace, baseline_degree=0, tangent_weight=0.0)
 NETWORKS: Mapping[str, Callable[[TrainingSettings], TrainingSettings]] = {
@@ -210,13 +211,13 @@ def describe(results: list[Result]) -> Study:
             error = np.array([100.0 * result.rms for result in found])
             learning.append(Curve(name, np.array([float(r.samples) for r in found]), error))
             costs.append(Curve(name, np.array([found[-1].query]), error[-1:]))
-    most, label = max(result.samples for result in results), "RMS error (% of spread)"
-    cost = f"time per query at {POINTS} points (µs), {most} samples"
+    counts, label = tuple(sorted({float(r.samples) for r in results})), "RMS error (% of spread)"
+    cost = f"time per query at {POINTS} points (µs), {counts[-1]:,.0f} samples"
     return Study(
         title="Surrogate part by part, and what else there is",
         panels=(
-            Panel("RVE samples", label, tuple(learning), log_x=True, log_y=True),
-            Panel(cost, label, tuple(costs), log_x=True, log_y=True),
+            Panel("RVE samples", label, tuple(learning), log_x=True, log_y=True, x_ticks=counts),
+            Panel(cost, label, tuple(costs), log_x=True, log_y=True, x_ticks=TICKS),
         ),
         columns=2,
         table=Table(QUANTITIES, results),
