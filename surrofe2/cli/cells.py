@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -61,55 +61,32 @@ def moduli(
     if turgor is not None:
         of = NamedCell(moduli_of.with_turgor(of.cell, turgor), of.name, of.source)
 
-    was_there = False
-    if out is None:
-        _moduli(of, initialisation)
-    else:
-        identity = of.identity({"initialisation": initialisation})
-        make = partial(_moduli, of, initialisation)
-        _, was_there = keep(out, identity, make, fresh=fresh)
-    if was_there:
+    make = partial(_moduli, of, initialisation)
+    identity = of.identity({"initialisation": initialisation})
+    if out is not None and keep(out, identity, make, fresh=fresh)[1]:
         console.print_line(f"{out}: there already")
     else:
+        if out is None:
+            make()
         console.done(out, f"elastic and viscous, of {of}")
     if memory is not None:
-        _study(
-            "memory",
-            of,
-            memory,
-            {"period": period},
-            fresh,
-            lambda progress: memory_of.describe(
-                memory_of.memory(of.cell, period, progress=progress)
-            ),
-        )
+        remember = partial(memory_of.memory_study, of.cell, period)
+        _study("memory", of, memory, remember, fresh, period=period)
     if stability is not None:
-        _study(
-            "stability",
-            of,
-            stability,
-            {},
-            fresh,
-            lambda progress: stability_of.stability(of.cell, progress=progress),
-        )
+        _study("stability", of, stability, partial(stability_of.stability, of.cell), fresh)
 
 
 def _study(
-    name: str,
-    of: NamedCell,
-    folder: Path,
-    settings: Mapping[str, Any],
-    fresh: bool,
-    make: Callable[[Callable[[float], None]], Study],
+    name: str, of: NamedCell, folder: Path, make: Callable[..., Study], fresh: bool, **asked: Any
 ) -> None:
     """Make a study of the cell unless it is in the folder, and show it."""
 
     def compute() -> Study:
         with console.progress(name, 1.0, "parts") as report:
-            return make(report)
+            return make(progress=report)
 
     with console.on_interrupt("nothing was changed"):
-        study, paths = keep_study(folder, name, of, settings, compute, fresh=fresh)
+        study, paths = keep_study(folder, name, of, asked, compute, fresh=fresh)
     files = ", ".join(path.name for path in paths)
     if study is None:
         console.print_line(f"{folder}: {files}, there already")

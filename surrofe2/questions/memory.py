@@ -145,8 +145,14 @@ QUANTITIES: tuple[Quantity[Memory], ...] = (
 )
 
 
-def describe(found: Memory) -> Study:
-    """The fading difference of the stresses."""
+def memory_study(
+    cell: CellParameters,
+    period: float = PERIOD,
+    *,
+    progress: Callable[[float], None] = lambda done: None,
+) -> Study:
+    """The fading difference of the stresses; as `memory`."""
+    found = memory(cell, period, progress=progress)
     labels = "time since both pasts met (µs)", "difference of the stresses (µN/µm)"
     curve = Curve("difference", found.t, found.difference, markers=False)
     return Study(
