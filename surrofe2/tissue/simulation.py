@@ -119,7 +119,7 @@ class TissueRun(ViewedRun):
         bonds: (b, 2) bonded wall particles. is_wall: (particles,).
         frames: particle fields at a few times.
         wall_time: s, `total`, `relaxation` and `run`.
-        counts: `steps`, `force_evaluations`, `list_builds`, `particles`, `particle_steps`.
+        counts: `steps`, `force_evaluations`, `particles`, `particle_steps`.
     """
 
     curve: DisplacementCurve
@@ -143,7 +143,7 @@ class TissueRun(ViewedRun):
         }
 
 
-_COUNTS = ("steps", "force_evaluations", "list_builds")
+_COUNTS = ("steps", "force_evaluations")
 _WORKS = ("bodies", "motion", "contact dissipated", "dissipated")
 """What `Recorder.record` takes besides the works of loads."""
 
