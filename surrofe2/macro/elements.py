@@ -319,11 +319,18 @@ def add_product(indptr: Any, indices: Any, values: Any, x: Any, product: Any) ->
             product[p, 1] += values[k] * x[indices[k], 1]
 
 
-def summed(S: Matrix, blocks: Array) -> Matrix:
-    """Sᵀ B S, B the blocks (p, m, m) on a diagonal."""
+def with_transpose(S: Matrix) -> tuple[Matrix, Matrix]:
+    """S and Sᵀ, both by rows."""
+    return S.tocsr(), S.T.tocsr()
+
+
+def summed(S_and_transpose: tuple[Matrix, Matrix], blocks: Array) -> Matrix:
+    """Sᵀ B S, sparse by columns, B the blocks (p, m, m) on a diagonal."""
+    S, S_T = S_and_transpose
     p = np.arange(len(blocks) + 1)
-    B = scipy.sparse.bsr_matrix((np.ascontiguousarray(blocks), p[:-1], p))
-    return (S.T @ (B @ S)).tocsc()
+    transposed = np.ascontiguousarray(blocks.transpose(0, 2, 1))
+    # The transpose by rows is the matrix by columns.
+    return (S_T @ (scipy.sparse.bsr_matrix((transposed, p[:-1], p)).tocsr() @ S)).T
 
 
 def _effective_slope(F: Array, P: Array, slope: Array, points_per_element: int) -> Array:

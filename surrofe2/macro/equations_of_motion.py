@@ -31,6 +31,7 @@ from surrofe2.macro.elements import (
     point_tangents,
     stress_power,
     summed,
+    with_transpose,
 )
 from surrofe2.macro.forces import Slopes
 from surrofe2.macro.system import System
@@ -266,7 +267,9 @@ class EquationsOfMotion:
         """K + C/dt of `tangents`, at about half the cost."""
         slope = _tangents(now.response).over_step(dt)
         total = self._summed(now, now.response.first_piola(now.F), slope)
-        return total + sum(self._free(k + c / dt) for k, c in self._slopes_of_forces(now))
+        for k_force, c_force in self._slopes_of_forces(now):
+            total = total + self._free(k_force + c_force / dt)
+        return total
 
     def stiffness_times(self, now: Evaluation, w: Array) -> Array:
         """(m,) ∂(f − l)/∂u w for a displacement w (n, 2) of all rows, those of supports as well."""
@@ -283,8 +286,8 @@ class EquationsOfMotion:
         return gradient_matrix(self.discretisation, self.system.n_rows)
 
     @cached_property
-    def _free_gradients(self) -> Matrix:
-        return self._gradients[:, self.system.free]
+    def _free_gradients(self) -> tuple[Matrix, Matrix]:
+        return with_transpose(self._gradients[:, self.system.free])
 
     def _summed(self, now: Evaluation, P: Array, slope: Array) -> Matrix:
         return summed(self._free_gradients, point_tangents(self.discretisation, now.F, P, slope))

@@ -22,7 +22,14 @@ import scipy.sparse
 import skfem
 from numpy.typing import NDArray
 
-from surrofe2.macro.elements import Matrix, for_components, sparse_rows, summed, times
+from surrofe2.macro.elements import (
+    Matrix,
+    for_components,
+    sparse_rows,
+    summed,
+    times,
+    with_transpose,
+)
 from surrofe2.problem import contact_law
 from surrofe2.problem.amplitude import ONE, Amplitude
 from surrofe2.problem.conditions import (
@@ -189,7 +196,7 @@ class Contact:
     Attributes:
         name: of the body. shape: its outline. position: (2,) at t = 0, µm.
         relative: (p, n) from the displacement of nodes and bodies to that of the points relative
-            to the body; by_component: as of `for_components`.
+            to the body; by_component: that of `for_components`, and its transpose.
         points: (p, 2) reference positions. lengths: (p,) µm. side: mean length of a side, µm.
         stiffness: k, µN/µm². smoothing: δ, µm. damping: c, µN µs/µm².
         friction: µ. slip_speed: s, µm/µs.
@@ -200,7 +207,7 @@ class Contact:
     shape: Shape
     position: Array
     relative: Matrix
-    by_component: Matrix
+    by_component: tuple[Matrix, Matrix]
     points: Array
     lengths: Array
     side: float
@@ -343,7 +350,7 @@ def make_contact(
         shape=body.shape,
         position=np.array(body.position),
         relative=relative,
-        by_component=for_components(relative),
+        by_component=with_transpose(for_components(relative)),
         points=np.asarray(basis.global_coordinates()).reshape(2, -1).T,
         lengths=basis.dx.ravel(),
         side=side,

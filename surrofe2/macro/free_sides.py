@@ -33,7 +33,14 @@ from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError
 from surrofe2.law.surface_law import SurfaceLaw, SurfaceResponse
-from surrofe2.macro.elements import Discretisation, Matrix, for_components, summed, times
+from surrofe2.macro.elements import (
+    Discretisation,
+    Matrix,
+    for_components,
+    summed,
+    times,
+    with_transpose,
+)
 from surrofe2.macro.forces import Slopes
 from surrofe2.problem.conditions import FREE, Surface
 from surrofe2.problem.mesh import boundary, facet_nodes, region, region_numbers
@@ -200,7 +207,8 @@ class SurfaceForce:
         by_g = answer.tangent[:, None, None] * along + answer.rate_tangent[:, None, None] * turning
         by_g += (answer.tension / stretch)[:, None, None] * across
         by_g_dot = answer.rate_tangent[:, None, None] * along
-        S, lengths = for_components(self.D), self.share * self.lengths[:, None, None]
+        S = with_transpose(for_components(self.D))
+        lengths = self.share * self.lengths[:, None, None]
         return summed(S, lengths * by_g), summed(S, lengths * by_g_dot)
 
     def dissipation_rates(self, u: Array, v: Array) -> Array:

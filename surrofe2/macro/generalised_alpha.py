@@ -103,6 +103,7 @@ class GeneralisedAlpha:
         self.weights = Weights.of(settings.spectral_radius)
         self._settings, self._equations = settings, equations
         self._mass = equations.system.free_mass
+        self._inertia = (1.0 - self.weights.alpha_m) * self._mass
 
     def first_length(self, start: Evaluation, t_end: float) -> float:
         """So short that the displacement gained is what the tolerance allows."""
@@ -158,7 +159,7 @@ class GeneralisedAlpha:
         for iteration in range(MAX_ITERATIONS + 1):
             y = np.concatenate([u_known + h**2 * w.beta * a_end, v_known + h * w.gamma * a_end])
             now = equations.evaluate(t, y, tangents=True)
-            inertia = (1.0 - w.alpha_m) * (self._mass @ a_end)
+            inertia = self._inertia @ a_end
             residual = before + inertia - (1.0 - w.alpha_f) * now.residual
             if iteration == 0:
                 solve, floor = self._factorised(now, h)
@@ -202,7 +203,7 @@ class GeneralisedAlpha:
         """
         w = self.weights
         K = self._equations.tangents_over_step(now, h * w.beta / w.gamma)
-        S = (1.0 - w.alpha_m) * self._mass + (1.0 - w.alpha_f) * h**2 * w.beta * K
+        S = self._inertia + (1.0 - w.alpha_f) * h**2 * w.beta * K
         self._equations.tally.counts["factorisations"] += 1
         acceleration = self._settings.absolute_tolerance / (h**2 * w.beta)
         least = float(abs(S.diagonal()).max()) * acceleration
@@ -223,6 +224,6 @@ class GeneralisedAlpha:
         size = np.maximum(abs(end.y), abs(start.y))
         scale = settings.absolute_tolerance + settings.relative_tolerance * size
         u_error, v_error = np.split(error, 2)
-        damped = (1.0 - self.weights.alpha_m) * solved.solve(self._mass @ v_error)
+        damped = solved.solve(self._inertia @ v_error)
         relative = np.concatenate([u_error, damped]) / scale
         return _ACCUMULATION * float(np.sqrt(np.mean(relative**2)))

@@ -10,6 +10,7 @@ from surrofe2.macro.elements import (
     internal_force,
     point_tangents,
     summed,
+    with_transpose,
 )
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.system import make_system
@@ -44,7 +45,7 @@ def exact(bar, law, u, v, state=None):
     F, F_dot, _ = deformation_gradient(bar.discretisation, u, v)
     answer = law.respond(F, F_dot, state, tangents=True)
     space, P, slopes = bar.discretisation, answer.first_piola(F), answer.tangents
-    S = gradient_matrix(space, bar.n_rows)[:, bar.free]
+    S = with_transpose(gradient_matrix(space, bar.n_rows)[:, bar.free])
     by_u = point_tangents(space, F, P, slopes.P_by_F)
     by_v = point_tangents(space, F, 0.0 * P, slopes.P_by_F_dot)
     return (summed(S, by_u), summed(S, by_v)), answer
