@@ -12,7 +12,6 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -194,9 +193,8 @@ class Recipe:
 
         Of one cell it has the sections of a [cell], whatever its name.
         """
-        settings = {name: asdict(attrgetter(name)(self)) for name in _SETTINGS if name != "surface"}
-        if self.surface is not None:
-            settings["surface"] = asdict(self.surface)
+        stated = {name: getattr(self, name) for name in _SETTINGS}
+        settings = {name: asdict(each) for name, each in stated.items() if each is not None}
         if self.part is not None or "" in self.cells:
             cells = self.cells[self.cell_name].to_dict()
         else:

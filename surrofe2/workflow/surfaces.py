@@ -71,11 +71,9 @@ def cell_surface(recipe: Recipe, across: float) -> TabulatedSurface:
 
 
 def surface_record(problem: Problem) -> dict[str, Any]:
-    """The free sides of a problem and whose law they have; empty where it has none."""
-    if problem.surface is None:
-        return {}
-    sides = free_sides(problem)
-    law = problem.surface.law
+    """The free sides of a problem with a surface law, and whose law they have."""
+    assert problem.surface is not None
+    sides, law = free_sides(problem), problem.surface.law
     laws = law if isinstance(law, Mapping) else {"": law}
     return {
         "on": problem.surface.on,
