@@ -5,7 +5,6 @@ from shutil import copytree
 
 import pytest
 
-from surrofe2.store.store import locked_folder
 from tests.laws import SoftLaw
 
 
@@ -31,15 +30,6 @@ def test_comparison(invoke, runs, tmp_path):
     assert (out / "comparison.png").stat().st_size > 10_000
 
 
-def test_a_comparison_waits_for_who_is_at_work_there(invoke, runs, tmp_path):
-    out = tmp_path / "comparison"
-    with locked_folder(out):
-        refused = invoke("compare", *runs, "--out", out)
-    assert refused.exit_code == 1
-    assert refused.stderr == f"error: {out}: in use by another call of this process\n"
-    assert list(out.iterdir()) == []
-
-
 def test_a_comparison_is_kept_and_one_of_other_runs_refused(invoke, runs, tmp_path):
     out = tmp_path / "comparison"
     invoke("compare", *runs, "--out", out)
@@ -52,12 +42,3 @@ def test_a_comparison_is_kept_and_one_of_other_runs_refused(invoke, runs, tmp_pa
     assert refused.exit_code == 1
     assert refused.stderr.startswith(f"error: {out / 'comparison.json'}: of.third: this call has ")
     assert invoke("compare", *runs, third, "--out", out, "--fresh").exit_code == 0
-
-
-def test_not_a_run(invoke, runs, tmp_path):
-    refused = invoke("compare", runs[0], tmp_path / "none", "--out", tmp_path / "comparison")
-    assert refused.exit_code == 1
-    assert (
-        refused.stderr
-        == f"error: {tmp_path / 'none'}: no run.json, so not a run; make one with `surrofe2 run`\n"
-    )

@@ -32,11 +32,3 @@ def test_what_is_there_stays(surrogate, invoke):
     assert invoke("export", surrogate, "--fresh").exit_code == 0
     assert invoke("export", surrogate).exit_code == 0  # the same, so nothing is lost
     assert source.read_text(encoding="utf-8").startswith("/*")
-
-
-def test_what_is_no_surrogate(tmp_path, invoke):
-    (tmp_path / "law-surrogate.h5").write_bytes(b"none")
-    done = invoke("export", tmp_path / "law-surrogate.h5")
-    assert done.exit_code == 1
-    assert "not an HDF5 file; train again with" in done.output
-    assert not (tmp_path / "law.c").exists()
