@@ -1,15 +1,13 @@
 """Forces on the nodes besides the tissue's own: loads, follower pressure, foundations, contact.
 
-Forces along sides are forms of scikit-fem over facets, whose unknowns are numbered as ours. A force
-knows its slopes, which Newton's method needs. Unknown 2 a + i is component i of node a; the
-positions of rigid bodies are numbered on after the nodes of the mesh.
+Forces along sides are forms of scikit-fem over facets, whose unknowns are numbered as ours: 2 a + i
+is component i of node a. The positions of rigid bodies are numbered on after the nodes of the mesh.
+A force knows its slopes, which Newton's method needs.
 
-Contact of a boundary with a rigid body is a smooth penalty, a dashpot and Coulomb friction, by the
-law of `contact_law` at three points of each side. Without its dashpot the boundary's nodes would
-bounce off a stiff spring, for they have a mass and the true boundary has none. Where nothing has a
-velocity friction follows from the sliding Δ since the last equilibrium and the friction τ of that:
-τ + k Δ, at most µ p, so that a point sticks to the body by the spring k or slips by Coulomb's law.
-The body takes the opposite forces, so momentum is kept to rounding."""
+Contact of a boundary with a rigid body acts at three points of each side by `contact_law`. Where
+nothing has a velocity friction follows from the sliding Δ since the last equilibrium and the
+friction τ of that: τ + k Δ, at most µ p, so that a point sticks to the body by the spring k or
+slips by Coulomb's law. The body takes the opposite forces, so momentum is kept to rounding."""
 
 from __future__ import annotations
 

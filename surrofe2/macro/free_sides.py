@@ -1,25 +1,10 @@
-"""Free sides of elements, whose tension a surface law gives (docs/theory.md, free sides).
+"""Free sides of elements, whose tension a surface law gives (docs/theory.md, free sides, (A22)).
 
 T is the undeformed direction of a side, L its length, and F̄ the mean deformation gradient of the
-outer plant cell there (`stretched_nodes`). With g = F̄ T, λ = |g|, n = g/λ, λ̇ = n·ġ and D_a the
-slope of g by node a, the force on it and the slopes are
-
-    f_a = −L P_s(λ, λ̇) n D_a,
-    −∂f_a/∂u_b = L D_a D_b [∂P_s/∂λ n⊗n + ∂P_s/∂λ̇ n⊗(ġ − λ̇ n)/λ + P_s/λ (I − n⊗n)],
-    −∂f_a/∂v_b = L D_a D_b ∂P_s/∂λ̇ n⊗n,
-
-so that f·v = −L P_s λ̇. The law stands for the outer plant cells and not for their outermost points.
-With the stretch of the edge itself waves of an element's length would buckle where ∂P_s/∂λ < 0. The
-unknowns count from the rest under surface tension, F̄ from the undeformed state.
-
-A law acts at the depth d below the outline and takes the mean stretch over the width w of a plant
-cell along it. Of the points q of a mesh, with areas A_q and depths y_q below a side, those count
-that are within w/2 of its middle and above 2d, and all of the element beside it:
-
-    F̄ = Σ_q A_q (1 + β (y_q − ȳ)) F_q / Σ_q A_q,    β = (d − ȳ) / (mean of (y_q − ȳ)²)
-
-with ȳ the mean depth. So F̄ is F at the depth d where F is linear across, whatever the mesh. In
-elements finer than w the mean keeps waves of an element's length from buckling."""
+outer plant cell there: F at the law's depth d below the side, in the mean over the width w of a
+plant cell, whatever the mesh. With g = F̄ T = T + D u, λ = |g|, n = g/λ and λ̇ = n·ġ the force is
+−Dᵀ (L P_s(λ, λ̇) n). The unknowns count from the rest under surface tension, F̄ from the undeformed
+state."""
 
 from __future__ import annotations
 

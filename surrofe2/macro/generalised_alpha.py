@@ -1,24 +1,18 @@
-"""Generalised-α: one implicit step by full Newton, with its error.
+"""Generalised-α: one implicit step by full Newton, with its error (docs/theory.md, (A26)).
 
 Chung and Hulbert, A time integration algorithm for structural dynamics with improved numerical
-dissipation, J. Appl. Mech. 60 (1993) 371–375, the forces averaged between the ends of the step:
-
-    (1 − α_m) M a₁ + α_m M a₀ = (1 − α_f) r₁ + α_f r₀
-    u₁ = u₀ + h v₀ + h² [(½ − β) a₀ + β a₁],   v₁ = v₀ + h [(1 − γ) a₀ + γ a₁]
-
-with r what all forces leave on the free unknowns. The algorithmic acceleration a is not ü, which
-would be M⁻¹ r; it lags by (α_m − α_f) h, to second order.
+dissipation, J. Appl. Mech. 60 (1993) 371–375, the forces averaged between the ends of the step. The
+algorithmic acceleration a is not ü; it lags by (α_m − α_f) h, to second order.
 
 A step of h leaves the error of [u, v] that a third-order method finds: the integral of the
 parabola through the rates [v, ü] at the last three ends of steps (Adams–Moulton), minus the step.
 Stiff modes would drown it, so it passes through S⁻¹ (1 − α_m) M, S the Newton matrix, which
-leaves slow modes as they are and damps fast ones.
-"""
+leaves slow modes as they are and damps fast ones."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import scipy  # scipy.sparse is loaded where a step is implicit
@@ -96,7 +90,9 @@ def _past(start: Evaluation, memory: Array) -> _Past:
 class GeneralisedAlpha:
     """The implicit `Method`; it keeps nothing but the pattern of its matrices."""
 
-    control = StepControl(order=3, gain=1.0, largest_growth=2.0, splits_rest=True)
+    control: ClassVar[StepControl] = StepControl(
+        order=3, gain=1.0, largest_growth=2.0, splits_rest=True
+    )
 
     def __init__(self, equations: EquationsOfMotion, settings: MacroSettings) -> None:
         require_tangents(equations.law, "integrator implicit")

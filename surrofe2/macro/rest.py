@@ -1,14 +1,10 @@
 """Rest under constant loads: the load in steps, a predictor and Newton with line search at each.
 
 A load step begins at the last equilibrium u₀. Where supports move by Δū, the first displacement is
-that of the tangents there (the affine predictor)
-
-    K Δu = l(u₀) − f(u₀) − K̄ Δū,
-
-l by the new factor of the loads and K̄ the columns of what supports move, so that the elements
-beside a support do not take all of Δū. From there Newton's correction is halved until the residual
-falls and every point has a stress. A load step that finds no equilibrium is halved.
-"""
+that of the tangents there, K Δu = l(u₀) − f(u₀) − K̄ Δū with l by the new factor of the loads and K̄
+the columns of what supports move, so that the elements beside a support do not take all of Δū. From
+there Newton's correction is halved until the residual falls and every point has a stress. A load
+step that finds no equilibrium is halved."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,9 +111,7 @@ class StepControl:
 class Method(Protocol):
     """A time integration method: one step as a pure function."""
 
-    @property
-    def control(self) -> StepControl:
-        """How it chooses its steps."""
+    control: ClassVar[StepControl]
 
     def first_length(self, start: Evaluation, t_end: float) -> float:
         """Length of the first step, µs; raises as `step`."""
@@ -299,7 +297,9 @@ class DormandPrince:
     relative_tolerance: float
     mass: Any = None
 
-    control = StepControl(order=5, gain=0.4, largest_growth=10.0, splits_rest=False)
+    control: ClassVar[StepControl] = StepControl(
+        order=5, gain=0.4, largest_growth=10.0, splits_rest=False
+    )
 
     def step(
         self, start: Evaluation, memory: Array, t: float, found: Switched | None = None

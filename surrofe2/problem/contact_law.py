@@ -1,20 +1,12 @@
 """The law of contact with a rigid body: formulas of whole arrays, and of numbers in kernels.
 
-Contact acts at points of a boundary, by unloaded length. With the depth d = −g of a point, g its
-gap, and x = min(d/δ, 1), a spring and a dashpot resist that it comes closer,
+Contact acts at points of a boundary, by unloaded length. A spring and a dashpot resist that a point
+of the depth d comes closer, (A24) of docs/theory.md, with a continuous slope by d and by ḋ; they
+never pull. The spring's part is the slope of an energy (Hunt and Crossley, J. Appl. Mech. 42 (1975)
+440–445, have the form). Friction against the sliding velocity follows Coulomb's law where sliding
+is fast and creeps where it is slow, (A25).
 
-    p = e + q (q ≥ 0),  e²/(e − q) (q < 0),
-    e = k (d − δ x + δ x²/2),   q = c x² (3 − 2 x) ḋ.
-
-The pressure has a continuous slope by d and by ḋ, and never pulls. The spring's part is the slope
-of an energy (Hunt and Crossley, J. Appl. Mech. 42 (1975) 440–445, have the form; a spring and a
-dashpot as the contact of finite elements with a rigid body).
-
-Friction is −µ p w/√(w² + s²) in the direction of the sliding velocity w, s being the slip speed: a
-force that follows Coulomb's law where sliding is fast and creeps where it is slow.
-
-A gap comes with its gradient, the outward normal, and the curvature of its level line.
-"""
+A gap comes with its gradient, the outward normal, and the curvature of its level line."""
 
 from __future__ import annotations
 

@@ -2,14 +2,8 @@
 
 It is an RVE as any other, whose box is taller than its plant cells by a gap beyond every list of
 contacts. So images above and below never meet, and what F₂₂ is changes nothing but the names of
-places: particles are free across. Outer walls are those of the tissue (docs/theory.md, walls at a
-free boundary).
-
-Bent evenly, column a is column 0 turned by a θ about a centre that lies λ h/θ above the slab's
-middle, so that the middle keeps its stretch λ. With W the energy of a column the moment is dW/dθ,
-and κ = θ/h the curvature by undeformed length (docs/theory.md, surface law, where it acts).
-Particles come to rest by the factors of the straight slab.
-"""
+places: particles are free across. Bent evenly, column a is column 0 turned by a θ about a centre
+λ h/θ above the slab's middle (docs/theory.md, surface law, where it acts)."""
 
 from __future__ import annotations
 

@@ -1,11 +1,7 @@
 """The surface law of a tissue's free sides, by slabs of plant cells and the bulk beside them.
 
-(docs/theory.md, surface law.) The bulk beside a free side is stretched along x, its normal stress
-across is zero. The stretch across follows: where all is at rest, P₂₂(λ, λ₂) = 0 gives λ₂ and
-s = dλ₂/dλ. In motion λ̇₂ = s λ̇, as the thickness is one more of the positions that follow, and λ₂
-solves P₂₂ = 0 with these rates. With initialisation "elastic" λ₂ stays where it was at rest, as its
-particles do.
-"""
+docs/theory.md, surface law: the bulk is stretched along x, its normal stress across is zero. The
+stretch across follows by (A41); with initialisation "elastic" it stays where it was at rest."""
 
 from __future__ import annotations
 

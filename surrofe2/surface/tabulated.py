@@ -1,13 +1,8 @@
 """A surface law from a table: Chebyshev polynomials in stretch and rate (docs/theory.md, (A47)).
 
-With x and y in −1 … 1 across the table's range of λ and λ̇::
-
-    P_s(λ, λ̇) = Σ_ij C_ij T_i(x) T_j(y)
-
-C follows from the slab's answers at the roots of the next polynomials. Degrees rise until answers
-at random points of the range are met; tangents are those of the polynomials. Runs ask the table,
-and the slab beyond its range.
-"""
+The coefficients follow from the slab's answers at the roots of the next polynomials. Degrees rise
+until answers at random points of the range are met; tangents are those of the polynomials. Runs ask
+the table, and the slab beyond its range."""
 
 from __future__ import annotations
 

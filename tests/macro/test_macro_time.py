@@ -69,15 +69,11 @@ def errors_in_tolerances(problem, law, integrators):
         yield np.linalg.norm(found - exact, axis=1).max() / allowed
 
 
-@pytest.mark.parametrize("load", LOADS)
+SLOW = [pytest.param(each, marks=pytest.mark.slow) for each in LONG_LOADS]
+
+
+@pytest.mark.parametrize("load", [*LOADS, *SLOW])
 def test_displacement_is_within_three_tolerances_at_every_output_time(load):
-    errors = [*errors_in_tolerances(under(load), KelvinVoigt(), ["explicit", "implicit"])]
-    assert max(errors) < 3.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("load", LONG_LOADS)
-def test_displacement_under_loads_of_milliseconds_too(load):
     errors = [*errors_in_tolerances(under(load), KelvinVoigt(), ["explicit", "implicit"])]
     assert max(errors) < 3.0
 
