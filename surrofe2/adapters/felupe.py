@@ -43,18 +43,14 @@ class FelupeMaterial:
     to that at once, else when the next substep begins: then call `after_substep` after the last.
 
     Args:
-        law: gives stress and tangents; RVEs, a surrogate, or a law of one's own.
+        law: gives stress and tangents; one without tangents is an InputError.
 
     Attributes:
         dt: length of the substep, µs. Set it before a job, or before each of its substeps by a
             plugin of `felupe.Job` with a method `before_substep(context, state)`.
-        left_bifurcation: (n,) points that left their branch at a bifurcation so far, in an
-            iteration or at the end of a substep; None: none did. Each time more do, there is a
-            warning, for other substeps may lead to other branches.
+        left_bifurcation: (n,) points that left their branch at a bifurcation so far; None: none
+            did. Each time more do, there is a warning, for other substeps may lead elsewhere.
         x: shapes of F and of the state, as FElupe asks for them: F and F − 1.
-
-    Raises:
-        InputError: the law has no tangents.
     """
 
     def __init__(self, law: StressLaw) -> None:

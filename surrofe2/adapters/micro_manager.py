@@ -70,14 +70,10 @@ def the_bound() -> SurrogateLaw:
 
 
 class PointSimulation(MicroSimulationInterface):
-    """A stress law at one point.
+    """A stress law with tangents at one point; without states of its points it may serve all.
 
     What was solved is kept, by `accept`, when the next solve or a checkpoint comes, and forgotten
-    when a checkpoint is put back: then the time window is solved again.
-
-    Args:
-        law: with tangents. A law without states of its points may serve all points at once.
-    """
+    when a checkpoint is put back: then the time window is solved again."""
 
     def __init__(self, sim_id: int, law: StressLaw) -> None:
         self._id, self._law = sim_id, law
@@ -92,10 +88,7 @@ class PointSimulation(MicroSimulationInterface):
         return written(answer)
 
     def output(self) -> None:
-        """Add F, Ḟ and the stress at the end of the time window to the point's table, if wanted.
-
-        A point has one table, whichever rank it is on.
-        """
+        """Add F, Ḟ and stress at the end of the time window to the point's table, if wanted."""
         folder = os.environ.get(POINTS)
         if folder is None or self._solved is None:
             return
@@ -166,8 +159,8 @@ class Switching:
 
     Attributes:
         window: begin of the time window under way.
-        left: by location, the window in which the point left the surrogate; of those points alone
-            that were asked for in this window or the last one, so of those of this rank.
+        left: by location, the window in which the point left the surrogate; of points that were
+            asked for in this window or the last one.
     """
 
     def __init__(self) -> None:
@@ -198,11 +191,7 @@ switching_function = Switching()
 
 
 def deformation_of(data: Mapping[str, Any]) -> tuple[Array, Array]:
-    """F and Ḟ (1, 2, 2) from their rows by name.
-
-    Raises:
-        InputError: an entry is missing or no vector of the plane.
-    """
+    """F and Ḟ (1, 2, 2) from their rows by name."""
     F, F_dot = (
         np.array([[_vector(data, f"{name}-{row}") for row in _ROWS]]) for name in ("F", "F-dot")
     )

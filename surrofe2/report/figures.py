@@ -237,15 +237,12 @@ def _held_sides(fields: StoredFields) -> list[_Side]:
     still = _STILL * float(abs(u).max())
     if not corners or not still:
         return []
-    owners: dict[tuple[int, int], list[tuple[int, int, int]]] = {}
-    for element in fields.cells[:, :corners].tolist():
-        for j in range(corners):
-            a, b, inside = element[j], element[(j + 1) % corners], element[(j + 2) % corners]
-            owners.setdefault((min(a, b), max(a, b)), []).append((a, b, inside))
+    cells = fields.cells[:, :corners]
+    sides = np.stack([np.roll(cells, -k, axis=1) for k in range(3)], axis=-1).reshape(-1, 3)
+    ends = np.sort(sides[:, :2], axis=1)
+    _, first, owners = np.unique(ends, axis=0, return_index=True, return_counts=True)
     found = []
-    for (a, b, inside), *others in owners.values():
-        if others:
-            continue
+    for a, b, inside in sides[first[owners == 1]].tolist():
         along = abs(fields.points[b] - fields.points[a])
         fixed = abs(u[:, [a, b]]).max(axis=(0, 1)) <= still
         if fixed.all():
