@@ -263,16 +263,11 @@ class PairLister:
             SimulationError: positions are not finite, or plant cells with two others between
                 them come so close that lists could miss a pair.
         """
-        kinds, grid = self._kinds, self.grid
+        tissue, kinds, grid = self._tissue, self._kinds, self.grid
         self._check_apart(x)
         close = np.zeros((len(x), len(kinds.i)), dtype=np.bool_)
         mark_close(x, kinds, self._reach, grid, close)
         close[:, : kinds.bonds] = True
-        return self._assemble(close)
-
-    def _assemble(self, close: NDArray[np.bool_]) -> tuple[PairLists, PairConstants]:
-        """Lists of the kinds that `close` (tiles, kinds) marks, in their order."""
-        tissue, kinds, grid = self._tissue, self._kinds, self.grid
         tile, kind = np.nonzero(close)
         j, shift = kinds.j[kind].copy(), kinds.shift[kind]
         elsewhere = shift > 0
@@ -291,10 +286,10 @@ class PairLister:
         fold, fold_source, fold_starts = _folds(tissue, place, owner, image_starts, local)
         there, lane = np.divmod(place, TILE)
         source = (there * 2 * local + owner[:, None]) * TILE + lane
-        starts = [image_starts, _starts(tissue, tile[is_bond]), _starts(tissue, tile[~is_bond])]
-        starts.append(fold_starts)
+        pair_starts = (_starts(tissue, tile[which]) for which in (is_bond, ~is_bond))
+        starts = np.stack([image_starts, *pair_starts, fold_starts], axis=1)
         lists = PairLists(
-            starts=np.ascontiguousarray(np.stack(starts, axis=1)),
+            starts=np.ascontiguousarray(starts),
             source=np.where(place < 0, _nowhere(tissue, local), source),
             bonds=pairs[is_bond],
             contacts=pairs[~is_bond],

@@ -14,15 +14,18 @@ import surrofe2
 
 PACKAGE = Path(surrofe2.__file__).parent
 
-# A kernel that bakes in a constant of a file without kernels: 7 inputs of a law. It changes as
-# many entries of `extent`.
+# A kernel that bakes in a constant of a file without kernels: 7 inputs of a law.
+PROBE = """
+from surrofe2.base.compilation import kernel
+from surrofe2.base.tensors import INPUTS
+
+@kernel
+def inputs(number):
+    return number * INPUTS
+"""
 INPUTS = """
-import numpy as np
-from surrofe2.cache.table.records import set_bound
-extent = np.zeros(9)
-set_bound(np.ones(9), 20.0, np.eye(9), extent)
-print((extent != 0.0).sum(), set_bound.stats.cache_hits.total(),
-      set_bound.stats.cache_misses.total())
+from surrofe2.probe import inputs
+print(inputs(1), inputs.stats.cache_hits.total(), inputs.stats.cache_misses.total())
 """
 
 
@@ -30,6 +33,7 @@ print((extent != 0.0).sum(), set_bound.stats.cache_hits.total(),
 def copy(tmp_path):
     """A copy of the package that nothing else runs."""
     shutil.copytree(PACKAGE, tmp_path / "surrofe2", ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "surrofe2" / "probe.py").write_text(PROBE, encoding="utf-8")
     return tmp_path / "surrofe2"
 
 
