@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table as ShownTable
 from rich.text import Text
 
@@ -220,6 +220,34 @@ _SETTLED = 0.5
 """Seconds before a rate is reported."""
 
 
+class _Clock:
+    """The rate of work and the time that is left; what was done before counts for neither.
+
+    Work whose total is 1 is reported in percent alone.
+    """
+
+    def __init__(self, total: float, unit: str) -> None:
+        self._total, self._unit = total, unit
+        self._first: tuple[float, float] | None = None
+
+    def far(self, done: float) -> list[str]:
+        """How far the work is in its unit."""
+        return [f"{_short(done)} of {_short(self._total)} {self._unit}"][self._total == 1.0 :]
+
+    def rate_and_time_left(self, done: float) -> list[str]:
+        """Time left and rate as people say them, where they are known yet."""
+        moment = time.perf_counter()
+        if self._first is None and done > 0.0:
+            self._first = moment, done
+        if self._first is None:
+            return []
+        elapsed, more = moment - self._first[0], done - self._first[1]
+        if elapsed < _SETTLED or more <= 0.0:
+            return []
+        known = [f"{time_text(max((self._total - done) * elapsed / more, 0.0))} left"]
+        return known if self._total == 1.0 else [*known, f"{_short(more / elapsed)} {self._unit}/s"]
+
+
 @contextmanager
 def progress(what: str, total: float, unit: str) -> Iterator[Report]:
     """A function (done, note) that shows how far work is, at which rate, and the time left."""
@@ -240,10 +268,9 @@ def stages() -> Iterator[Callable[[str, float, str], AbstractContextManager[Repo
         return
     columns = (
         TextColumn("{task.description}"),
-        BarColumn(bar_width=20 if console.width >= 100 else 10),
+        BarColumn(bar_width=_bar_width(console)),
         TextColumn("{task.percentage:>3.0f} %"),
-        TimeRemainingColumn(compact=True, elapsed_when_finished=True),
-        TextColumn("{task.fields[note]}"),
+        TextColumn("{task.fields[status]}"),
     )
     # what is piped elsewhere goes there
     redirected = sys.stdout.isatty()
@@ -253,36 +280,38 @@ def stages() -> Iterator[Callable[[str, float, str], AbstractContextManager[Repo
 
 @contextmanager
 def _row(shown: Progress, what: str, total: float, unit: str) -> Iterator[Report]:
-    task = shown.add_task(what, total=total, note="")
+    clock, began = _Clock(total, unit), time.perf_counter()
+    task = shown.add_task(what, total=total, status="")
+    space = shown.console.width - len(what) - _bar_width(shown.console) - len("   100 %  ")
 
     def report(done: float, note: str = "") -> None:
-        far = [] if total == 1.0 else [f"{_short(done)} of {_short(total)} {unit}"]
-        shown.update(task, completed=done, note=", ".join([*far, *[note][: len(note)]]))
+        parts = [*clock.far(done), *clock.rate_and_time_left(done), *[note][: len(note)]]
+        while len(", ".join(parts)) > space and parts:
+            parts.pop()
+        shown.update(task, completed=done, status=", ".join(parts))
 
     yield report
-    shown.update(task, completed=total, note="")
+    shown.update(task, completed=total, status=time_text(time.perf_counter() - began))
 
 
 @contextmanager
 def _lines(what: str, total: float, unit: str) -> Iterator[Report]:
-    last, first = time.perf_counter(), list[tuple[float, float]]()
+    clock, last = _Clock(total, unit), time.perf_counter()
 
     def report(done: float, note: str = "") -> None:
         nonlocal last
-        moment = time.perf_counter()
-        if not first and done > 0.0:  # what was done before counts neither for rate nor time left
-            first.append((moment, done))
-        if is_quiet() or moment - last < SELDOM:
+        left_and_rate = clock.rate_and_time_left(done)
+        if is_quiet() or time.perf_counter() - last < SELDOM:
             return
-        last = moment
-        parts = [f"{100.0 * done / total:.0f} %"] if total else []
-        elapsed, more = (moment - first[0][0], done - first[0][1]) if first else (0.0, 0.0)
-        if elapsed >= _SETTLED and more > 0.0:
-            left = f"{time_text(max((total - done) * elapsed / more, 0.0))} left"
-            parts += [left, f"{_short(more / elapsed)} {unit}/s"][: 1 + (total != 1.0)]
-        typer.echo(f"{what}: {', '.join([*parts, *[note][: len(note)]])}", err=True)
+        last = time.perf_counter()
+        far = [f"{100.0 * done / total:.0f} %"] if total else []
+        typer.echo(f"{what}: {', '.join([*far, *left_and_rate, *[note][: len(note)]])}", err=True)
 
     yield report
+
+
+def _bar_width(console: Console) -> int:
+    return 20 if console.width >= 100 else 10
 
 
 def _short(number: float) -> str:

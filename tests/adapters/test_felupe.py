@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -11,8 +13,10 @@ from surrofe2.base.errors import SimulationError
 from surrofe2.law.stress_law import Acceptance, Status
 from surrofe2.macro.elements import reference_shapes
 from surrofe2.macro.rest import find_rest
+from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem.conditions import Fixed, Traction
 from surrofe2.problem.mesh import element_nodes
+from surrofe2.rve import RveLaw
 from tests.laws import KelvinVoigt
 from tests.macro.meshes import plate
 
@@ -88,6 +92,20 @@ class Triangle(felupe.QuadraticTriangle):
         return reference_shapes(6, np.reshape(rs, (2, 1)))[1][0]
 
 
+def test_which_slope_of_felupe_s_triangle_is_wrong():
+    """Where this fails, docs/howto/law.md may say that it is fixed."""
+    at, h = np.array([0.2, 0.3]), 1e-6
+    steps = h * np.eye(2)
+    element = felupe.QuadraticTriangle()
+    found = np.stack(
+        [(element.function(at + step) - element.function(at - step)) / (2 * h) for step in steps],
+        axis=1,
+    )
+    assert np.abs(Triangle().gradient(at) - found).max() < 1e-9
+    wrong = np.argwhere(np.abs(element.gradient(at) - found) > 1e-9).tolist()
+    assert wrong == [[0, 1], [2, 1], [5, 1]]
+
+
 class Counted(KelvinVoigt):
     """Counts what it is asked; a point whose accepted F₁₁ exceeds `limit` leaves its branch."""
 
@@ -141,6 +159,18 @@ def test_a_bifurcation_is_reported():
     with pytest.warns(RuntimeWarning, match=r"of 36 points left their branch .* shorter substeps"):
         stretched(material, 3, [material])
     assert 0 < material.left_bifurcation.sum() <= 36
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("compressed", "substeps"), [(0.1, 1), (0.06, 3)])
+def test_rves_that_leave_a_bifurcation_are_reported_without_the_plugin(compressed, substeps):
+    """Within an iteration of a long substep, or at the end of a short one, by 5 % of the stress."""
+    material = FelupeMaterial(RveLaw(CellParameters.preset("water")))
+    with warnings.catch_warnings(record=True, action="always") as told:
+        stretched(material, substeps, [], -compressed, n=3)
+        material.after_substep()
+    assert "16 of 16 points left their branch" in str(told[0].message)
+    assert material.left_bifurcation.all()
 
 
 def nodal_forces(mesh):

@@ -13,7 +13,7 @@ import pytest
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.workflow import check as module
 from surrofe2.workflow import laws
-from surrofe2.workflow.check import advised_law, dry_run, seconds_by_rves
+from surrofe2.workflow.check import advised_law, dry_run, recipe_faults, seconds_by_rves
 from surrofe2.workflow.run import run_study
 from tests.conftest import RECIPE
 from tests.laws import SquareLaw
@@ -39,6 +39,40 @@ def test_all_that_is_wrong_is_told_in_one_go(invoke, recipe_path):
     wrong = {"samples.count", "range.shear", "makro", "training.iteration", "load.duration"}
     assert starts == wrong
     assert told[-1] == f"error: {recipe_path}: 5 problems found"
+
+
+STATED = """
+[cells.skin]
+samples = { file = "a.h5" }
+training = { file = "a-surrogate.h5" }
+[cells.flesh]
+samples = { file = "a.h5" }
+training = { file = "b-surrogate.h5" }
+[mesh]
+width = 100.0
+height = -1.0
+elements = [2, 2]
+[mesh.regions.skin]
+box = [0.0, 0.0]
+[conditions.clamp]
+kind = "fixd"
+on = "left"
+[conditions.pull]
+kind = "traction"
+on = "right"
+[watch]
+tip = [100.0]
+"""
+
+
+def test_faults_of_a_stated_problem(tmp_path):
+    path = tmp_path / "stated.toml"
+    path.write_text(STATED, encoding="utf-8")
+    told = [sentence.partition(": ")[2].partition(": ")[0] for sentence in recipe_faults(path)]
+    wrong = {"mesh.height", "mesh.regions.skin.box", "conditions.clamp.kind", "watch.tip"}
+    wrong |= {"conditions.pull.traction", "cells.flesh.samples.file"}
+    assert set(told) == wrong
+    assert len(told) == len(wrong)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import io
+import itertools
+import re
+import time
+
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 from surrofe2.cli import app
@@ -36,6 +42,27 @@ def test_tables_are_no_wider_than_the_terminal(monkeypatch, capsys, width):
     assert sum(line.count("1234.56") for line in lines) >= 9
 
 
+def test_progress_in_a_terminal_says_what_how_far_rate_and_time_left(monkeypatch):
+    for width in (60, 80, 120):
+        file = io.StringIO()
+        terminal = Console(file=file, force_terminal=True, width=width, no_color=True)
+        monkeypatch.setattr(shown, "Console", lambda stderr, terminal=terminal: terminal)
+        moments = itertools.count(0.0, 0.6)
+        monkeypatch.setattr(shown.time, "perf_counter", lambda moments=moments: next(moments))
+        shown.begin("generate", quiet=False)
+        with shown.progress("generate", 4096, "samples") as report:
+            for done in (512, 1024, 2048):
+                report(done, "3 failed")
+            time.sleep(0.3)  # until it is drawn
+        drawn = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", file.getvalue())
+        last = [line for line in re.split(r"[\r\n]+", drawn) if "2,048" in line][-1]
+        told = ["50 % 2,048 of 4,096 samples", r"[\d.]+ s left", r"[\d,]+ samples/s", "3 failed"]
+        seen = {60: 1, 80: 3, 120: 4}[width]  # the least needed go first
+        assert re.search(", ".join(told[:seen]) + "$", last.rstrip()), last
+        assert len(last.rstrip()) <= width
+        assert "…" not in drawn
+
+
 def test_progress_elsewhere_is_a_line_now_and_then(monkeypatch, capsys):
     seconds = [0.0]
     monkeypatch.setattr(shown.time, "perf_counter", lambda: seconds[0])
@@ -51,6 +78,19 @@ def test_progress_elsewhere_is_a_line_now_and_then(monkeypatch, capsys):
         "generate: 75 %, 10.0 s left, 2.5 samples/s, 0 failed",
         "generate: 100 %, 0.0 s left, 2.5 samples/s, 0 failed",
     ]
+
+
+def test_no_colours_where_none_are_wanted(monkeypatch):
+    text = io.StringIO()
+    monkeypatch.setattr("sys.stderr", text)
+    for wanted, coloured in (({"NO_COLOR": "1"}, False), ({}, True)):
+        monkeypatch.delenv("NO_COLOR", raising=False)
+        monkeypatch.setenv("FORCE_COLOR", "1")
+        for name, value in wanted.items():
+            monkeypatch.setenv(name, value)
+        text.truncate(0)
+        shown.print_warning("error: x")
+        assert ("\x1b[31m" in text.getvalue()) == coloured
 
 
 def test_completion_knows_commands_and_their_options():

@@ -13,7 +13,8 @@ from surrofe2.cli import app
 from surrofe2.macro import MetRange, simulate
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
-from surrofe2.workflow.check import proposed_range
+from surrofe2.workflow.check import dry_run, proposed_range
+from surrofe2.workflow.laws import law_by_region, quadratic_law
 from tests.conftest import ROOT
 
 
@@ -87,3 +88,49 @@ def test_bounds_are_rounded_outward_to_two_digits_of_strain():
 def test_what_gives_no_range_says_why(given, margin, sentence):
     with pytest.raises(InputError, match=sentence):
         proposed_range(met(*given), margin)
+
+
+def test_each_cell_gets_the_range_that_its_own_points_meet(recipe_path):
+    """A stiff layer beside a soft one in series: each strained by its share."""
+    recipe_path.write_text(SERIES, encoding="utf-8")
+    printed = printed_for(recipe_path)[0]["cells"]
+    assert list(printed) == ["stiff", "soft"]
+    recipe = load_recipe(recipe_path)
+    met = dry_run(recipe, 600.0).met
+    for name, found in met.items():
+        assert SamplingRange(**printed[name]["range"]) == proposed_range(found)
+    whole = simulate(
+        recipe.problem(),
+        law_by_region(recipe, recipe.problem().mesh, quadratic_law),
+        recipe.macro,
+    ).met
+    assert max(each.stretch[1] for each in met.values()) == whole.stretch[1]
+    assert min(each.rate for each in met.values()) < max(each.rate for each in met.values())
+    assert max(each.rate for each in met.values()) == whole.rate
+    strain = {name: each.stretch[1] - 1.0 for name, each in met.items()}
+    assert strain["soft"] > 1.3 * strain["stiff"]
+
+
+SERIES = """
+[mesh]
+width = 100.0
+height = 50.0
+elements = [2, 1]
+[mesh.regions.near]
+box = [0.0, 0.0, 50.0, 50.0]
+[conditions.clamp]
+kind = "fixed"
+on = "left"
+[conditions.grip]
+kind = "prescribed_motion"
+on = "right"
+displacement = [1.0, 0.0]
+amplitude = { kind = "ramp", end = 60.0, smooth = true }
+[time]
+duration = 60.0
+[cells.stiff]
+wall_stiffness = 12000.0
+regions = ["near"]
+[cells.soft]
+regions = ["rest"]
+"""

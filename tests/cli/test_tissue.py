@@ -188,6 +188,26 @@ def test_problem_of_its_own_beside_finite_elements(stated, folder, tmp_path, mon
     assert again.exit_code == 0
 
 
+@pytest.mark.slow
+def test_all_conditions_and_bodies_of_a_recipe_act_on_a_tissue(stated, folder):
+    """A rough corner, a pressure, a foundation, and a region that moves as a whole."""
+    recipe = stated(
+        "plane = { normal = [0, -1] }", "corner = { axis = [0, 1], angle = 170, radius = 5 }",
+        "position = [0, 50]", "position = [25, 50]\nfriction = 0.3\ndamping = 2.0",
+        '"symmetry"\non = "bottom"', '"foundation"\non = "bottom"\nstiffness = 5.0\ndamping = 1.0',
+        'on = "left"', 'on = "upper"', "[watch]",
+        '[conditions.gas]\nkind = "pressure"\non = "right"\npressure = 3.0\n\n[watch]',
+    )  # fmt: skip
+    done = invoke(recipe, "--out", folder)
+    assert done.exit_code == 0, done.output
+    history, energies = read_history(folder), read_history(folder, "energies.csv")
+    assert history["force gas x"][0] == pytest.approx(-3.0 * 50.0)
+    assert history["force plate y"][-1] < -5.0
+    for name in ("base", "gas", "motion", "contact", "contact dissipated"):
+        assert abs(energies[name]).max() > 0.0
+    assert abs(energies["balance"]).max() < 0.02 * energies["motion"].max()
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
