@@ -19,7 +19,7 @@ from surrofe2.tissue.external_forces import (
     OutlineForces,
     Steps,
 )
-from surrofe2.tissue.kernels import Acting, Body, Fluid, Particles, Watch, elastic_energy, leap
+from surrofe2.tissue.kernels import Body, Fluid, Particles, Watch, elastic_energy, leap
 from surrofe2.tissue.layout import NOWHERE, Tissue
 from surrofe2.tissue.pair_lists import DAMPING, WHOLE, Factors, PairConstants, PairLister
 
@@ -150,9 +150,9 @@ class TissueDynamics:
             SimulationError: positions are no longer finite, or the tissue has collapsed.
         """
         body, count = self._body._replace(retained=retained), len(kicks)
-        acting = Acting(self.driven, NO_BODIES, NO_OUTLINE)
+        bodies, outline = NO_BODIES, NO_OUTLINE
         if with_outline:
-            acting = Acting(self.driven, self.bodies, self.outline)
+            bodies, outline = self.bodies, self.outline
         if speeds is None:
             motions = 1 + max([*self.driven.motion, *self.bodies.motion], default=-1)
             speeds = np.zeros((count, motions))
@@ -170,7 +170,7 @@ class TissueDynamics:
                     self._put(self.x, self.v)
                 taken = leap(
                     self._particles, self._lists, self._constants(factors), self._lister.grid,
-                    self._fluid, body, acting, self._watch, steps,
+                    self._fluid, body, self.driven, bodies, outline, self._watch, steps,
                 )  # fmt: skip
                 self.counts["force_evaluations"] += taken
                 if renewed and taken == 0:

@@ -39,9 +39,6 @@ from surrofe2.plant_cell.pair_laws import (
     within,
 )
 from surrofe2.tissue.external_forces import (
-    BodyContacts,
-    DrivenParticles,
-    OutlineForces,
     add_contact_loss,
     add_driving_work,
     add_friction,
@@ -107,23 +104,14 @@ class Watch(NamedTuple):
     apart: Array
 
 
-class Acting(NamedTuple):
-    """What moves some particles, and what acts on the outline."""
-
-    driven: DrivenParticles
-    bodies: BodyContacts
-    outline: OutlineForces
-
-
 @parallel_kernel
-def leap(particles, lists, constants, grid, fluid, body, acting, watch, steps):
+def leap(particles, lists, constants, grid, fluid, body, driven, bodies, outline, watch, steps):
     """Leapfrog steps in place; how many were taken before lists could miss a pair.
 
     A step takes forces at x with the velocities at hand, then v += kick a, x += drift v. One
     without a kick leaves all velocities as they are.
     """
     tiles = particles.x.shape[0] - 1
-    driven, bodies, outline = acting
     for n in range(len(steps.length)):
         for k in numba.prange(tiles):
             _sum_forces(lists.order[k], particles, lists, constants, fluid)
