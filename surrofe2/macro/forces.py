@@ -29,7 +29,7 @@ from surrofe2.macro.elements import (
     with_transpose,
 )
 from surrofe2.problem import contact_law
-from surrofe2.problem.amplitude import ONE, Amplitude
+from surrofe2.problem.amplitude import ONE, Amplitude, Proportional
 from surrofe2.problem.conditions import (
     BodyForce,
     DrivenCondition,
@@ -167,7 +167,8 @@ def make_loads(problem: Problem, mass_of: Callable[[Array], Matrix], n: int) -> 
         if body.mass is not None and any(body.acceleration):
             load = np.zeros((n, 2))
             load[n_nodes + k] = body.mass * np.array(body.acceleration)
-            add(f"{body.name} load", load, body.amplitude)
+            grows = isinstance(body.amplitude, Proportional)
+            add(f"{body.name} load", load, body.amplitude if grows else ONE)
     return loads
 
 
@@ -277,11 +278,10 @@ class Contact:
         against the body along its normal, and along its surface where friction resists.
         """
         gap, normal, _ = self._gaps(np.zeros((len(motions) // 2, 2)))
-        near, found = gap <= _TOUCHING * self.side, list[Array]()
-        for direction in (normal, _turned(normal))[: 2 if self.friction else 1]:
-            columns = (self.relative @ w.reshape(-1, 2) for w in motions.T)
-            found.append(np.stack([_dot(w, direction)[near] for w in columns], axis=1))
-        return np.concatenate(found)
+        near = gap <= _TOUCHING * self.side
+        moved = (self.by_component[0] @ motions).reshape(len(gap), 2, -1)
+        directions = (normal, _turned(normal))[: 2 if self.friction else 1]
+        return np.concatenate([np.einsum("pi,pik->pk", each, moved)[near] for each in directions])
 
     def energy(self, u: Array) -> float:
         """Energy stored in the springs, pJ."""

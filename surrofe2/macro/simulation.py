@@ -159,11 +159,9 @@ def simulate(
         settings: tolerances, what is kept.
         system: of this problem and law, where runs share one (`System.under`); None: it is made.
         progress: called with (t, duration) in µs after every step.
-        checkpoint: called with the state of the run when `checkpoint_interval` seconds have
-            passed since it last was, or more where that took long, and upon an interrupt, which
-            then goes its way; but not where that comes in a step that the law has been asked to
-            commit, of which it may have taken down a part.
-        checkpoint_interval: s.
+        checkpoint: called with the state of the run every `checkpoint_interval` seconds, less often
+            where that takes long, and upon an interrupt, which then goes its way; but not in a step
+            that the law has been asked to commit, of which it may have taken down a part.
         resume: a state that `checkpoint` was given, of the same problem and density. The results
             are those of the uninterrupted run to the bit where the law resumes from
             `MacroState.law_state`, or has no state; else it starts cold.

@@ -6,10 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import skfem
-from skfem.quadrature import get_quadrature
-from skfem.refdom import RefQuad, RefTri
 
-from surrofe2.macro.elements import reference_shapes
 from surrofe2.problem import Box, rectangle, with_boundaries
 from surrofe2.problem.mesh import boundary, element_nodes, facet_nodes
 
@@ -62,13 +59,10 @@ def sides_of(mesh, name):
 
 def quadrature(mesh, order=6):
     """Positions (e, q, 2), weights (e, q), shape functions (q, k), their slopes (e, q, k, 2)."""
-    k = element_nodes(mesh).shape[1]
-    points, rule = get_quadrature(RefQuad if k == 4 else RefTri, order)
-    shape, slopes = reference_shapes(k, points)
-    corners = mesh.p.T[element_nodes(mesh)]
-    jacobian = np.einsum("eai,qaj->eqij", corners, slopes)
-    gradients = np.einsum("qaj,eqji->eqai", slopes, np.linalg.inv(jacobian))
-    return shape @ corners, np.linalg.det(jacobian) * rule, shape, gradients
+    basis = skfem.Basis(mesh, mesh.elem(), intorder=order)
+    shape = np.stack([np.asarray(each[0])[0] for each in basis.basis], axis=1)
+    gradients = np.stack([each[0].grad for each in basis.basis]).transpose(2, 3, 0, 1)
+    return np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1), basis.dx, shape, gradients
 
 
 def weak_load(mesh, P):
