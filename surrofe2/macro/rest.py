@@ -171,7 +171,7 @@ def find_rest(
         load_steps: load steps to begin with.
         progress: called with the factor of each equilibrium on the way, and the last one.
         checkpoint, checkpoint_interval: as of `simulate`; it is called with an equilibrium.
-        resume: the `state` of one, of the same problem on the way to the same factor; the result
+        resume: such an equilibrium, of the same problem on the way to the same factor; the result
             is that of the uninterrupted way, to the bit.
 
     Raises:
@@ -204,21 +204,19 @@ def find_rest(
     )
 
 
+@dataclass(slots=True)
 class Loading:
-    """The way from no load to a factor of it, equilibrium by equilibrium.
+    """The way from no load to a factor of it; `rest` is the last equilibrium, None before."""
 
-    Attributes:
-        rest: the last equilibrium; None until there is one.
-    """
-
-    def __init__(self, newton: Newton, factor: float, longest: float) -> None:
-        self._newton, self._factor, self._longest = newton, factor, longest
-        self.rest: Any = None
+    newton: Newton
+    factor: float
+    longest: float
+    rest: Any = None
 
     @property
     def may_be_kept(self) -> bool:
         """Not while there is none, or the law may have taken down more than was recorded."""
-        return self.rest is not None and not self._newton.equations.is_committing
+        return self.rest is not None and not self.newton.equations.is_committing
 
     def checkpoint(self) -> Rest:
         """The last equilibrium, with memory of its own for what was recorded."""
@@ -229,10 +227,10 @@ class Loading:
         """The factor of each equilibrium, the one without load first. Raises `SimulationError`
         where there is none without load, or ten halvings of a load step find none.
         """
-        newton, equations = self._newton, self._newton.equations
+        newton, equations = self.newton, self.newton.equations
         try:
             if resume is None:
-                self.rest = newton.rest_at(0.0, None, self._longest)
+                self.rest = newton.rest_at(0.0, None, self.longest)
             else:
                 self.rest = newton.known(resume)
         except (NoStress, Switched) as failure:
@@ -240,26 +238,26 @@ class Loading:
         equations.is_committing = False
         if resume is None:
             yield 0.0
-        if self.rest.factor != self._factor:
+        if self.rest.factor != self.factor:
             _check_held(equations.system, self.rest.stiffness)
         # They are equal at the end, for the last target is the factor itself.
-        while self.rest.factor != self._factor:
+        while self.rest.factor != self.factor:
             self.rest = self._step(self.rest)
             equations.is_committing = False
             yield self.rest.factor
 
     def _step(self, rest: Rest) -> Rest:
         """The equilibrium after `rest`, by a load step that is halved until there is one."""
-        step, longest, failed = rest.next_step, self._longest, False
+        step, longest, failed = rest.next_step, self.longest, False
         while True:
-            remaining = self._factor - rest.factor
+            remaining = self.factor - rest.factor
             is_last = abs(step) >= abs(remaining) * (1.0 - 1e-9)
-            target = self._factor if is_last else rest.factor + step
+            target = self.factor if is_last else rest.factor + step
             following = min(step if failed else 2.0 * step, longest, key=abs)
             try:
-                return self._newton.rest_at(target, rest, following)
+                return self.newton.rest_at(target, rest, following)
             except NoStress as failure:
-                self._newton.equations.tally.counts["halvings"] += 1
+                self.newton.equations.tally.counts["halvings"] += 1
                 step, failed = 0.5 * (target - rest.factor), True
                 # Counted from the first length: near a limit load every second step would succeed.
                 if abs(step) < abs(longest) * 0.5**MAX_HALVINGS:
