@@ -93,3 +93,19 @@ def test_data_wrong_by_5_percent_beyond_a_shear(trained, shear):
     bad = forged(good, surrofe2.train(wrong, settings))
     assert check(good, law, 60.0, 0.02) == 0
     assert check(bad, law, 60.0, 0.02) > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("size", [0.01, 0.03])
+def test_weights_that_were_disturbed(trained, size, seed):
+    good, _, law, _ = trained
+    random = np.random.default_rng(seed)
+    tensors = {
+        name: values * (1.0 + size * random.standard_normal(values.shape))
+        if name.startswith(("factors", "energy."))
+        else values
+        for name, values in good.network.tensors.items()
+    }
+    bad = forged(good, replace(good, network=replace(good.network, tensors=tensors)))
+    check(bad, law, 60.0, 0.05)

@@ -14,6 +14,10 @@ import pytest
 
 from surrofe2.base.errors import FileError, InputError
 from surrofe2.law.stress_law import Status
+from surrofe2.macro import MacroSettings, find_rest
+from surrofe2.problem.conditions import Fixed, PrescribedMotion, Traction
+from surrofe2.problem.mesh import rectangle
+from surrofe2.problem.problem import Problem
 from surrofe2.store.c_source import c_header, c_source
 from surrofe2.store.surrogates import read_surrogate, write_surrogate
 from tests.surrogate.twins import make_law, with_bound
@@ -139,6 +143,17 @@ def test_what_is_not_a_number_is_out_of_range(tmp_path):
     assert (respond(F, np.zeros_like(F))[1] == Status.OUT_OF_RANGE).all()
 
 
+def test_the_source_says_whose_it_is():
+    law = make_law()
+    text = c_source(law)
+    assert law.cell.fingerprint in text
+    assert law.data_fingerprint in text
+    assert max(len(line) for line in text.split("static const")[0].splitlines()) <= 100
+
+
+FORTRAN = pytest.mark.skipif(shutil.which("gfortran") is None, reason="no Fortran compiler is here")
+
+
 def umat_of(law, folder):
     """The example of a UMAT for a law: (σ (3,) xx, yy, xy, its slope (3, 3), pnewdt) of a step."""
     (folder / "law.c").write_text(c_source(law), encoding="utf-8")
@@ -173,22 +188,71 @@ def umat_of(law, folder):
     return umat
 
 
-@pytest.mark.skipif(shutil.which("gfortran") is None, reason="no Fortran compiler is here")
+@FORTRAN
+def test_the_umat_finds_the_element_at_rest_of_our_implicit_solver(tmp_path):
+    """One element, stretched along x and pulled across; a step so long that no rate is left."""
+    law, stretch, wanted, dt = make_law(), 1.005, 1.001, 1e12
+    umat, F = umat_of(law, tmp_path), np.diag([stretch, wanted])[None]
+    pull = float(law.respond(F, 0.0 * F).first_piola(F)[0, 1, 1])
+    held = (
+        Fixed(on="left", components="x"),
+        Fixed(on="bottom", components="y"),
+        PrescribedMotion(on="right", displacement=(10.0 * (stretch - 1.0), None)),
+        Traction(on="top", traction=(0.0, pull)),
+    )
+    problem = Problem(mesh=rectangle(10.0, 10.0, (1, 1)), conditions=held)
+    rest = find_rest(problem, law, MacroSettings(newton_tolerance=1e-11))
+    width = 1.0
+    for _ in range(12):
+        stress, slope, _ = umat(np.eye(2), np.diag([stretch, width]), dt)
+        rise = stretch * (slope[1, 1] - stress[1]) / width
+        width -= (stretch * stress[1] - pull) / rise
+    assert np.abs(rest.F - np.diag([stretch, width])).max() < 1e-8
+    exact = law.respond(rest.F[:1], 0.0 * rest.F[:1]).stress[0]
+    stress = umat(np.eye(2), rest.F[0], dt)[0]
+    assert np.abs(stress - exact[[0, 1, 0], [0, 1, 1]]).max() < 1e-8 * np.abs(exact).max()
+
+
+@FORTRAN
 def test_the_example_of_an_abaqus_umat(tmp_path):
-    """Stress of a strip that is stretched and turned step by step; its slope by differences."""
-    law, dt, F0 = make_law(), 2.0, np.eye(2)
+    """A strip that is stretched, turned and free across: solved by UMAT as by the law itself."""
+    law, dt = make_law(), 2.0
     umat = partial(umat_of(law, tmp_path), dt=dt)
-    for stretch, angle, width in ((1.005, 0.01, 1.001), (1.01, 0.02, 1.002), (1.01, 0.03, 1.001)):
+
+    def by_law(F0, F1):
+        return law.respond(F1[None], (F1 - F0)[None] / dt, tangents=True)
+
+    def sides(angle):
         c, s = np.cos(angle), np.sin(angle)
-        F1 = np.array([[c, -s], [s, c]]) @ np.diag([stretch, width])
-        stress, _, new_dt = umat(F0, F1)
-        exact = law.respond(F1[None], (F1 - F0)[None] / dt).stress[0]
+        return np.array([[c, -s], [s, c]])
+
+    normal, before = np.array([0.0, 1.0]), (np.eye(2), np.eye(2))
+    for stretch, angle, wanted in ((1.005, 0.01, 1.001), (1.01, 0.02, 1.002), (1.01, 0.03, 1.001)):
+        R = sides(angle)
+        across = R[:, 1]
+        F = R @ np.diag([stretch, wanted])
+        pull = across @ by_law(before[1], F).first_piola(F[None])[0] @ normal
+        widths, D = [1.0, 1.0], np.array([*across**2, 2.0 * across[0] * across[1]])
+        for _ in range(12):  # the nominal traction across is `pull`, by Newton steps
+            Fs = [R @ np.diag([stretch, width]) for width in widths]
+            stress, slope, _ = umat(before[0], Fs[0])
+            rise = stretch * (D @ slope @ D - D @ stress) / widths[0]
+            widths[0] -= (stretch * (D @ stress) - pull) / rise
+            answer = by_law(before[1], Fs[1])
+            tangent = answer.tangents.over_step(dt)[0]
+            rise = np.einsum("a,b,abcd,c,d", across, normal, tangent, across, normal)
+            P = answer.first_piola(Fs[1][None])[0]
+            widths[1] -= (across @ P @ normal - pull) / rise
+        assert abs(widths[0] - widths[1]) < 1e-8
+        assert abs(widths[1] - wanted) < 1e-8
+        stress, _, new_dt = umat(before[0], Fs[0])
+        exact = by_law(before[1], Fs[1]).stress[0]
         symmetric = [exact[0, 0], exact[1, 1], 0.5 * (exact[0, 1] + exact[1, 0])]
         assert np.abs(stress - symmetric).max() < 1e-8 * np.abs(exact).max()
         assert new_dt == 1.0
-        F0 = F1
+        before = Fs[0], Fs[1]
     # DDSDDE is the slope of J σ along symmetric D, over J
-    F1, h = F0 @ np.diag([1.002, 0.997]), 1e-6
+    F0, F1, h = before[0], before[0] @ np.diag([1.002, 0.997]), 1e-6
     _, slope, _ = umat(F0, F1)
     for k, D in enumerate(
         ([[1.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.0, 1.0]], [[0, 0.5], [0.5, 0]])

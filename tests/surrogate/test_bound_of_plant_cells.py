@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from surrofe2 import RveLaw, simulate
-from surrofe2.base.sampling import SamplingRange, sample, training_points
+from surrofe2.base.sampling import SamplingRange, contains, sample, training_points
 from surrofe2.base.tensors import stress_error
 from surrofe2.law.samples import StressSamples
 from surrofe2.recipe.recipe import load_recipe
@@ -112,6 +112,32 @@ def test_the_bound_holds_on_fresh_walks(study):
     assert broken.mean() <= alpha + slack
 
 
+def out_of_range(range, count, seed=73):
+    """States too large, too fast or both; some inside out, some not numbers."""
+    rng = np.random.default_rng(seed)
+    F, F_dot = sample(range, 4 * count, seed)
+    large, fast = (rng.random((4 * count, 1, 1)) < 0.7 for _ in "ab")
+    far = 1.0 + rng.exponential(1.0, (4 * count, 1, 1))
+    F = np.eye(2) + np.where(large, far, 1.0) * (F - np.eye(2))
+    F_dot = np.where(fast, far, 1.0) * F_dot
+    outside = np.flatnonzero(~contains(range, F, F_dot))[:count]
+    assert len(outside) == count
+    F, F_dot = F[outside], F_dot[outside]
+    F[: count // 20] *= -1.0
+    F[count // 20 : count // 10, 0] *= -1.0
+    strange = rng.choice([np.nan, np.inf, -np.inf, 1e300], count // 10)
+    F[-len(strange) :, rng.integers(2), rng.integers(2)] = strange
+    F_dot[-2 * len(strange) : -len(strange), 0, 1] = strange
+    return F, F_dot
+
+
+def test_nothing_is_accepted_out_of_range_with_a_large_error(study):
+    F, F_dot = out_of_range(study.recipe.range, study.states)
+    error, _, accepted = study.errors(F, F_dot, study.tolerance)
+    assert accepted.mean() < 0.01
+    assert (error[accepted] <= study.tolerance).all()
+
+
 def test_nothing_unstable_is_accepted_with_a_large_error(study):
     """States within the bounds of the range of which the RVE has no stress, or one of several."""
     F, F_dot = sample(study.recipe.range, study.states, seed=74)
@@ -125,6 +151,15 @@ def test_nothing_unstable_is_accepted_with_a_large_error(study):
     accepted = unstable & (status == 0)
     error = stress_error(stress[accepted], answer.stress[accepted])
     assert (error <= study.tolerance).all()
+
+
+def test_failed_samples_are_outside(study):
+    samples = study.samples
+    inside = study.surrogate.in_range(samples.F, samples.F_dot)
+    left = samples.left_bifurcation
+    known = (samples.status == 0) & (True if left is None else ~left)
+    assert not inside[~known].any()
+    assert inside[known].mean() > 0.85
 
 
 def test_the_bar_is_accepted(study):

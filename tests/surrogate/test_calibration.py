@@ -7,7 +7,7 @@ import pytest
 
 from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import SamplingRange, sample
-from surrofe2.base.tensors import stress_spread, unrotated
+from surrofe2.base.tensors import stress_error, stress_spread, unrotated
 from surrofe2.store.store import plain
 from surrofe2.store.surrogates import read_surrogate, write_surrogate
 from surrofe2.surrogate import calibration
@@ -218,3 +218,14 @@ def test_no_path_at_all(law, samples):
 def test_too_few_runs_for_the_confidence_are_refused():
     with pytest.raises(InputError, match=r"calibration\.runs: 98; it must be 0 or at least 99"):
         CalibrationSettings(runs=98)
+
+
+def test_the_bound_holds_on_random_states(calibrated):
+    F, F_dot = sample(RANGE, 20_000, seed=31)
+    stress, status, bound = calibrated.lookup(F, F_dot)
+    inside = status == 0
+    assert inside.mean() > 0.98
+    error = stress_error(stress, lattice_stress(F, F_dot))
+    assert (error[inside] > bound[inside]).mean() <= ALPHA
+    typical = np.median(error[inside])
+    assert np.quantile(bound[inside], 0.99) < 30.0 * MARGIN * typical  # and it says something

@@ -150,3 +150,20 @@ def test_the_cached_law_moves_implicitly_as_it_does_explicitly(cached):
         runs.append(simulate(LOAD_CASE, cached, settings))
         assert min(cached.counts["hits"], cached.counts["fallbacks"]) > 20
     assert difference(runs[1], runs[0]) < 1e-3
+
+
+def test_tangents_of_each_point_are_those_of_who_answers(cached):
+    F = np.eye(2) + np.array([[[0.0002, 0.01], [0.0, 0.0001]], [[0.03, 0.02], [0.0, 0.002]]])
+    F_dot = np.array([[[0.001, 0.002], [-0.003, 0.001]]] * 2)
+    answer = cached.respond(F, F_dot, tangents=True)
+    assert cached.surrogate.lookup(F, F_dot)[1].tolist() == [Status.OK, Status.OUT_OF_RANGE]
+    assert answer.effort["hits"] == answer.effort["fallbacks"] == 1
+    expected = tangents_by_differences(lambda *at: cached.respond(*at).stress, F, F_dot)
+    for found, slope in (
+        (answer.tangents.P_by_F, expected.P_by_F),
+        (answer.tangents.P_by_F_dot, expected.P_by_F_dot),
+    ):
+        assert abs(found - slope).max() < 1e-6 * abs(slope).max()
+    alone = cached.surrogate.tangents(F, F_dot).P_by_F
+    np.testing.assert_array_equal(answer.tangents.P_by_F[0], alone[0])
+    assert not np.array_equal(answer.tangents.P_by_F[1], alone[1])
