@@ -103,6 +103,7 @@ class CachedState:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray], fallback: Fallback) -> CachedState:
+        """The state whose `to_arrays` gave `arrays`, with the warm start of this fallback."""
         known, before = part_of(arrays, "fallback"), arrays["before"]
         state = fallback.state_from_arrays(known) if known else None
         on_fallback = PointSet(arrays["points"].astype(np.intp), arrays["why"], state)

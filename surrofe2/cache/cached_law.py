@@ -121,6 +121,7 @@ class CachedLaw(Viewed):
 
     @property
     def has_tangents(self) -> bool:
+        """Whether both parts give tangents."""
         return self.surrogate.has_tangents and self.fallback.has_tangents
 
     @property
@@ -150,6 +151,7 @@ class CachedLaw(Viewed):
             )
 
     def history(self) -> dict[str, Any]:
+        """How the cache has done so far, as plain values for run.json."""
         own, record = self.settings, self._audit.record
         return {
             "tolerance": {
@@ -178,10 +180,12 @@ class CachedLaw(Viewed):
 
     @property
     def is_audited(self) -> bool:
+        """Whether any answer is; see `AuditedLaw`."""
         return self.settings.audit > 0.0
 
     @property
     def decisions(self) -> list[dict[str, Any]]:
+        """On windows of steps, in order: which stand and which were rolled back, and why."""
         return [dict(each) for each in self._decisions]
 
     def mark(self, t: float, state: CachedState) -> None:
@@ -205,6 +209,7 @@ class CachedLaw(Viewed):
         self._marked = state
 
     def verdict(self, *, final: bool = False) -> bool | None:
+        """Whether the steps since the mark stand; None: not known yet."""
         window, trust = self._window, self._trust
         if final:
             self._audit.end()
@@ -270,7 +275,11 @@ class CachedLaw(Viewed):
     def respond(
         self, F: Array, F_dot: Array, state: CachedState | None = None, *, tangents: bool = False
     ) -> StressResponse:
-        """Stress at n points; a point that neither part can answer has the fallback's status."""
+        """Stress at n points; a point that neither part can answer has the fallback's status.
+
+        Raises:
+            InputError: tangents are asked for, and surrogate or fallback have none.
+        """
         if not (is_ready(F) and is_ready(F_dot) and F.shape == F_dot.shape):
             F, F_dot = check_deformation(F, F_dot)
         if tangents:
@@ -319,6 +328,7 @@ class CachedLaw(Viewed):
     def prepare(
         self, F: Array, F_dot: Array, response: StressResponse
     ) -> tuple[NDArray[np.int8], Callable[[], Acceptance]]:
+        """As of `LearningLaw`: the fallback's check, and the rest."""
         state, accepted = accept_known(self.fallback, F, F_dot, response)
         if accepted.status.any():
             return accepted.status, lambda: Acceptance(accepted.status, state)
@@ -419,6 +429,7 @@ class CachedLaw(Viewed):
     def restart_step(
         self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
     ) -> Acceptance:
+        """The start of a step with the points `switched` on the fallback; see `SwitchingLaw`."""
         state: CachedState = response.state
         new = (state.free() & (switched != 0)).nonzero()[0]
         answer = self._solve_cold(F, F_dot, new)

@@ -35,21 +35,36 @@ class Surrogate(Protocol):
     """
 
     @property
-    def cell(self) -> CellParameters: ...
+    def cell(self) -> CellParameters:
+        """Parameters of the plant cell whose stress was learnt."""
+
     @property
-    def initialisation(self) -> str: ...
+    def initialisation(self) -> str:
+        """How its RVE was initialised."""
+
     @property
-    def density(self) -> float | NDArray[np.float64]: ...
+    def density(self) -> float | NDArray[np.float64]:
+        """Mass per reference area, ng/µm²."""
+
     @property
-    def range(self) -> SamplingRange | None: ...
+    def range(self) -> SamplingRange | None:
+        """Bounds outside which there is no answer, to say what left them; None: not known."""
+
     @property
-    def stress_spread(self) -> float: ...
+    def stress_spread(self) -> float:
+        """Spread of the stress, µN/µm: the unit of the user's tolerance."""
+
     @property
-    def is_calibrated(self) -> bool: ...
+    def is_calibrated(self) -> bool:
+        """Whether the risk of `lookup` is known by now; else it is infinite."""
+
     @property
-    def has_tangents(self) -> bool: ...
+    def has_tangents(self) -> bool:
+        """Whether `tangents` answers."""
+
     @property
-    def learns(self) -> bool: ...
+    def learns(self) -> bool:
+        """Whether true answers change it; one that learns may begin empty."""
 
     def with_tolerance(self, tolerance: float, relative: float) -> Surrogate:
         """The same, whose risks are by this tolerance; shares of the spread, and of the local
@@ -100,9 +115,12 @@ class Fallback(StressLaw, Protocol):
     """
 
     @property
-    def cell(self) -> CellParameters: ...
+    def cell(self) -> CellParameters:
+        """Parameters of the plant cell."""
+
     @property
-    def initialisation(self) -> str: ...
+    def initialisation(self) -> str:
+        """How its RVE is initialised."""
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> Any:
         """The state whose `to_arrays` gave these arrays."""

@@ -54,22 +54,35 @@ def describe(status: int) -> str:
 class Tangents:
     """Derivatives of the first Piola–Kirchhoff stress P = det F σ F⁻ᵀ at n points.
 
-    P_by_F is (n, 2, 2, 2, 2), [point, a, b, c, d] = ∂P_ab/∂F_cd in µN/µm, and P_by_F_dot the same
-    by Ḟ_cd in µN µs/µm."""
+    Attributes:
+        P_by_F: (n, 2, 2, 2, 2), [point, a, b, c, d] = ∂P_ab/∂F_cd, µN/µm.
+        P_by_F_dot: the same by Ḟ_cd, µN µs/µm.
+    """
 
     P_by_F: Array
     P_by_F_dot: Array
 
     def over_step(self, dt: float) -> Array:
         """(n, 2, 2, 2, 2) ∂P/∂F + (1/dt) ∂P/∂Ḟ, µN/µm: the slope of the stress by F at the end of
-        a step of dt µs, infinite at rest, in which F_dot = (F − F_old)/dt, so that it follows F.
-        Raises `InputError` where dt is not positive."""
+        a step in which F_dot = (F − F_old)/dt, so that it follows F.
+
+        Args:
+            dt: length of the step, µs; infinite for a rest.
+
+        Raises:
+            InputError: dt is not positive.
+        """
         if not dt > 0.0:
             raise InputError(f"dt: {dt}; it must be positive, or infinite at rest")
         return self.P_by_F if dt == np.inf else self.P_by_F + self.P_by_F_dot / dt
 
     def cauchy(self, F: Array, stress: Array) -> tuple[Array, Array]:
-        """∂σ/∂F and ∂σ/∂Ḟ, (n, 2, 2, 2, 2), from σ = P Fᵀ/det F, at F and σ (n, 2, 2) each."""
+        """∂σ/∂F and ∂σ/∂Ḟ, (n, 2, 2, 2, 2), from σ = P Fᵀ/det F.
+
+        Args:
+            F: (n, 2, 2) where the tangents hold.
+            stress: (n, 2, 2) Cauchy stress there.
+        """
         J = np.linalg.det(F)
         inverse = np.linalg.inv(F)
         P = J[:, None, None] * stress @ np.swapaxes(inverse, 1, 2)
@@ -127,8 +140,10 @@ class StressResponse:
     sources: Callable[[], Sources] | None = None
 
     def first_piola(self, F: Array) -> Array:
-        """(n, 2, 2) first Piola–Kirchhoff stress P = det F σ F⁻ᵀ, µN/µm: force per unloaded length,
-        at F (n, 2, 2), for which the law was asked.
+        """(n, 2, 2) first Piola–Kirchhoff stress P = det F σ F⁻ᵀ, µN/µm: force per unloaded length.
+
+        Args:
+            F: (n, 2, 2) for which the law was asked.
         """
         return np.asarray(self.stress @ cofactor(F))
 

@@ -150,9 +150,13 @@ def n_points_of(mesh: skfem.Mesh) -> int:
 def points_by_region(
     mesh: skfem.Mesh, names: Sequence[str], where: str = "regions"
 ) -> dict[str, Index]:
-    """Numbers of the points in each of the regions, which together must be the whole mesh. Raises
-    `InputError` where an element is in none of them or in two, or there is no region of a name;
-    `where` says who asks.
+    """Numbers of the points in each of the regions, which together must be the whole mesh.
+
+    Args:
+        where: who asks, for the sentence.
+
+    Raises:
+        InputError: an element is in none of them or in two, or there is no region of a name.
     """
     regions = {name: region(mesh, name, where) for name in names}
     region_numbers(mesh, regions, where, np.arange(mesh.nelements))

@@ -61,8 +61,12 @@ class LoadSettings:
 def LoadCase(*, elements: tuple[int, int] = (4, 4), **load: Any) -> Problem:
     """The bar as a problem, on a rectangle of so many elements in x and in y.
 
-    load: fields of `LoadSettings`: width, height, body_force, amplitude, duration, watched,
-        output_interval. Raises `InputError` naming the field that is out of its bounds.
+    Args:
+        load: fields of `LoadSettings`: width, height, body_force, amplitude, duration, watched,
+            output_interval.
+
+    Raises:
+        InputError: naming the field that is out of its bounds.
     """
     bar = LoadSettings(**load)
     return Problem(

@@ -140,8 +140,10 @@ def rectangle(width: float, height: float, elements: tuple[int, int]) -> skfem.M
 
 
 def with_boundaries(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
-    """The mesh with more boundaries: the outer sides whose nodes all lie in a part. Raises
-    `InputError` where there is none.
+    """The mesh with more boundaries: the outer sides whose nodes all lie in a part.
+
+    Raises:
+        InputError: there is none.
     """
     outer = mesh.boundary_facets()
     sides, named = facet_nodes(mesh, outer), {}
@@ -155,8 +157,10 @@ def with_boundaries(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
 
 
 def with_regions(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
-    """The mesh with more regions: the elements whose centre lies in a part. Raises `InputError`
-    where there is none.
+    """The mesh with more regions: the elements whose centre lies in a part.
+
+    Raises:
+        InputError: there is none.
     """
     centres, named = mesh.p.T[element_nodes(mesh)].mean(axis=1), {}
     for name, part in parts.items():

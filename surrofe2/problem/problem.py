@@ -129,8 +129,10 @@ class Problem:
 
     def check_course(self) -> None:
         """Refuse amplitudes that no run can follow, or that are zero all of it but not constant.
-        Raises `InputError` where a prescribed motion does not begin at 0 or jumps, or a load or a
-        motion is zero from the start of the run to its end.
+
+        Raises:
+            InputError: a prescribed motion does not begin at 0 or jumps, or a load or a motion is
+                zero from the start of the run to its end.
         """
         driven = [each for each in self.conditions if isinstance(each, DrivenCondition)]
         moved = [body for body in self.bodies if any(body.displacement)]
@@ -178,8 +180,10 @@ class Problem:
         return [name for name in self.mesh.boundaries or {} if name in places]
 
     def cells_inside(self, name: str, cells: tuple[int, int], side: float) -> NDArray[np.bool_]:
-        """(n, m) which square plant cells of a `side` in µm have their middle in a region. Raises
-        `InputError` where there is no region of that name.
+        """(n, m) which square plant cells of a `side` in µm have their middle in a region.
+
+        Raises:
+            InputError: there is no region of that name.
         """
         middles = side * (np.indices(cells).reshape(2, -1).T + np.array(0.5))
         if name in self.regions:

@@ -51,8 +51,12 @@ class CurveDifference:
 def difference(curve: DisplacementCurve, reference: DisplacementCurve) -> CurveDifference:
     """How far `curve` is from `reference` at the reference's times they both cover.
 
-    By Euclidean distance; `curve` is interpolated linearly where its times differ. Raises
-    `InputError` where they have no common time."""
+    Vectors are compared by their Euclidean distance; `curve` is interpolated linearly where its
+    times differ.
+
+    Raises:
+        InputError: they have no common time.
+    """
     within = (reference.t >= curve.t[0]) & (reference.t <= curve.t[-1])
     if not within.any():
         raise InputError("displacement curves: no common time; they must overlap")

@@ -87,8 +87,11 @@ class ViewedRun(Viewed):
         }
 
     def plot(self) -> Any:
-        """Displacements, forces and energies over time, by matplotlib: the axes from top to bottom,
-        whose `figure` can be saved."""
+        """Displacements, forces and energies over time, by matplotlib.
+
+        Returns:
+            The axes, from top to bottom; their `figure` can be saved.
+        """
         import matplotlib.pyplot as plt
 
         panels = self.panels()
@@ -113,8 +116,13 @@ class ViewedRun(Viewed):
         return found
 
     def to_pandas(self) -> Any:
-        """A `pandas.DataFrame` over t in µs of displacements, forces and energies; its
-        `attrs["units"]` has the unit of each column. Raises `InputError` without pandas."""
+        """A `pandas.DataFrame` over t in µs of displacements, forces and energies.
+
+        Its `attrs["units"]` has the unit of each column.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
         pandas, found = _library("pandas", "to_pandas"), self.series()
         columns = {name: each.values for name, each in found.items()}
         frame = pandas.DataFrame(columns, index=pandas.Index(self.curve.t, name="t_us"))
@@ -122,9 +130,13 @@ class ViewedRun(Viewed):
         return frame
 
     def to_xarray(self) -> Any:
-        """An `xarray.Dataset` of the same, each variable with its unit, and of whole fields of a
-        run from Python, over `frame` (t in µs), `node` and `element`. Raises `InputError` without
-        xarray."""
+        """An `xarray.Dataset` of the same, each variable with its unit, and of whole fields.
+
+        Fields are those of a run from Python, over `frame` (t in µs), `node` and `element`.
+
+        Raises:
+            InputError: xarray is not installed.
+        """
         xarray = _library("xarray", "to_xarray")
         fields, coordinates = self.fields_over_time()
         for name, each in self.series().items():

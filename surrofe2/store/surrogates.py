@@ -66,7 +66,11 @@ def write_surrogate(law: SurrogateLaw, path: str | Path) -> None:
 
 
 def read_surrogate(path: str | Path) -> SurrogateLaw:
-    """Read a surrogate; a FileError where it is missing, foreign, altered or older."""
+    """Read a surrogate.
+
+    Raises:
+        FileError: missing, truncated, foreign, altered, or of an older version.
+    """
     with reading(Path(path), SURROGATE) as stored:
         for name, values in stored.all_arrays().items():
             check_finite(name, values)

@@ -205,8 +205,10 @@ class SlabLaw:
     @cached_property
     def depth(self) -> float:
         """Depth at which the slab's two sides must act for it to be as stiff in bending as it is,
-        between a plant cell above the outline and the slab's middle, µm. Raises `InputError` where
-        the slab has no state of rest, straight or bent.
+        between a plant cell above the outline and the slab's middle, µm.
+
+        Raises:
+            InputError: the slab has no state of rest, straight or bent.
         """
         stretch, surface, bulk = self.rest(self.rows)
         at = self.point(stretch, 0.0 * stretch)
@@ -256,7 +258,9 @@ class SlabLaw:
 
     def rest(self, across: int) -> tuple[Array, SurfaceResponse, SideFree]:
         """Stretch (1,) of a strip of `across` plant cells without load, its surface and bulk.
-        Raises `InputError` where the strip has no state of rest.
+
+        Raises:
+            InputError: the strip has no state of rest.
         """
         stretch, still = np.ones(1), np.zeros(1)
         for _ in range(_REST_LIMIT):

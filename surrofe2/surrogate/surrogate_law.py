@@ -118,6 +118,7 @@ class SurrogateLaw(Viewed):
         """Nothing is learnt."""
 
     def to_arrays(self) -> dict[str, NDArray]:
+        """Nothing that a run could have changed."""
         return {}
 
     def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
@@ -154,6 +155,7 @@ class SurrogateLaw(Viewed):
         return to_tangents(F, F_dot, *evaluate_slopes(F, F_dot, self.arrays))
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
+        """Nothing is left to check or to commit."""
         return Acceptance(response.status, response.state)
 
     def in_range(self, F: Array, F_dot: Array) -> NDArray[np.bool_]:
@@ -178,8 +180,11 @@ class SurrogateLaw(Viewed):
         return float(np.hypot.reduce([self.errors["spread"][k] for k in ("xx", "xy", "yx", "yy")]))
 
     def with_tolerance(self, tolerance: float, relative: float) -> SurrogateLaw:
-        """This law, whose risks are by this share of the spread of stress, and `relative` share of
-        the local stress; an infinite tolerance leaves no risk."""
+        """This law, whose risks are by this tolerance; an infinite one leaves no risk.
+
+        Args:
+            tolerance: share of the spread of stress; relative: share of the local stress.
+        """
         at_rest = float(self.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0])
         local = np.append(np.zeros(INPUTS), 1.0)
         if self.domain is not None and np.isfinite([tolerance, relative, at_rest]).all():
@@ -226,7 +231,11 @@ class SurrogateLaw(Viewed):
         return to_cauchy(F, evaluate_slopes(F, F_dot, self.arrays)[0])
 
     def score(self, samples: StressSamples) -> dict[str, Any]:
-        """`errors_of` this surrogate on samples of the same RVE, beyond the range too.
+        """Errors on samples of the same RVE, by component, beyond the range too.
+
+        Returns:
+            As `errors`: `points`, and by component of σ (``"xx"``, …) and of Rᵀ σ R `spread` in
+            µN/µm, `rms` and `worst` relative to it.
 
             >>> surrogate.score(samples)["rms"]["xy"]
 

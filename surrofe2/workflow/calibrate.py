@@ -85,10 +85,14 @@ def calibrate(
         samples: that it was trained on; walks are drawn from their range.
         law: the full model; None: the RVEs of the samples.
         settings: how many paths of which kind.
-        problem: whose runs under other loads are paths too; None: the paper's bar, 2 × 2 elements.
-        macro: settings of these runs.
+        problem: whose runs under other loads are paths too; None: the paper's bar.
+        macro: settings of these runs; the paper's bar has 2 × 2 elements.
+        report: called with the fraction that is done, up to 1, and a remark.
         shaping: as of `shaping_truths`, which computes it where it is left out.
         runs: instead of those of `problem`.
+
+    Raises:
+        InputError: no path to calibrate on.
     """
     law = law or RveLaw(samples.cell, initialisation=samples.initialisation)
     settings = settings or CalibrationSettings()

@@ -89,7 +89,11 @@ def zoom_into(folder: str | Path, point: tuple[float, float]) -> Zoom:
 
 
 def write_zoom(found: Zoom, out: str | Path, report: Report = no_report) -> None:
-    """Write zoom.png, zoom.csv and fields.xdmf for ParaView."""
+    """Write zoom.png, zoom.csv and fields.xdmf for ParaView.
+
+    Args:
+        report: called with the share that is done and what is made.
+    """
     from surrofe2.report.figures import cell_figure  # here, since runs need no matplotlib
 
     out = Path(out)

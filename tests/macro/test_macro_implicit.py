@@ -9,6 +9,8 @@ from surrofe2 import LoadCase
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.generalised_alpha import Weights
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.rve import RveLaw
 from tests.laws import DryFriction, KelvinVoigt
 
 LOAD_CASE = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0), duration=12.8, elements=(2, 2))
@@ -113,3 +115,12 @@ def test_a_checkpoint_of_the_other_integrator_is_refused(begun):
 def test_law_without_tangents_is_named():
     with pytest.raises(InputError, match="integrator implicit: DryFriction has no tangents"):
         simulate(LOAD_CASE, DryFriction(), IMPLICIT)
+
+
+@pytest.mark.slow
+def test_bar_of_rves_moves_as_the_explicit_run_says():
+    law = RveLaw(CellParameters.preset("water"), initialisation="slow-manifold")
+    load_case = LoadCase(duration=15.0, elements=(2, 2))
+    explicit = simulate(load_case, law, MacroSettings())
+    implicit = simulate(load_case, law, MacroSettings(integrator="implicit"))
+    assert difference(implicit, explicit) < 1e-2

@@ -11,7 +11,7 @@ import pytest
 from surrofe2.macro import MacroSettings, find_rest, simulate, simulation
 from surrofe2.macro.forces import LinearForce
 from surrofe2.macro.system import make_system
-from surrofe2.problem import Fixed, Foundation, Problem, Symmetry
+from surrofe2.problem import Fixed, Foundation, InitialVelocity, Problem, Symmetry
 from surrofe2.problem.amplitude import Proportional
 from surrofe2.problem.mesh import element_nodes
 from tests.laws import KelvinVoigt, LinearFirstPiola
@@ -150,3 +150,16 @@ def test_bending_without_locking(kind, lame, distortion, monkeypatch):
     expected = 0.5 * curvature * (length**2 - shift)
     allowed = 0.02 if kind == "quads" else 1e-4
     assert rest.watched[1] == pytest.approx(expected, rel=allowed)
+
+
+def test_body_in_free_flight_keeps_its_velocity(rng):
+    """A dynamic patch: a uniform velocity is an exact motion, without any stress."""
+    for kind in KINDS:
+        flight = InitialVelocity(velocity=(0.3, -0.1))
+        problem = Problem(mesh=plate(kind, rng), conditions=(flight,), duration=1.0)
+        law = KelvinVoigt(shear_viscosity=0.0, bulk_viscosity=0.0)
+        run = simulate(problem, law, MacroSettings(frames=3, largest_step=0.01))
+        np.testing.assert_allclose(
+            run.frames.displacement[-1], np.tile([0.3, -0.1], (len(run.nodes), 1)), rtol=1e-10
+        )
+        assert abs(run.frames.stress).max() < 1e-9

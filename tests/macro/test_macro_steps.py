@@ -208,3 +208,35 @@ def test_what_the_method_dissipates_is_of_fifth_order_in_the_step():
     errors = [lost_at_fixed_step(step) for step in (0.2, 0.1, 0.05)]
     rates = np.log2(np.divide(errors[:-1], errors[1:]))
     assert (rates > 4.6).all()
+
+
+def test_failing_trials_leave_the_motion_as_it_is():
+    law = KelvinVoigt()
+    settings = replace(SETTINGS, absolute_tolerance=1e-8, relative_tolerance=1e-8)
+    whole = simulate(LOAD_CASE, law, settings)
+    failing = simulate(LOAD_CASE, Refusing(range(20, 400, 17)), settings)
+    assert failing.counts["failed_trials"] > 5
+    np.testing.assert_allclose(failing.curve.displacement, whole.curve.displacement, atol=1e-6)
+    for name in ("load", "internal"):
+        np.testing.assert_allclose(
+            failing.energies[name], whole.energies[name], atol=1e-6 * whole.energies["load"].max()
+        )
+
+
+def test_refused_steps_leave_the_motion_as_it_is():
+    """The law refuses a few ends of steps once the bar has picked up speed."""
+    law = KelvinVoigt()
+    refused = []
+
+    def too_far(F, F_dot):
+        moving = abs(F_dot).max() > 0.008 and len(refused) < 3
+        if moving:
+            refused.append(True)
+        return np.full(len(F), moving)
+
+    whole = simulate(LOAD_CASE, law, SETTINGS)
+    run = simulate(LOAD_CASE, Failing(law, refuses=too_far), SETTINGS)
+    assert len(refused) == run.counts["failed_trials"] == 3
+    assert run.finished
+    scale = abs(whole.curve.displacement).max()
+    np.testing.assert_allclose(run.curve.displacement, whole.curve.displacement, atol=5e-3 * scale)

@@ -187,3 +187,16 @@ def test_beyond_a_bifurcation_it_is_constrained_runs():
     by = [parameter_gradients(each, F, F_dot, names).P_by for each in (slow, runs)]
     for name in names:
         np.testing.assert_allclose(by[0][name], by[1][name], rtol=1e-6, atol=1e-12)
+
+
+def test_accepted_states_are_checked_for_stability_and_renewed():
+    this, state = law("printed", "slow-manifold"), None
+    for stretch in np.linspace(1.0, 1.4, 41):
+        F = np.array([np.diag([stretch, 1.0])])
+        answer = this.respond(F, 0.001 * F, state)
+        accepted = this.accept(F, 0.001 * F, answer)
+        state = accepted.state
+        if state.left.any():
+            break
+    assert accepted.status[0] == Status.OK
+    assert 1.1 < stretch < 1.35
