@@ -157,14 +157,18 @@ def _sum_forces(t, particles, lists, constants, fluid):
         add_pair(f, i, j, a * pair.rx, a * pair.ry)
     for k in range(here[2], end[2]):
         i, j = lists.contacts[k, 0], lists.contacts[k, 1]
-        pair, c = pair_at(x, v, i, j), contact_at(constants.contacts, k, constants.cutoff)
+        pair, c = (
+            pair_at(x, v, i, j),
+            contact_at(constants.contacts, constants.row[k], constants.cutoff),
+        )
         law = contact(pair.length, pair.inverse, c)
         a = tension(law, pair.rate) * within(pair.length, pair.inverse, c)
         add_pair(f, i, j, a * pair.rx, a * pair.ry)
     if t < lists.fluid_tiles:
         slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
         volume = np.empty((own - fluid.walls, TILE))
-        add_fluid_forces(x, v, f, fluid, fluid_at(constants.fluid, t), slope, volume)
+        row = min(np.int64(t), constants.fluid.shape[0] - 1)
+        add_fluid_forces(x, v, f, fluid, fluid_at(constants.fluid, row), slope, volume)
 
 
 @kernel
@@ -294,15 +298,16 @@ def _stored_in_tile(t, x, lists, constants, grid, fluid, energy):
     for k in range(here[2], end[2]):
         rx, ry = difference(x, lists.contacts[k, 0], lists.contacts[k, 1])
         length, inverse = norm(rx, ry)
-        c = contact_at(constants.contacts, k, constants.cutoff)
+        c = contact_at(constants.contacts, constants.row[k], constants.cutoff)
         total += contact_energy(length, inverse, c)
     store(total, energy, t)
     if t < lists.fluid_tiles:
         slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
         volume = np.empty((fluid.particles - fluid.walls, TILE))
-        fluid_specific_volume(x, fluid, fluid_at(constants.fluid, t), slope, volume)
+        row = min(np.int64(t), constants.fluid.shape[0] - 1)
+        fluid_specific_volume(x, fluid, fluid_at(constants.fluid, row), slope, volume)
         for p in range(volume.shape[0]):
             for lane in range(TILE):
-                weight = constants.fluid[t, 1, lane] * constants.fluid[t, 2, lane]
+                weight = constants.fluid[row, 1, lane] * constants.fluid[row, 2, lane]
                 weight *= grid.exists[t, fluid.walls + p, lane]
                 energy[t, lane] -= weight * np.log(volume[p, lane])

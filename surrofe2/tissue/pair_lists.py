@@ -110,13 +110,16 @@ class PairConstants(NamedTuple):
 
     Attributes:
         bonds: (bonds, 3, TILE) stiffness, rest length, damping.
-        contacts: (contacts, 2, TILE) repulsion and contact damping.
-        fluid: (tiles, 4, TILE) smoothing length, fluid mass, sound speed squared, viscosity.
+        contacts: (rows, 2, TILE) repulsion and contact damping.
+        row: (contacts,) of each; those that are alike share one, which then stays at hand.
+        fluid: (tiles, 4, TILE) smoothing length, fluid mass, sound speed squared, viscosity; of
+            one type of plant cell (1, 4, TILE) for all.
         cutoff: of contacts, µm.
     """
 
     bonds: Array
     contacts: Array
+    row: Ints
     fluid: Array
     cutoff: float
 
@@ -127,6 +130,7 @@ class PairConstants(NamedTuple):
         return PairConstants(
             self.bonds * np.array([elastic, 1.0, damping])[:, None],
             self.contacts * both,
+            self.row,
             self.fluid * np.array([1.0, 1.0, elastic, damping])[:, None],
             self.cutoff,
         )
@@ -248,7 +252,7 @@ class PairLister:
         self._weight = np.append(along, np.ones_like(along[:1]), axis=0).reshape(3, -1, TILE)
         # places without fluid have some, so that kernels may divide
         fluid = np.stack([of[name][np.maximum(own, 0)] for name in FluidConstants._fields], axis=1)
-        self._fluid = tiled(fluid)
+        self._fluid = tiled(fluid) if len(tissue.types) > 1 else tiled(fluid)[:1]
         part = np.stack(
             [shares(tissue.cell, tissue.kind == k, column, row) for k in range(len(tissue.types))],
             axis=2,
@@ -310,9 +314,14 @@ class PairLister:
         sums = self._particles[here, kinds.i[kind, None]]
         sums = sums + self._particles[there, kinds.j[kind, None]]
         contacts = np.moveaxis(0.5 * sums, 1, 2) * self._weight[kinds.axis[kind], tile, None]
+        row = np.arange(len(kind))
+        inner = np.flatnonzero(kinds.axis[kind] == len(self._weight) - 1)
+        if len(self._tissue.types) == 1 and len(inner):  # off wall lines all are alike
+            row[inner] = inner[0]
         return PairConstants(
             bonds=self._bonds,
             contacts=np.ascontiguousarray(contacts),
+            row=row,
             fluid=self._fluid,
             cutoff=self._tissue.cell.repulsion_cutoff,
         )
