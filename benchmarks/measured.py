@@ -51,6 +51,8 @@ class Figure:
         return isfinite(self.value) and low <= self.value <= high
 
     def __str__(self) -> str:
+        if not self.unit and self.value.is_integer():  # a count
+            return f"{self.value:,.0f}"
         return f"{number(self.value)} {self.unit}".rstrip()
 
 
