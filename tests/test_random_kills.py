@@ -1,6 +1,6 @@
 """Processes that are ended at random instants, and go on to what they would have given.
 
-`SURROFE2_KILLS` is how often the long tests kill each command, and interrupt it; default: 50.
+`SURROFE2_KILLS` is how often the long tests kill each command, and interrupt it; default: 20.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from surrofe2.store.run_folder import read_record
 from tests import commands
 from tests.folders import assert_same, numbers
 
-KILLS = int(os.environ.get("SURROFE2_KILLS", "50"))
+KILLS = int(os.environ.get("SURROFE2_KILLS", "20"))
 ROOT = Path(__file__).parents[1]
 
 

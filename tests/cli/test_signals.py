@@ -1,6 +1,6 @@
 """SIGINT, SIGTERM and SIGHUP at any instant end a command soon, which says how to resume it.
 
-`SURROFE2_SIGNALS` is how many signals the long tests send to each command; default: 100.
+`SURROFE2_SIGNALS` is how many signals the long tests send to each command; default: 20.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import pytest
 from surrofe2.store.run_folder import read_record
 from tests.cli.forks import server
 
-SIGNALS = int(os.environ.get("SURROFE2_SIGNALS", "100"))
+SIGNALS = int(os.environ.get("SURROFE2_SIGNALS", "20"))
 
 COMMANDS = {
     "generate": "generate {recipe} --fresh",
