@@ -134,3 +134,10 @@ def test_of_many_processes_one_takes_over(tmp_path):
         for each in several:
             each.kill()
             each.communicate()
+
+
+def test_a_stopped_process_keeps_its_lock(tmp_path, holder):
+    holder.send_signal(signal.SIGSTOP)
+    with pytest.raises(FileError, match=f"in use by process {holder.pid} "):
+        locked_folder(tmp_path / "out").__enter__()
+    holder.send_signal(signal.SIGCONT)
