@@ -153,7 +153,7 @@ def points_by_region(
     """Numbers of the points in each of the regions, which together must be the whole mesh.
 
     Args:
-        where: who asks, for the sentence.
+        where: what the error message names.
 
     Raises:
         InputError: an element is in none of them or in two, or there is no region of a name.
