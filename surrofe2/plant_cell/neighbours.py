@@ -45,22 +45,29 @@ class Near:
 
     Attributes:
         F: (tiles, 2, 2, TILE). z: (tiles, 2, own, TILE) material positions, µm.
+        every: the topology with all contacts. unlisted: (k, 2) those that `topology` lacks.
     """
 
     topology: Topology
+    every: Topology
+    unlisted: Ints
     F: Array
     z: Array
     reach: float
     cutoff: float
 
-    def covers(self, F: Array, z: Array) -> Flags:
+    def covers(self, F: Array, z: Array, *, exactly: bool = False) -> Flags:
         """(tiles, TILE): whether all contacts that act at z (tiles, 2, n, TILE) are listed.
 
-        What is not listed has |r₀| > reach. With particles at most d from where they were listed,
+        A bound says so, and `exactly` each contact where the bound is too coarse. What is not
+        listed has |r₀| > reach. With particles at most d from where they were listed,
         in material coordinates, and G = F F₀⁻¹: |r| ≥ s_min(G) (reach − 2 s_max(F₀) d).
         """
         covered = np.empty((len(F), TILE), dtype=np.bool_)
         mark_covered(F, z, self.F, self.z, self.reach, self.cutoff, covered)
+        if exactly and not covered.all():
+            every = self.every
+            mark_apart(F, z, self.unlisted, every.owner, every.image_offset, self.cutoff, covered)
         return covered
 
     def take(self, index: NDArray[np.intp], points: int) -> Near:
@@ -118,31 +125,51 @@ class Neighbours:
             owner=every.owner[images],
             image_offset=every.image_offset[images],
         )
-        return Near(topology, F, z, reach, self.cutoff)
+        return Near(topology, every, every.contacts[~listed], F, z, reach, self.cutoff)
 
     def everywhere(self, F: Array, z: Array) -> Near:
         """The list of every contact, which covers all positions."""
-        return Near(self.topology, F, z, np.inf, self.cutoff)
+        every = self.topology
+        return Near(every, every, every.contacts[:0], F, z, np.inf, self.cutoff)
 
 
 @kernel
 def mark_near(F, z, pairs, owner, offset, reach, near):
     """near (k,): whether local particles i, j of `pairs` (k, 2) are within reach in any RVE."""
-    own = z.shape[2]
     for k in range(pairs.shape[0]):
-        i, j, ox, oy = pairs[k, 0], pairs[k, 1], 0.0, 0.0
-        if j >= own:
-            image = j - own
-            j, ox, oy = owner[image], offset[image, 0], offset[image, 1]
         near[k] = False
         for t in range(z.shape[0]):
-            dx, dy = load(z, t, 0, j) - load(z, t, 0, i), load(z, t, 1, j) - load(z, t, 1, i)
-            dx, dy = dx + ox, dy + oy
-            rx = load(F, t, 0, 0) * dx + load(F, t, 0, 1) * dy
-            ry = load(F, t, 1, 0) * dx + load(F, t, 1, 1) * dy
-            if any_less(rx * rx + ry * ry, reach * reach):
+            if any_less(_square(F, z, t, pairs[k], owner, offset), reach * reach):
                 near[k] = True
                 break
+
+
+@kernel
+def mark_apart(F, z, pairs, owner, offset, cutoff, apart):
+    """Set apart (tiles, TILE) in RVEs where no pair is within the cut-off."""
+    for t in range(z.shape[0]):
+        if apart[t].all():
+            continue
+        nearest = np.full((1, TILE), np.inf)
+        for k in range(pairs.shape[0]):
+            least, square = load(nearest, 0), _square(F, z, t, pairs[k], owner, offset)
+            store(where_less(square, least, square, least), nearest, 0)
+        for lane in range(TILE):
+            apart[t, lane] |= nearest[0, lane] >= cutoff * cutoff
+
+
+@kernel
+def _square(F, z, t, pair, owner, offset):
+    """Squared distance of a pair of local particles in the RVEs of tile t."""
+    own, i, j, ox, oy = z.shape[2], pair[0], pair[1], 0.0, 0.0
+    if j >= own:
+        image = j - own
+        j, ox, oy = owner[image], offset[image, 0], offset[image, 1]
+    dx, dy = load(z, t, 0, j) - load(z, t, 0, i), load(z, t, 1, j) - load(z, t, 1, i)
+    dx, dy = dx + ox, dy + oy
+    rx = load(F, t, 0, 0) * dx + load(F, t, 0, 1) * dy
+    ry = load(F, t, 1, 0) * dx + load(F, t, 1, 1) * dy
+    return rx * rx + ry * ry
 
 
 @kernel

@@ -117,9 +117,9 @@ class Solved:
 
     def has_all_contacts(self) -> Flags:
         """(tiles, TILE) whether the contacts that were solved with are all that act."""
-        covered = self.covered & self.near.covers(self.drive.F, self.state.z)
+        covered = self.covered & self.near.covers(self.drive.F, self.state.z, exactly=True)
         if self.state.elastic is not None:
-            covered &= self.near.covers(self.drive.F, self.state.elastic)
+            covered &= self.near.covers(self.drive.F, self.state.elastic, exactly=True)
         return covered
 
     def tangents(self) -> Tangents:

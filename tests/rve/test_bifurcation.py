@@ -169,6 +169,23 @@ def test_contacts_left_out_change_no_bit():
     np.testing.assert_array_equal(*energies)
 
 
+def test_contacts_are_looked_at_one_by_one_where_the_bound_is_too_coarse():
+    """Against distances by numpy."""
+    unit, F, rng = law("printed").unit_cell, far(40), np.random.default_rng(2)
+    rest, every = unit.position.T, unit.topology
+    z = rest + rng.uniform(0.0, 3.0, (40, 1, 1)) * rng.uniform(-1.0, 1.0, (40, 2, 35))
+    near = unit.neighbours.near(pack(F), pack(rest + 0 * z), 0.5)
+    i, j = near.unlisted.T
+    local = np.concatenate([z, z[:, :, every.owner] + every.image_offset.T], axis=2)
+    r = np.einsum("nab,nbk->nak", F, local[:, :, j] - local[:, :, i])
+    apart = (np.linalg.norm(r, axis=1) >= near.cutoff).all(axis=1)
+    bound, exact = (unpack(near.covers(pack(F), pack(z), exactly=e), 40) for e in (False, True))
+    np.testing.assert_array_equal(exact, apart)
+    assert not (bound & ~apart).any()
+    assert (apart & ~bound).any()
+    assert not apart.all()
+
+
 @pytest.mark.parametrize("below", [[-2.0, -1.0], [-1.0], [-1.0, -1.0]])
 def test_steps_over_a_saddle_go_down_unstable_modes(below):
     """By (A15); at rest along these modes alone, whatever their eigenvectors' signs."""
