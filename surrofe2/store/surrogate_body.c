@@ -1,10 +1,10 @@
-/* The formulas. Each is a loop over LANES points, a quantity of which is a row of so many numbers; all
+/* The formulas. Each is a loop over 8 points, a quantity of which is a row of so many numbers; all
  * sizes are known here, so that compilers make vector instructions of the loops. What is called
  * ..._of_1 is the same for a point alone. Do not compile this with -ffast-math, which takes the
  * rounding to an integer away. */
 
-/* tanh of |y| <= 20, 1 - 2/(e^2y + 1), with e^2y = 2^n e^r, n an integer and |r| <= ln 2/2: e^r is a polynomial, and 2^n
- * is written into the exponent bits. */
+/* tanh of |y| <= 20, 1 - 2/(e^2y + 1), with e^2y = 2^n e^r, n an integer and
+ * |r| <= ln 2/2: e^r is a polynomial, and 2^n is written into the exponent bits. */
 static inline double tanh_of(double y)
 {
     const double magic = 6755399441055744.0, ln2 = 0.6931471805599453;
@@ -27,6 +27,24 @@ static inline double tanh_of(double y)
     return 1.0 - 2.0 / (((q * r + 1.0) * r + 1.0) * scale + 1.0);
 }
 
+/* tanh 20 is 1 to the last bit; the limits have a loop of their own, since a branch before arithmetic,
+ * which may trap, would leave no vector instructions */
+static void fill_tanh(double *units, int size)
+{
+    for (int m = 0; m < size; m++) {
+        const double y = units[m] > 20.0 ? 20.0 : units[m];
+        units[m] = y < -20.0 ? -20.0 : y;
+    }
+    for (int m = 0; m < size; m++)
+        units[m] = tanh_of(units[m]);
+}
+
+static void times_tanh_slope(double *RESTRICT slopes, const double *RESTRICT units, int size)
+{
+    for (int m = 0; m < size; m++)
+        slopes[m] *= 1.0 - units[m] * units[m];
+}
+
 /* 1/sqrt(x) from an estimate by the exponent bits and four Newton steps: sqrt may set errno, and a
  * loop with it is not made of vector instructions. */
 static inline double inverse_root(double x)
@@ -42,61 +60,168 @@ static inline double inverse_root(double x)
     return y + 0.5 * y * (1.0 - x * y * y);
 }
 
-/* target = weight source + bias; for a point alone a column of the matrix at a time */
-#define LAYER_OF_1(weight, bias, columns, rows, source, target)  \
-    do {                                                         \
-        for (int i = 0; i < rows; i++)                           \
-            target[i] = bias[i];                                 \
-        for (int j = 0; j < columns; j++)                        \
-            for (int i = 0; i < rows; i++)                       \
-                target[i] += weight[j][i] * source[j];           \
-    } while (0)
-
-/* the same for LANES points; four rows of the matrix at a time stay in registers */
-#define LAYER_OF_8(weight, bias, rows, target, terms)            \
-    do {                                                         \
-        for (int i = 0; i < rows; i += 4)                        \
-            for (int l = 0; l < 8; l++) {                        \
-                double a = bias[i], b = bias[i + 1];             \
-                double c = bias[i + 2], d = bias[i + 3];         \
-                terms                                            \
-                target[i * 8 + l] = a;                           \
-                target[(i + 1) * 8 + l] = b;                     \
-                target[(i + 2) * 8 + l] = c;                     \
-                target[(i + 3) * 8 + l] = d;                     \
-            }                                                    \
-    } while (0)
-#define TERM(weight, j, source)                                  \
-    a += weight[j][i] * source[j * 8 + l];                       \
-    b += weight[j][i + 1] * source[j * 8 + l];                   \
-    c += weight[j][i + 2] * source[j * 8 + l];                   \
-    d += weight[j][i + 3] * source[j * 8 + l];
-
-/* tanh 20 is 1 to the last bit; in a loop of its own, since a branch before arithmetic, which may
- * trap, would leave no vector instructions */
-#define FILL_TANH(units, size)                                   \
-    do {                                                         \
-        for (int m = 0; m < size; m++) {                         \
-            const double y = units[m] > 20.0 ? 20.0 : units[m];  \
-            units[m] = y < -20.0 ? -20.0 : y;                    \
-        }                                                        \
-        for (int m = 0; m < size; m++)                           \
-            units[m] = tanh_of(units[m]);                        \
-    } while (0)
-#define TIMES_TANH_SLOPE(slopes, units, size)                    \
-    do {                                                         \
-        for (int m = 0; m < size; m++)                           \
-            slopes[m] *= 1.0 - units[m] * units[m];              \
-    } while (0)
+/* Rows of inputs, of which number ONE is 1, and of products, each an earlier row times an input; and
+ * polynomials, sums over groups of terms of head (sum of coefficient row). */
+struct polynomials {
+    int inputs, products, outputs;
+    const int *pairs, *begins, *heads, *group_begins, *rows;
+    const double *coefficients;
+};
+static const struct polynomials network = {
+    ONE + 1, NETWORK_ROWS - ONE - 1, COMPONENTS, network_products, network_begins, network_heads,
+    network_group_begins, network_rows, network_coefficients,
+};
+static const struct polynomials bounds = {
+    BOUND_INPUTS, BOUND_ROWS - BOUND_INPUTS, 2, bounds_products, bounds_begins, bounds_heads,
+    bounds_group_begins, bounds_rows, bounds_coefficients,
+};
 @SPLIT@
+/* Sets the rows of products and the polynomials y from rows of inputs, for @L@ points; with along >= 0
+ * the slopes of both along this input, where `rows` are set and `inner` has their slopes. */
+static void evaluate_@L@(const struct polynomials *p, int along, const double *rows, double *inner,
+                       double *RESTRICT y)
+{
+    for (int m = 0; along >= 0 && m < p->inputs * @L@; m++)
+        inner[m] = m / @L@ == along;
+    for (int k = 0; k < p->products; k++) {
+        const int i = p->pairs[2 * k], j = p->pairs[2 * k + 1];
+        const double *former = inner + i * @L@, *input = rows + j * @L@;
+        double product[@L@];
+        for (int l = 0; l < @L@; l++)
+            product[l] = former[l] * input[l];
+        if (j == along)
+            for (int l = 0; l < @L@; l++)
+                product[l] += rows[i * @L@ + l];
+        for (int l = 0; l < @L@; l++)
+            inner[(p->inputs + k) * @L@ + l] = product[l];
+    }
+    for (int output = 0; output < p->outputs; output++) {
+        double sum[@L@] = {0.0};
+        for (int group = p->begins[output]; group < p->begins[output + 1]; group++) {
+            const double *head = rows + p->heads[group] * @L@;
+            const int first = p->group_begins[group], last = p->group_begins[group + 1];
+            double inside[@L@] = {0.0};
+            for (int k = first; k < last; k++)
+                for (int l = 0; l < @L@; l++)
+                    inside[l] += p->coefficients[k] * inner[p->rows[k] * @L@ + l];
+            for (int l = 0; l < @L@; l++)
+                sum[l] += inside[l] * head[l];
+            for (int k = first; p->heads[group] == along && k < last; k++)
+                for (int l = 0; l < @L@; l++)
+                    sum[l] += p->coefficients[k] * rows[p->rows[k] * @L@ + l];
+        }
+        for (int l = 0; l < @L@; l++)
+            y[output * @L@ + l] = sum[l];
+    }
+}
+
+/* target = matrix source + bias, or without a bias; four rows at a time stay in registers */
+static void layer_@L@(const double *matrix, const double *bias, int rows, int columns,
+                    const double *RESTRICT source, double *RESTRICT target)
+{
+    for (int i = 0; i < rows; i += 4) {
+        double a[@L@], b[@L@], c[@L@], d[@L@];
+        for (int l = 0; l < @L@; l++) {
+            a[l] = bias ? bias[i] : 0.0;
+            b[l] = bias ? bias[i + 1] : 0.0;
+            c[l] = bias ? bias[i + 2] : 0.0;
+            d[l] = bias ? bias[i + 3] : 0.0;
+        }
+        for (int j = 0; j < columns; j++) {
+            const double *weight = matrix + j * rows + i;
+            for (int l = 0; l < @L@; l++) {
+                const double x = source[j * @L@ + l];
+                a[l] += weight[0] * x;
+                b[l] += weight[1] * x;
+                c[l] += weight[2] * x;
+                d[l] += weight[3] * x;
+            }
+        }
+        for (int l = 0; l < @L@; l++) {
+            target[i * @L@ + l] = a[l];
+            target[(i + 1) * @L@ + l] = b[l];
+            target[(i + 2) * @L@ + l] = c[l];
+            target[(i + 3) * @L@ + l] = d[l];
+        }
+    }
+}
+
+/* The components of R'P, y, from rows of scaled inputs, and their slopes by these: the baseline, and
+ * of each term (factor - factor at rest) product, whose factors a network gives of invariants and
+ * of x^p/sqrt(bend^2 + x^2). */
+static void network_of_@L@(double *rows, double *y, int with_slopes, double *slopes)
+{
+    double units[UNITS * @L@], unit_slopes[UNITS * @L@] = {0.0}, row_slopes[NETWORK_ROWS * @L@];
+    memset(units, 0, network_sizes[0] * @L@ * sizeof *units);
+    for (int along = -1; along < (with_slopes ? INPUTS : 0); along++) {
+        double *inner = along < 0 ? rows : row_slopes, *u = along < 0 ? units : unit_slopes;
+        double *out = along < 0 ? y : slopes + along * COMPONENTS * @L@;
+        const double *factor = units, *matrix = network_weights, *bias = network_biases;
+        evaluate_@L@(&network, along, rows, inner, out);
+        for (int k = 0; k < INVARIANTS; k++)
+            memcpy(u + k * @L@, inner + network_kept[TERMS + k] * @L@, @L@ * sizeof *u);
+        for (int k = 0; k < STRETCH; k++)
+            for (int l = 0; l < @L@; l++) {
+                const double x = rows[k * @L@ + l], raised = network_powers[k] == 2 ? x : 1.0;
+                const double inverse = inverse_root(BEND * BEND + x * x);
+                const double slope = network_powers[k] - x * x * inverse * inverse;
+                const double value = along < 0 ? x : along == k ? slope : 0.0;
+                u[(INVARIANTS + k) * @L@ + l] = raised * inverse * value;
+            }
+        for (int layer = 1; layer <= LAYERS; layer++) {
+            const int columns = network_sizes[layer - 1], size = network_sizes[layer];
+            double *next = u + columns * @L@;
+            layer_@L@(matrix, along < 0 ? bias : NULL, size, columns, u, next);
+            factor += columns * @L@;
+            if (layer < LAYERS && along < 0)
+                fill_tanh(next, size * @L@);
+            else if (layer < LAYERS)
+                times_tanh_slope(next, factor, size * @L@);
+            u = next;
+            matrix += size * columns;
+            bias += size;
+        }
+        for (int k = 0; k < TERMS; k++) {
+            const int component = network_components[k], row = network_kept[k];
+            const double scale = network_output_factor[component];
+            for (int l = 0; l < @L@; l++) {
+                const double above = factor[k * @L@ + l] - network_at_rest[k];
+                const double rise = along < 0 ? 0.0 : u[k * @L@ + l] * rows[row * @L@ + l];
+                out[component * @L@ + l] += scale * (above * inner[row * @L@ + l] + rise);
+            }
+        }
+    }
+}
+
+/* Failure boundary and bound, y, from rows of inputs: the first are set, others never fall on the
+ * way out from rest. */
+static void bound_of_@L@(double *x, double *RESTRICT y)
+{
+    for (int l = 0; l < @L@; l++) {
+        double total = 0.0, size = 0.0;
+        for (int k = 0; k < INPUTS; k++) {
+            const double square = x[k * @L@ + l] * x[k * @L@ + l];
+            x[(SQUARES + k) * @L@ + l] = square;
+            total += square;
+            size += bounds_near[k] * square;
+        }
+        x[COMPRESSION * @L@ + l] = x[l] < 0.0 ? x[l] * x[l] : 0.0;
+        x[NORM * @L@ + l] = total / INPUTS;
+        x[NEAR * @L@ + l] = size / (size + REACH);
+    }
+    evaluate_@L@(&bounds, -1, x, x, y);
+}
+
 /* The answers at @L@ points at once: F, V = F_rate and stress have rows 11, 12, 21, 22 of @L@ numbers,
  * tangents 16 such rows, 4 a + b by the entry b of F. Where status is not 0 the rest is not to be used. */
 static void answers_of_@L@(const double *RESTRICT F, const double *RESTRICT V, double tolerance,
                          double *RESTRICT stress, double *RESTRICT bound, int *RESTRICT status,
                          int with_slopes, double *RESTRICT by_F, double *RESTRICT by_rate)
 {
-    double cosine[@L@], sine[@L@], U[4 * @L@], A[4 * @L@], x[(INPUTS + 1) * @L@], within[@L@];
-    double height[@L@], y[COMPONENTS * @L@], slopes[INPUTS * COMPONENTS * @L@], finite[@L@];
+    double cosine[@L@], sine[@L@], U[4 * @L@], A[4 * @L@], x[INPUTS * @L@], within[@L@], finite[@L@];
+    double rows[NETWORK_ROWS * @L@], tested[BOUND_ROWS * @L@], height[2 * @L@];
+    double y[COMPONENTS * @L@], slopes[INPUTS * COMPONENTS * @L@];
+    const double *limit = network_bounds;
     int any = 0;
 
     for (int l = 0; l < @L@; l++) { /* F = R U, A = R'V */
@@ -123,12 +248,17 @@ static void answers_of_@L@(const double *RESTRICT F, const double *RESTRICT V, d
         x[4 * @L@ + l] = A11 - A22;
         x[5 * @L@ + l] = A12 + A21;
         x[6 * @L@ + l] = A21 - A12;
-        within[l] = (range[0] < U11) & (U11 < range[1]) & (range[0] < U22) & (U22 < range[1])
-                    & (fabs(U12) < range[2]) & (fabs(A11) < range[3]) & (fabs(A12) < range[3])
-                    & (fabs(A21) < range[3]) & (fabs(A22) < range[3])
+        within[l] = (limit[0] < U11) & (U11 < limit[1]) & (limit[0] < U22) & (U22 < limit[1])
+                    & (fabs(U12) < limit[2]) & (fabs(A11) < limit[3]) & (fabs(A12) < limit[3])
+                    & (fabs(A21) < limit[3]) & (fabs(A22) < limit[3])
                     & (xx * yy - xy * yx > 0.0) ? 1.0 : 0.0;
     }
-    bound_of_@L@(x, height, bound);
+    for (int m = 0; m < INPUTS * @L@; m++)
+        tested[m] = x[m] * bounds_factor[m / @L@];
+    for (int l = 0; l < @L@; l++)
+        tested[ONE * @L@ + l] = 1.0;
+    bound_of_@L@(tested, height);
+    memcpy(bound, height + @L@, @L@ * sizeof *bound);
     for (int l = 0; l < @L@; l++) {
         status[l] = SURROFE2_OK;
         if (!(within[l] > 0.0 && height[l] <= 0.0)) {
@@ -142,10 +272,11 @@ static void answers_of_@L@(const double *RESTRICT F, const double *RESTRICT V, d
     if (!any)
         return;
 
-    for (int k = 0; k < INPUTS; k++)
-        for (int l = 0; l < @L@; l++)
-            x[k * @L@ + l] *= input_factor[k];
-    network_of_@L@(x, y, with_slopes, slopes);
+    for (int m = 0; m < INPUTS * @L@; m++)
+        rows[m] = x[m] * network_input_factor[m / @L@];
+    for (int l = 0; l < @L@; l++)
+        rows[ONE * @L@ + l] = 1.0;
+    network_of_@L@(rows, y, with_slopes, slopes);
     for (int l = 0; l < @L@; l++) { /* P = R P_hat, stress = P F'/det F */
         const double xx = F[l], xy = F[@L@ + l], yx = F[2 * @L@ + l], yy = F[3 * @L@ + l];
         const double c = cosine[l], s = sine[l], over_J = 1.0 / (xx * yy - xy * yx);
@@ -170,7 +301,7 @@ static void answers_of_@L@(const double *RESTRICT F, const double *RESTRICT V, d
 
     for (int k = 0; k < INPUTS; k++)
         for (int m = 0; m < COMPONENTS * @L@; m++)
-            slopes[k * COMPONENTS * @L@ + m] *= input_factor[k];
+            slopes[k * COMPONENTS * @L@ + m] *= network_input_factor[k];
     /* Along B = R'dF the rotation turns by an angle: dU = B - angle E U, dA = -angle E A and
      * R'dP = dP_hat + angle E P_hat, with E the turn by 90 degrees. */
     for (int k = 0; k < 4; k++) {
@@ -187,8 +318,13 @@ static void answers_of_@L@(const double *RESTRICT F, const double *RESTRICT V, d
                 angle * (A21 - A12), angle * (A12 + A21), angle * (A22 - A11), -angle * (A11 + A22),
             };
             const double e[4] = {B11 + B22, B11 - B22, B12 + B21, B21 - B12};
-            double u[4], v[4];
-            @SUMS@
+            double u[4] = {0.0}, v[4] = {0.0};
+            for (int i = 0; i < 4; i++) {
+                for (int j = 0; j < 7; j++)
+                    u[i] += slopes[(4 * j + i) * @L@ + l] * d[j];
+                for (int j = 0; j < 4; j++)
+                    v[i] += slopes[(4 * (3 + j) + i) * @L@ + l] * e[j];
+            }
             const double turn = 0.5 * angle;
             const double a = 0.5 * (u[0] + u[1]) - turn * (y[2 * @L@ + l] + y[3 * @L@ + l]);
             const double b = 0.5 * (u[2] - u[3]) - turn * (y[l] - y[@L@ + l]);
