@@ -5,7 +5,5 @@ figures     tissues with supports and rigid bodies, and plant cells
 study       what a study hands over, and its files
 comparison  runs against a reference, and its picture
 grid        a parameter study
-html        elements of a page
-player      what a page has of runs, and the tissue in motion
 page        runs as one HTML file, with `page.css` and `page.js`
 """

@@ -20,7 +20,6 @@ from surrofe2.store.run_folder import (
     RunRecord,
     StoredRun,
     balance_of,
-    caches_of,
     read_run,
 )
 from surrofe2.store.store import digest, flat, keep, write_bytes
@@ -304,9 +303,8 @@ def audit_panels(runs: Sequence[StoredRun]) -> list[Panel]:
     """How many audited answers of the caches have at most which error; none without audits."""
     curves: list[Curve] = []
     for k, run in enumerate(order_runs(runs)[1:] if len(runs) > 1 else runs):
-        for name, cache in caches_of(run.record.cache).items():
+        for of, cache in run.caches.items():
             if cache["audit"]["quantiles"]:
-                of = f"{run.name}, {name}" if name else run.name
                 curves += audit_curves(cache["audit"], k, of)
     title = "Errors of the cache's stress found by audits"
     labels = "error of the stress (µN/µm)", "answers with at\nmost this error (%)"

@@ -168,6 +168,12 @@ class StoredRun(ViewedRun):
         """What people call it: its folder, in characters that can be drawn and printed."""
         return str(plain(self.folder.name))
 
+    @property
+    def caches(self) -> dict[str, Mapping[str, Any]]:
+        """What its caches reported, by its name and that of the cell where there are several."""
+        caches = caches_of(self.record.cache)
+        return {f"{self.name}, {cell}" if cell else self.name: caches[cell] for cell in caches}
+
     def facts(self) -> Facts:
         record = self.record
         return {

@@ -17,8 +17,7 @@ from surrofe2 import Fixed, Problem, Ramp, RigidBody, rectangle, save_run, simul
 from surrofe2.base.errors import InputError
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane
 from surrofe2.report.figures import outline
-from surrofe2.report.page import load_runs, write_report
-from surrofe2.report.player import bodies_of, motion_section
+from surrofe2.report.page import bodies_of, load_runs, motion_section, write_report
 from surrofe2.store.run_folder import read_record, write_record
 from tests.laws import KelvinVoigt
 from tests.report.made_runs import EVIL, RISK, made_runs
