@@ -2,8 +2,7 @@
 
 A data set is continued after a kill at any moment: while samples are computed, it is written again
 every few seconds, whole, with all rows that there are. A harvest has the answers of RVEs that a run
-has paid for. A data set carries the settled reference state of its RVEs along, as surrogates do;
-alone it is kept in the cache folder.
+has paid for. The settled reference state of an RVE is kept in the cache folder.
 """
 
 from __future__ import annotations
@@ -58,7 +57,7 @@ _OF_TANGENTS = {
 }
 DATA_SET = Kind("data set", 2, _COLUMNS | {LEFT: _MARK} | _OF_TANGENTS)
 HARVEST = Kind("harvest", 2, _COLUMNS | {"why": Column(kind=np.int8, meaning=json.dumps(WHY))})
-REFERENCE = Kind("reference state", 1)
+REFERENCE = Kind("reference state", 2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,7 +79,7 @@ class DataSetHeader(Origin):
     """What a data set is made from; two data sets with equal headers hold equal numbers.
 
     `tangents`: whether it holds ∂P/∂F and ∂P/∂Ḟ as well. `is_open`: whether it may get more than
-    `count` samples later. `recipe` and `reference` are carried along and not compared.
+    `count` samples later. `recipe` and `rest_length` are carried along and not compared.
     """
 
     range: SamplingRange
@@ -88,7 +87,7 @@ class DataSetHeader(Origin):
     seed: int
     chunk: int
     version: str
-    reference: ReferenceState | None = None
+    rest_length: float | None = None
     tangents: bool = False
     is_open: bool = False
 
@@ -109,14 +108,13 @@ class DataSetHeader(Origin):
         }
 
     def entries(self) -> dict[str, Any]:
-        reference = self.reference
         return {
             **Origin.entries(self),
             "compared": flat(self.compared()),
             "range": asdict(self.range),
             "count": self.count,
             "seed": self.seed,
-            **({} if reference is None else {"rest_length": reference.rest_length}),
+            **({} if self.rest_length is None else {"rest_length": self.rest_length}),
         }
 
 
@@ -192,9 +190,7 @@ class DataSetWriter(SampleWriter):
     def store(self, status: str = "writing", arrays: Arrays | None = None) -> None:
         """Write the rows that there are, to resume from."""
         known = {"status": status, "completed": self.completed, "seconds": self.meter.seconds}
-        reference = self.header.reference
-        carried = {} if reference is None else _reference_arrays(reference)
-        self.write(carried | (arrays or {}), **known)
+        self.write(arrays, **known)
 
     def finish(self) -> StressSamples:
         """Write all rows, none of which is missing, and which failed; as read back."""
@@ -347,23 +343,18 @@ def reference_path(cell: CellParameters) -> Path:
 
 def write_reference(path: Path, reference: ReferenceState) -> None:
     """Write a reference state, whole or not at all."""
-    write(path, REFERENCE, {}, _reference_arrays(reference))
+    write(path, REFERENCE, {}, reference.to_arrays())
 
 
 def read_reference(path: Path, cell: CellParameters) -> ReferenceState | None:
-    """The reference state of a cell in a file of its own, of a data set or of a surrogate; None
-    where there is none of it, or the file is damaged."""
+    """The reference state of a cell in a file; None where there is none of it, or it is damaged."""
     try:
-        with reading(path) as stored:
-            reference = ReferenceState.from_arrays(stored.all_arrays("reference"))
+        with reading(path, REFERENCE) as stored:
+            reference = ReferenceState.from_arrays(stored.all_arrays())
             reference.check_belongs_to(cell)
     except FileError:
         return None
     return reference
-
-
-def _reference_arrays(reference: ReferenceState) -> Arrays:
-    return {f"reference/{name}": values for name, values in reference.to_arrays().items()}
 
 
 check_harvest = partial(check_same_rve, "harvested", "leave it out")

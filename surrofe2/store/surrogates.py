@@ -13,7 +13,6 @@ from typing import Any
 from numpy.typing import NDArray
 
 from surrofe2.base import units
-from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.store.hdf5 import (
     Kind,
     Stored,
@@ -60,8 +59,6 @@ def write_surrogate(law: SurrogateLaw, path: str | Path) -> None:
         bound = asdict(law.calibration)
         arrays |= {f"calibration/{name}": bound.pop(name) for name in ("scale", "near")}
         header["calibration"] = bound
-    if law.reference is not None:
-        arrays |= {f"reference/{name}": v for name, v in law.reference.to_arrays().items()}
     write(Path(path), SURROGATE, header, arrays)
 
 
@@ -80,7 +77,7 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
             for component in _STRESSES:
                 if not isinstance(errors[figure][component], int | float):
                     raise TypeError(f"errors.{figure}.{component}")
-        header, reference = stored.file.attrs, stored.all_arrays("reference")
+        header = stored.file.attrs
         network = stored.all_arrays("network")
         domain: dict[str, Any] = stored.all_arrays("domain")
         return SurrogateLaw(
@@ -94,7 +91,6 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
             errors=errors,
             domain=Domain(**stored.table("domain"), **domain) if "domain" in header else None,
             calibration=_calibration(stored) if "calibration" in header else None,
-            reference=ReferenceState.from_arrays(reference) if reference else None,
             seconds={name: float(each) for name, each in stored.table("seconds").items()},
         )
 

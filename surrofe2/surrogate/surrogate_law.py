@@ -22,7 +22,6 @@ from surrofe2.law.stress_law import (
     check_deformation,
 )
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.run.views import Facts, Viewed
 from surrofe2.surrogate.domain import (
     Calibration,
@@ -62,7 +61,6 @@ class SurrogateLaw(Viewed):
         rest_length: wall rest length in µm, if known.
         domain: where in the range samples did not fail; None: all of it.
         calibration: of the bound of the error, valid for these very weights and this range.
-        reference: of the RVE, carried along so that a cached run need not settle it.
         seconds: of its `data`, its `training` and its `calibration`, as far as known.
         tolerance: (9,) of the local tolerance, see `BoundArrays`; None: 1 µN/µm everywhere.
         arrays, bound_arrays: network, and domain and bound, as its kernels read them.
@@ -81,7 +79,6 @@ class SurrogateLaw(Viewed):
     version: str = "unknown"
     domain: Domain | None = None
     calibration: Calibration | None = None
-    reference: ReferenceState | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
     tolerance: Array | None = None
     arrays: NetworkArrays = field(init=False)

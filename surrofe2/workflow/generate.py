@@ -109,7 +109,7 @@ def generate_data_set(
         chunk=chunk,
         version=version("surrofe2"),
         recipe=recipe.to_dict(),
-        reference=law.reference if isinstance(law, RveLaw) else None,
+        rest_length=law.rest_length if isinstance(law, RveLaw) else None,
         tangents=settings.tangents,
         is_open=settings.count is None,
     )

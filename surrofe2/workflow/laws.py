@@ -42,13 +42,11 @@ Taker = Callable[[Recipe], OnTrueAnswer | None]
 """What takes the RVE answers of a cell."""
 
 NO_FILES: Mapping[str, Path] = MappingProxyType({})
-_AT_REST = 1e-6
-"""Largest stress of an undeformed RVE, µN/µm."""
 
 
-def true_law(recipe: Recipe, surrogate: SurrogateLaw | None = None) -> RveLaw:
+def true_law(recipe: Recipe) -> RveLaw:
     """The RVEs of a recipe, around their kept reference state, see `kept_reference`."""
-    return RveLaw(recipe.cell, recipe.rve, reference=kept_reference(recipe, surrogate))
+    return RveLaw(recipe.cell, recipe.rve, reference=kept_reference(recipe.cell))
 
 
 def quadratic_law(recipe: Recipe) -> QuadraticLaw:
@@ -56,34 +54,15 @@ def quadratic_law(recipe: Recipe) -> QuadraticLaw:
     return QuadraticLaw.of(true_law(replace(recipe, rve=replace(recipe.rve, solver="direct"))))
 
 
-def kept_reference(recipe: Recipe, surrogate: SurrogateLaw | None = None) -> ReferenceState:
-    """The settled reference state of a recipe's cell.
-
-    From the cache folder, where the first command puts it, else from the surrogate or from the
-    data set, else settled.
-    """
-    cell = recipe.cell
+def kept_reference(cell: CellParameters) -> ReferenceState:
+    """The settled reference state of a cell; the first command puts it into the cache folder."""
     path = reference_path(cell)
     known = read_reference(path, cell)
-    if known is not None:
-        return known
-    if surrogate is not None:
-        known = surrogate.reference
-    if known is None and recipe.samples.file is not None:
-        known = read_reference(recipe.data_path(), cell)
-    if known is None or not _is_usable(known, cell):
+    if known is None:
         known = settle_reference(cell)
-    with suppress(FileError):  # a folder that cannot be written keeps nothing
-        write_reference(path, known)
+        with suppress(FileError):  # a folder that cannot be written keeps nothing
+            write_reference(path, known)
     return known
-
-
-def _is_usable(known: ReferenceState, cell: CellParameters) -> bool:
-    """Whether a reference that other sources may have settled is this cell's, free of stress."""
-    if known.fingerprint != cell.fingerprint:
-        return False
-    answer = RveLaw(cell, reference=known).respond(np.eye(2)[None], np.zeros((1, 2, 2)))
-    return not answer.status.any() and bool(np.abs(answer.stress).max() < _AT_REST)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +129,7 @@ def choose_law(
     check_surrogate(path, surrogate, recipe.cell, recipe.rve.initialisation)
     if kind == "surrogate":
         return ChosenLaw(surrogate, record)
-    rve = shared(true_law(recipe, surrogate))
+    rve = shared(true_law(recipe))
     law = CachedLaw(surrogate, rve, recipe.cache, on_true_answer)
     return ChosenLaw(law, record)
 

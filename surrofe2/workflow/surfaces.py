@@ -53,7 +53,7 @@ def cell_surface(recipe: Recipe, across: float) -> TabulatedSurface:
     rows = rows_across(across)
 
     def slab() -> SlabLaw:
-        reference = kept_reference(recipe)
+        reference = kept_reference(cell)
         return SlabLaw(cell, initialisation=method, reference=reference, rows=rows)
 
     (low, high), of = stretch, f"{cell.fingerprint}-{cell.outer_wall:g}-{method}-{rows}"

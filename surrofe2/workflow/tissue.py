@@ -63,7 +63,7 @@ def run_tissue(
         SimulationError: the run could not be carried on; the folder holds it up to there.
     """
     problem, cells, kind = tissue_of(recipe)
-    references = [kept_reference(part) for part in recipe.parts().values()]
+    references = [kept_reference(cell) for cell in cells]
     conditions = make_conditions(problem, cells, references, kind)
     bears = step_at_rest(conditions)
     recipe = replace(recipe, tissue=with_step(recipe.tissue, bears))

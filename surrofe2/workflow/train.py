@@ -18,7 +18,7 @@ from surrofe2.law.samples import StressSamples
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.run.loop import Report, Stage, no_stage
 from surrofe2.store.hdf5 import read_seconds
-from surrofe2.store.samples import read_reference, stored_count
+from surrofe2.store.samples import stored_count
 from surrofe2.store.store import START_OVER, check_same, file_lock, locked_file, remove
 from surrofe2.store.surrogates import read_surrogate, read_training, write_surrogate, write_training
 from surrofe2.surrogate.calibration import Truth
@@ -133,11 +133,8 @@ def train_surrogate(
                 ):
                     break
                 begun, samples = _Begun(seconds=seconds, before=bound), take(counts[number])
-            surrogate = replace(
-                surrogate,
-                reference=read_reference(recipe.data_path(), recipe.cell),
-                seconds={**_seconds_of_data(recipe, add), "training": seconds},
-            )
+            made = {**_seconds_of_data(recipe, add), "training": seconds}
+            surrogate = replace(surrogate, seconds=made)
             write_surrogate(surrogate, path)
             remove(unfinished)
         meter = Meter()

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from surrofe2.base.sampling import SamplingRange, sample
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.store.samples import DataSetHeader, writing_data_set
 from tests.laws import SoftLaw
 
@@ -20,7 +17,7 @@ HEADER = DataSetHeader(
     chunk=8,
     version="0.1.0",
     recipe={"recipe": "recipe.toml"},
-    reference=ReferenceState(CellParameters().fingerprint, np.eye(2), np.eye(2), 1.5),
+    rest_length=1.5,
 )
 
 

@@ -1,4 +1,4 @@
-"""Settled reference states: kept by the fingerprint, alone and with a data set."""
+"""Settled reference states: kept by the fingerprint."""
 
 import numpy as np
 import pytest
@@ -8,8 +8,6 @@ from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.rve import RveLaw
 from surrofe2.store.samples import read_reference, write_reference
 from surrofe2.workflow import laws
-from surrofe2.workflow.generate import generate_data_set
-from surrofe2.workflow.train import train_surrogate
 
 CELL = CellParameters()
 POSITION = np.linspace(0.0, 1.0, 6).reshape(3, 2) / 3.0
@@ -45,29 +43,8 @@ def settled(monkeypatch, tmp_path):
     return count
 
 
-def test_a_data_set_carries_the_reference_along(recipe, settled, tmp_path):
-    generate_data_set(recipe)
-    (tmp_path / "cache" / "one.h5").unlink()
-    again = laws.kept_reference(recipe)
+def test_a_reference_is_settled_once_and_kept(settled):
+    first, again = (laws.kept_reference(CELL) for _ in range(2))
     assert len(settled) == 1
-    assert same(again, RveLaw(recipe.cell).reference)
-
-
-def test_a_surrogate_carries_the_reference_along(recipe, settled, tmp_path):
-    generate_data_set(recipe)
-    trained = train_surrogate(recipe)
-    (tmp_path / "cache" / "one.h5").unlink()
-    recipe.data_path().unlink()
-    cached = laws.choose_law(recipe, "cached").law
-    assert len(settled) == 1
-    assert same(cached.fallback.reference, trained.surrogate.reference)
-    assert same(cached.fallback.reference, RveLaw(recipe.cell).reference)
-
-
-def test_a_reference_of_another_cell_is_settled_anew(recipe, settled):
-    class Foreign:
-        reference = ReferenceState("0" * 16, POSITION, 25.0 * np.eye(2), 1.5)
-
-    found = laws.kept_reference(recipe, Foreign())
-    assert len(settled) == 1
-    assert found.fingerprint == recipe.cell.fingerprint
+    assert same(again, first)
+    assert same(again, RveLaw(CELL).reference)
