@@ -1,7 +1,7 @@
 """Stress laws and surrogates in closed form: all that tests need without cells and training.
 
-In this order: laws of the bar (viscoelastic solid, linear solid, fibres, dry friction, one that
-fails); an isotropic law that stands in for RVEs; a law with the square's symmetry; a lattice of
+In this order: laws of the bar (viscoelastic solid, linear solid, fibres, dry friction); an
+isotropic law that stands in for RVEs; a law with the square's symmetry; a lattice of
 points with what plant cells have; true laws and surrogates of a cached law; a surface law.
 """
 
@@ -26,15 +26,11 @@ from surrofe2.law.stress_law import (
 )
 from surrofe2.law.surface_law import SurfaceResponse
 from surrofe2.plant_cell.parameters import CellParameters
+from tests.numerics import differences
 
 IDENTITY = np.eye(2)
 CELL = CellParameters.preset("printed")
 ZERO = np.zeros((1, 2, 2))
-
-
-def velocity_gradient(F, F_dot):
-    """L = Ḟ F⁻¹."""
-    return F_dot @ np.linalg.inv(F)
 
 
 def tangents_by_differences(stress, F, F_dot, step=1e-5):
@@ -43,13 +39,10 @@ def tangents_by_differences(stress, F, F_dot, step=1e-5):
     def first_piola(F, F_dot):
         return det(F)[:, None, None] * stress(F, F_dot) @ transpose(np.linalg.inv(F))
 
-    by_F, by_F_dot = np.empty((2, len(F), 2, 2, 2, 2))
-    for k in np.ndindex(2, 2):
-        h = np.zeros((2, 2))
-        h[k] = step
-        by_F[:, :, :, *k] = first_piola(F + h, F_dot) - first_piola(F - h, F_dot)
-        by_F_dot[:, :, :, *k] = first_piola(F, F_dot + h) - first_piola(F, F_dot - h)
-    return Tangents(by_F / (2.0 * step), by_F_dot / (2.0 * step))
+    return Tangents(
+        differences(lambda at: first_piola(at, F_dot), F, step),
+        differences(lambda at: first_piola(F, at), F_dot, step),
+    )
 
 
 @dataclass(frozen=True)
@@ -76,10 +69,11 @@ class PointStates:
 
 class Memoryless:
     """A law whose stress depends on (F, Ḟ) alone; subclasses say how in `stress` and, by
-    ∂P/∂F and ∂P/∂Ḟ, in `slopes`. Not converged where F₁₁ is above `fails_above`."""
+    ∂P/∂F and ∂P/∂Ḟ, in `slopes`. It `fails` with its code where F₁₁ is above `fails_above`, and
+    `refuses` nothing, unless `failing` says otherwise."""
 
     density, has_tangents, effort = 0.08, True, "evaluations"
-    fails_above, calls = np.inf, 0
+    fails_above, code, calls = np.inf, Status.NOT_CONVERGED, 0
 
     def of(self, cell, settings=None):
         """Stand in for `RveLaw`."""
@@ -93,19 +87,33 @@ class Memoryless:
         found = tangents_by_differences(self.stress, F, F_dot)
         return found.P_by_F, found.P_by_F_dot
 
+    def fails(self, F, F_dot):
+        return F[:, 0, 0] > self.fails_above
+
+    def refuses(self, F, F_dot):
+        return np.zeros(len(F), dtype=bool)
+
     def respond(self, F, F_dot, state: Any = None, *, tangents=False) -> StressResponse:
         if tangents:
             require_tangents(self)
         F, F_dot = check_deformation(F, F_dot)
         self.calls += 1
         stress = self.stress(F, F_dot)
-        status = np.where(F[:, 0, 0] > self.fails_above, Status.NOT_CONVERGED, Status.OK)
+        status = np.where(self.fails(F, F_dot), self.code, Status.OK)
         stress[status != 0] = np.nan
         slopes = Tangents(*self.slopes(F, F_dot)) if tangents else None
         return StressResponse(stress, status.astype(np.int8), None, {self.effort: len(F)}, slopes)
 
     def accept(self, F, F_dot, response) -> Acceptance:
-        return Acceptance(response.status.copy(), response.state)
+        status = np.where(self.refuses(F, F_dot), self.code, response.status)
+        return Acceptance(status.astype(np.int8), response.state)
+
+
+def failing(law, **how):
+    """The law with other `fails` or `refuses`, (F, F_dot) → (n,), or another `code`."""
+    for name, value in how.items():
+        setattr(law, name, value)
+    return law
 
 
 @dataclass
@@ -125,7 +133,7 @@ class KelvinVoigt(Memoryless):
         J = det(F)[:, None, None]
         left = F @ F.transpose(0, 2, 1)
         elastic = (self.shear_modulus * (left - IDENTITY) + self.lame * np.log(J) * IDENTITY) / J
-        L = velocity_gradient(F, F_dot)
+        L = F_dot @ np.linalg.inv(F)
         D = 0.5 * (L + L.transpose(0, 2, 1))
         trace = np.einsum("nii->n", D)[:, None, None]
         viscous = 2.0 * self.shear_viscosity * (D - 0.5 * trace * IDENTITY)
@@ -134,7 +142,7 @@ class KelvinVoigt(Memoryless):
     def slopes(self, F, F_dot):
         """P = µ F + (λ ln J − µ) G + J V G with G = F⁻ᵀ, V_im = 𝕍_imab L_ab the viscous stress;
         ∂G_ij/∂F_kl = −G_il G_kj, ∂L_ab/∂F_kl = −L_ak G_bl, ∂L_ab/∂Ḟ_kl = δ_ak G_bl."""
-        J, G, L = det(F), np.linalg.inv(F).transpose(0, 2, 1), velocity_gradient(F, F_dot)
+        J, G, L = det(F), np.linalg.inv(F).transpose(0, 2, 1), F_dot @ np.linalg.inv(F)
         I4 = np.einsum("ik,jl->ijkl", IDENTITY, IDENTITY)
         volume = np.einsum("ij,kl->ijkl", IDENTITY, IDENTITY)
         viscosity = self.shear_viscosity * (I4 + I4.transpose(0, 1, 3, 2) - volume)
@@ -224,36 +232,6 @@ class DryFriction:
         return Acceptance(np.zeros(len(F), np.int8), response.state)
 
 
-@dataclass
-class Failing:
-    """Another law that fails where `fails(F, F_dot)` (n,) says so, or at `accept` likewise."""
-
-    inner: Any
-    fails: Any = None
-    refuses: Any = None
-    code: Status = Status.NOT_CONVERGED
-    has_tangents = False
-
-    @property
-    def density(self):
-        return self.inner.density
-
-    def respond(self, F, F_dot, state=None, *, tangents=False) -> StressResponse:
-        answer = self.inner.respond(F, F_dot, state, tangents=tangents)
-        if self.fails is None:
-            return answer
-        bad = self.fails(F, F_dot)
-        stress = np.where(bad[:, None, None], np.nan, answer.stress)
-        return replace(answer, stress=stress, status=np.where(bad, self.code, 0).astype(np.int8))
-
-    def accept(self, F, F_dot, response) -> Acceptance:
-        answer = self.inner.accept(F, F_dot, response)
-        if self.refuses is None:
-            return answer
-        bad = self.refuses(F, F_dot)
-        return Acceptance(np.where(bad, self.code, 0).astype(np.int8), answer.state)
-
-
 class SoftLaw(Memoryless):
     """Isotropic σ = R (2 a (U − I) + b (A + Aᵀ)) Rᵀ with F = R U, A = RᵀḞ."""
 
@@ -299,28 +277,31 @@ def square_stress(F, F_dot):
     return R @ from_components(s) @ transpose(R)
 
 
-class SquareLaw(Memoryless):
-    """`square_stress`; notes the states it was asked with."""
+class Remembering(Memoryless):
+    """Its state knows F of its points; it notes what it was asked: (F, state) of each call."""
 
-    effort, rest_length = "rve_solves", 1.5
+    effort = "rve_solves"
 
-    def __init__(self, cell=None, initialisation="constrained-runs", fails_above=np.inf):
-        self.cell = cell or CellParameters()
-        self.initialisation, self.fails_above = initialisation, fails_above
-        self.density = self.cell.density
-        self.states, self.solves = [], 0
-
-    def stress(self, F, F_dot):
-        return square_stress(F, F_dot)
+    def __init__(self, cell=CELL, initialisation="constrained-runs", fails_above=np.inf):
+        self.cell, self.initialisation, self.density = cell, initialisation, cell.density
+        self.fails_above, self.asked = fails_above, []
 
     def respond(self, F, F_dot, state=None, *, tangents=False):
-        self.states.append(state)
-        self.solves += len(F)
+        self.asked.append((F.copy(), state))
         answer = super().respond(F, F_dot, tangents=tangents)
         return replace(answer, state=PointStates(F.copy()))
 
     def state_from_arrays(self, arrays):
         return PointStates(arrays["F"])
+
+
+class SquareLaw(Remembering):
+    """`square_stress`."""
+
+    rest_length = 1.5
+
+    def stress(self, F, F_dot):
+        return square_stress(F, F_dot)
 
 
 SPACING = 4.0
@@ -387,32 +368,25 @@ def exact(F, F_dot):
     return F - np.swapaxes(np.linalg.inv(F), 1, 2) + 3.0 * F_dot
 
 
-class TrueLaw:
-    """Exact, remembers F, fails where F₁₁ > 2, notes what it was asked."""
+class TrueLaw(Remembering):
+    """Exact, fails where F₁₁ > 2 and refuses where F₁₁ > 1.8; an accepted state adds 100 to F."""
 
-    has_tangents = False
+    has_tangents, code = False, Status.UNSTABLE
 
     def __init__(self, cell=CELL, initialisation="elastic"):
-        self.cell, self.initialisation, self.density = cell, initialisation, cell.density
-        self.asked, self.accepted = [], []
+        super().__init__(cell, initialisation, fails_above=2.0)
+        self.accepted = []
 
-    def respond(self, F, F_dot, state=None, *, tangents=False):
-        if tangents:
-            require_tangents(self)
-        self.asked.append((F.copy(), state))
-        stress, status = exact(F, F_dot), np.zeros(len(F), dtype=np.int8)
-        status[F[:, 0, 0] > 2.0] = Status.UNSTABLE
-        stress[status != 0] = np.nan
-        return StressResponse(stress, status, PointStates(F.copy()), {"rve_solves": len(F)})
+    def stress(self, F, F_dot):
+        return exact(F, F_dot)
 
-    def state_from_arrays(self, arrays):
-        return PointStates(arrays["F"])
+    def refuses(self, F, F_dot):
+        return F[:, 0, 0] > 1.8
 
     def accept(self, F, F_dot, response):
         self.accepted.append((F.copy(), response))
-        status = response.status.copy()
-        status[F[:, 0, 0] > 1.8] = Status.UNSTABLE
-        return Acceptance(status, PointStates(response.state.F + 100.0))
+        accepted = super().accept(F, F_dot, response)
+        return replace(accepted, state=PointStates(response.state.F + 100.0))
 
 
 class Untaught:

@@ -1,22 +1,27 @@
-"""A table of the square law with states to look up, and a cached law that keeps what stands."""
+"""A bar, a table of the square law with states to look up, cached laws and what they keep."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from surrofe2 import LoadCase
 from surrofe2.base.sampling import SamplingRange, sample
 from surrofe2.base.tensors import stress_error
-from surrofe2.cache import CachedLaw, StressTable
-from tests.laws import SquareLaw, square_stress
+from surrofe2.cache import CachedLaw, CacheSettings, StressTable
+from tests.laws import Learnt, SquareLaw, Surrogate, Truth, square_stress
+from tests.numerics import turn
 
+LOAD_CASE = LoadCase(
+    width=60.0, height=40.0, watched=(60.0, 20.0), elements=(4, 3), duration=12.0,
+    output_interval=0.5,
+)  # fmt: skip
 RANGE = SamplingRange(stretch=(0.93, 1.07), shear=0.06, rate=0.016)
 SPREAD = 3.0
 
 
 def states(count=50, angle=0.4):
     U, A = sample(RANGE, count, 5)
-    R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return R @ U, R @ A
+    return turn(angle) @ U, turn(angle) @ A
 
 
 def make(law=None, tolerance=5e-2, **settings):
@@ -27,6 +32,20 @@ def taught(F, F_dot, table=None):
     table = table or make()
     table.learn(F, F_dot, square_stress(F, F_dot))
     return table
+
+
+def cached(error, bound, audit=0.0, *, kind=CachedLaw, truth=None, tolerance=0.01, **more):
+    """A law of a surrogate off by an error and `truth`, with 0.1 µN/µm allowed."""
+    settings = CacheSettings(tolerance=tolerance, audit=audit, **more)
+    return kind(Learnt(error, bound), truth or Truth(), settings)
+
+
+def observed(truth, surrogate=None, **settings):
+    """A cached law, and what it hands to be kept and to be learnt."""
+    kept, learnt, surrogate = [], [], surrogate or Surrogate()
+    surrogate.learn = lambda *answers: learnt.append(answers)
+    settings = CacheSettings(**settings)
+    return CachedLaw(surrogate, truth, settings, lambda *answer: kept.append(answer)), kept, learnt
 
 
 class Kept(CachedLaw):

@@ -1,26 +1,25 @@
 """What the cache does wrong is measured, and what it learns from."""
 
 import json
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
 from surrofe2.base.simd import TILE
 from surrofe2.base.tensors import stress_error
-from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.cache.audit import BATCH, Audit
 from surrofe2.cache.trust import AUDITS
-from surrofe2.law.stress_law import Status, StressResponse
-from tests.laws import Learnt, PointStates, Surrogate, Truth, stretched
+from surrofe2.law.stress_law import Status
+from tests.cache.tables import observed
+from tests.laws import Learnt, Remembering, Surrogate, TrueLaw, Truth, failing, stretched
 
 SIZE = 0.05
 
 
-def law(audit, on_true_answer=None, error=lambda F, F_dot: SIZE * np.ones(len(F)), truth=None):
+def law(audit, error=lambda F, F_dot: SIZE * np.ones(len(F)), truth=None):
+    """With what it hands to be kept and to be learnt."""
     surrogate = Learnt(error, bound=lambda F, F_dot: 0.07 + 0.01 * F[:, 0, 1])
-    settings = CacheSettings(tolerance=0.01, audit=audit, seed=5)
-    return CachedLaw(surrogate, truth or Truth(), settings, on_true_answer)
+    return observed(truth or Truth(), surrogate, tolerance=0.01, audit=audit, seed=5)
 
 
 def walk(cached, steps, points=40, seed=0, start=0.0):
@@ -40,7 +39,7 @@ def walk(cached, steps, points=40, seed=0, start=0.0):
 
 
 def test_all_are_audited_and_every_error_is_found():
-    cached = law(audit=1.0, error=lambda F, F_dot: SIZE * abs(F[:, 0, 1]))
+    cached, *_ = law(audit=1.0, error=lambda F, F_dot: SIZE * abs(F[:, 0, 1]))
     asked = walk(cached, 10)
     audit = cached.report()["audit"]
     assert audit["audited"] == 400
@@ -60,35 +59,39 @@ def test_all_are_audited_and_every_error_is_found():
     json.dumps(cached.report(), allow_nan=False)
 
 
+class Warm(Remembering):
+    """The truth, which notes what it was given to start from."""
+
+    stress = Truth().stress
+
+    def __init__(self):
+        super().__init__(initialisation="elastic")
+
+
 def test_audits_wait_for_each_other_and_none_is_forgotten():
-    class Counting(Truth):
-        sizes = ()
-
-        def respond(self, F, F_dot, state=None, *, tangents=False):
-            self.sizes = (*self.sizes, len(F))
-            return super().respond(F, F_dot, state, tangents=tangents)
-
-    truth = Counting()
-    cached = law(audit=0.05, truth=truth)
+    truth = Warm()
+    cached, *_ = law(audit=0.05, truth=truth)
     walk(cached, 30)
-    assert truth.sizes
-    assert min(truth.sizes) >= BATCH
-    assert not any(size % TILE for size in truth.sizes)
-    before = sum(truth.sizes)
+
+    def sizes():
+        return [len(F) for F, _ in truth.asked]
+
+    assert min(sizes()) >= BATCH
+    assert not any(size % TILE for size in sizes())
+    before = sum(sizes())
     audited = cached.report()["audit"]["audited"]
-    assert audited == sum(truth.sizes) > before
+    assert audited == sum(sizes()) > before
 
 
 @pytest.mark.parametrize("steps", [5, 40, 200])
 def test_a_run_of_any_length_has_the_audits_of_the_plan(steps):
     """Of fewer answers all, of more the answers with the smallest draws, each as likely."""
-    kept = []
-    cached = law(audit=0.005, on_true_answer=lambda F, F_dot, stress, status, why: kept.append(F))
+    cached, kept, _ = law(audit=0.005)
     asked = walk(cached, steps)
     answers = 40 * steps
     assert cached.report()["audit"]["audited"] == min(AUDITS, answers)
     shears = np.concatenate([F for F, _ in asked])[:, 0, 1]
-    audited = np.concatenate(kept)[:, 0, 1]
+    audited = np.concatenate([F for F, *_ in kept])[:, 0, 1]
     assert np.isin(audited, shears).all()
     if answers > AUDITS:
         # Mean and spread are those of a random sample of the answers.
@@ -115,19 +118,6 @@ def test_every_answer_is_audited_with_the_same_probability():
     assert (abs(by_step - 50 * 80) < 4.0 * scatter).all()
 
 
-@dataclass
-class Warm(Truth):
-    """Keeps F as its state and notes what it was given to start from."""
-
-    def __post_init__(self):
-        self.asked = []
-
-    def respond(self, F, F_dot, state=None, *, tangents=False):
-        self.asked.append((F.copy(), state))
-        answer = super().respond(F, F_dot)
-        return StressResponse(answer.stress, answer.status, PointStates(F.copy()))
-
-
 def test_an_audit_of_other_points_starts_from_the_nearest_of_the_last_batch():
     truth = Warm()
     audit = Audit(Surrogate(), truth, fraction=1.0, seed=0, tolerance=1.0)
@@ -150,17 +140,7 @@ def test_an_audit_of_other_points_starts_from_the_nearest_of_the_last_batch():
 
 
 def test_fallback_and_audit_answers_are_kept_and_learnt():
-    kept, learnt = [], []
-    surrogate = Surrogate()
-    surrogate.learn = lambda *answers: learnt.append(answers)
-    from tests.laws import TrueLaw
-
-    cached = CachedLaw(
-        surrogate,
-        TrueLaw(),
-        CacheSettings(audit=1.0),
-        lambda *answers: kept.append(answers),
-    )
+    cached, kept, learnt = observed(TrueLaw(), audit=1.0)
     F, F_dot = stretched(*np.linspace(1.0, 1.4, 16), 1.6)
     answer = cached.respond(F, F_dot)
     assert not kept
@@ -181,9 +161,8 @@ def test_fallback_and_audit_answers_are_kept_and_learnt():
 
 
 def test_what_an_audit_finds_wrong_is_learnt():
-    learnt = []
-    cached = law(audit=1.0, error=lambda F, F_dot: np.where(F[:, 0, 1] > 0.002, 0.2, 0.01))
-    cached.surrogate.learn = lambda *answers: learnt.append(answers)
+    error = lambda F, F_dot: np.where(F[:, 0, 1] > 0.002, 0.2, 0.01)  # noqa: E731
+    cached, _, learnt = law(audit=1.0, error=error)
     cached.reset_counts()
     walked = walk(cached, 3, points=20)
     (F, _, stress, _), *_ = learnt
@@ -194,14 +173,8 @@ def test_what_an_audit_finds_wrong_is_learnt():
 
 
 def test_an_answer_where_the_truth_has_none_is_a_violation():
-    class Brittle(Truth):
-        def respond(self, F, F_dot, state=None, *, tangents=False):
-            answer = super().respond(F, F_dot, state)
-            answer.status[F[:, 0, 1] > 0.003] = Status.UNSTABLE
-            answer.stress[answer.status != 0] = np.nan
-            return answer
-
-    cached = law(audit=1.0, truth=Brittle())
+    brittle = failing(Truth(), fails=lambda F, F_dot: F[:, 0, 1] > 0.003, code=Status.UNSTABLE)
+    cached, *_ = law(audit=1.0, truth=brittle)
     walk(cached, 3, points=20)
     audit = cached.report()["audit"]
     assert audit["unsolved"] == audit["violations"] > 0

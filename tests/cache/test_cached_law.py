@@ -12,6 +12,7 @@ from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.law.stress_law import SURROGATE, Acceptance, Status, StressResponse
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.plant_cell.parameters import CellParameters
+from tests.cache.tables import observed
 from tests.laws import CELL, Learnt, PointStates, Surrogate, TrueLaw, Truth, exact, stretched
 
 
@@ -83,15 +84,7 @@ def test_counts_are_of_accepted_steps(cached):
 
 
 def test_a_refused_step_changes_nothing():
-    kept, learnt = [], []
-    surrogate = Surrogate()
-    surrogate.learn = lambda *answers: learnt.append(answers)
-    cached = CachedLaw(
-        surrogate,
-        TrueLaw(),
-        CacheSettings(audit=1.0),
-        on_true_answer=lambda *answers: kept.append(answers),
-    )
+    cached, kept, learnt = observed(TrueLaw(), audit=1.0)
     F, F_dot = stretched(1.9, 1.0, 1.6)
     refused = cached.accept(F, F_dot, cached.respond(F, F_dot))
     assert refused.status.tolist() == [Status.UNSTABLE, Status.OK, Status.OK]
@@ -263,18 +256,15 @@ class Leaving(TrueLaw):
 
 
 def test_stress_beyond_a_bifurcation_is_passed_on_but_neither_kept_nor_learnt():
-    kept, learnt, surrogate = [], [], Surrogate()
-    surrogate.learn = lambda F, F_dot, stress, state: learnt.append(F[:, 0, 0].tolist())
-    cached = CachedLaw(
-        surrogate, Leaving(), on_true_answer=lambda F, *_: kept.append(F[:, 0, 0].tolist())
-    )
+    cached, kept, learnt = observed(Leaving())
     F, F_dot = stretched(1.1, 1.7, 1.55)
     first = cached.respond(F, F_dot)
     accepted = cached.accept(F, F_dot, first)
     assert accepted.left_bifurcation.tolist() == [False, True, False]
     assert (accepted.stress[1] == 7.0).all()
     np.testing.assert_array_equal(accepted.stress[[0, 2]], first.stress[[0, 2]])
-    assert kept == learnt == [[1.55]]
+    for ((at, *_),) in (kept, learnt):
+        assert at[:, 0, 0].tolist() == [1.55]
 
 
 def strain(F):

@@ -8,8 +8,9 @@ from surrofe2 import LoadCase
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.cache import CachedLaw, CacheSettings, StressTable
 from surrofe2.macro import MacroSettings, MacroState, simulate
+from tests.cache.tables import cached
 from tests.folders import assert_equal
-from tests.laws import Learnt, Truth, shear_error
+from tests.laws import Truth, shear_error
 
 LOAD_CASE = LoadCase(
     width=100.0, height=100.0, body_force=(0.0, -0.1), watched=(100.0, 50.0), elements=(2, 2),
@@ -20,17 +21,17 @@ SETTINGS = MacroSettings()
 RANGE = SamplingRange(stretch=(0.92, 1.08), shear=0.08, rate=0.01)
 
 
-def learnt(size=0.02):
-    return Learnt(shear_error(size), lambda F, F_dot: 0.02 + 3.0 * abs(F[:, 1, 0]))
+def bound(F, F_dot):
+    return 0.02 + 3.0 * abs(F[:, 1, 0])
 
 
 def untrustworthy():
     """Off by more than its bound says, so that audits tighten and switch it off."""
-    return CachedLaw(learnt(0.3), Truth(), CacheSettings(tolerance=0.01, audit=0.3))
+    return cached(shear_error(0.3), bound, 0.3)
 
 
 def falling_back():
-    return CachedLaw(learnt(), Truth(), CacheSettings(tolerance=0.008, audit=0.05))
+    return cached(shear_error(0.02), bound, 0.05, tolerance=0.008)
 
 
 def learning():
@@ -105,7 +106,7 @@ def test_an_interrupt_while_the_law_commits_leaves_no_checkpoint_of_half_a_step(
         def accept(self, F, F_dot, response):
             raise Stop
 
-    law, kept = CachedLaw(learnt(), Stopping(), CacheSettings(tolerance=0.01, audit=1.0)), []
+    law, kept = cached(shear_error(0.02), bound, 1.0, truth=Stopping()), []
     with pytest.raises(Stop):
         simulate(LOAD_CASE, law, SETTINGS, checkpoint=kept.append, checkpoint_interval=1e9)
     assert not kept

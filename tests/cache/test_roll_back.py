@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2 import LoadCase
 from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.cache.cached_law import AUDIT
 from surrofe2.cache.trust import AUDITS, VIOLATIONS
@@ -14,13 +13,9 @@ from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.history import MacroState
 from surrofe2.run.displacement_curve import difference
-from tests.cache.tables import Kept
+from tests.cache.tables import LOAD_CASE, Kept, cached
 from tests.laws import Learnt, Truth, shear_error
 
-LOAD_CASE = LoadCase(
-    width=60.0, height=40.0, watched=(60.0, 20.0), elements=(4, 3), duration=12.0,
-    output_interval=0.5,
-)  # fmt: skip
 SETTINGS = MacroSettings(frames=5)
 ALLOWED = 0.1
 """µN/µm: a hundredth of the spread of `Learnt`."""
@@ -35,17 +30,11 @@ def bad_beyond(shear):
     return lambda F, F_dot: np.where(abs(F[:, 1, 0]) > shear, 5.0 * ALLOWED, 0.5 * bound(F, F_dot))
 
 
-def cached(error, audit=0.3, **more):
-    return CachedLaw(
-        Learnt(error, bound, **more), Truth(), CacheSettings(tolerance=0.01, audit=audit)
-    )
-
-
 @pytest.mark.parametrize("shear", [0.0, 0.02, 0.03])
 @pytest.mark.parametrize("integrator", ["explicit", "implicit"])
 def test_no_window_that_stands_has_a_wrong_share(shear, integrator):
     settings = replace(SETTINGS, integrator=integrator)
-    law = Kept(Learnt(bad_beyond(shear), bound), Truth(), CacheSettings(tolerance=0.01, audit=0.3))
+    law = cached(bad_beyond(shear), bound, 0.3, kind=Kept)
     run = simulate(LOAD_CASE, law, settings)
     true = simulate(LOAD_CASE, Truth(), settings)
     assert run.rolled_back["steps"] > 0
@@ -107,7 +96,7 @@ def test_counts_are_of_what_stands_and_what_was_rolled_back_is_apart():
 
 
 def test_a_fault_that_is_entered_late_leaves_the_steps_before_alone():
-    law = cached(bad_beyond(0.03))
+    law = cached(bad_beyond(0.03), bound, 0.3)
     run = simulate(LOAD_CASE, law, SETTINGS)
     told = [line["decision"] for line in law.decisions]
     assert told[0] == "stands"
@@ -130,7 +119,7 @@ def test_a_fault_that_is_entered_late_leaves_the_steps_before_alone():
 
 def test_a_run_without_violation_keeps_its_bits(monkeypatch):
     """The same run by a law that nobody asks for verdicts."""
-    law, plain = cached(shear_error(0.01)), cached(shear_error(0.01))
+    law, plain = (cached(shear_error(0.01), bound, 0.3) for _ in range(2))
     run = simulate(LOAD_CASE, law, SETTINGS)
     monkeypatch.setattr(CachedLaw, "is_audited", False)
     alone = simulate(LOAD_CASE, plain, SETTINGS)
@@ -153,9 +142,8 @@ def test_answers_that_lead_a_run_astray_are_taken_back():
             stress[abs(F[:, 1, 0]) > 0.03] *= -40.0
             return stress, status, risk
 
-    law = CachedLaw(
-        Astray(shear_error(0.01), bound), Truth(), CacheSettings(tolerance=0.01, audit=0.05)
-    )
+    settings = CacheSettings(tolerance=0.01, audit=0.05)
+    law = CachedLaw(Astray(shear_error(0.01), bound), Truth(), settings)
     run = simulate(LOAD_CASE, law, SETTINGS)
     true = simulate(LOAD_CASE, Truth(), SETTINGS)
     assert run.rolled_back["steps"] > 0
@@ -167,7 +155,7 @@ def test_regions_go_back_together_and_a_fault_of_one_does_not_cost_the_other_aud
     points = {"sound": np.arange(0, 30), "wrong": np.arange(30, 60)}
     audited = []
     for error in (shear_error(0.01), bad_beyond(0.02)):
-        laws = {"sound": cached(shear_error(0.01), audit=0.3), "wrong": cached(error, audit=0.3)}
+        laws = {"sound": cached(shear_error(0.01), bound, 0.3), "wrong": cached(error, bound, 0.3)}
         run = simulate(LOAD_CASE, RegionalLaw(laws, points), SETTINGS)
         counted = laws["sound"].history()
         assert counted["accepted"]["hits"] == 30 * (run.counts["steps"] + 1)
@@ -183,7 +171,7 @@ def test_regions_go_back_together_and_a_fault_of_one_does_not_cost_the_other_aud
 
 def test_a_window_that_ends_early_carries_on_its_audits():
     """One of three answers a window is wrong: the third such window fails, and alone goes back."""
-    law = cached(lambda F, F_dot: np.where(np.arange(len(F)), 0.0, 5.0 * ALLOWED), audit=1.0)
+    law = cached(lambda F, F_dot: np.where(np.arange(len(F)), 0.0, 5.0 * ALLOWED), bound, 1.0)
     F = np.tile(np.eye(2), (3, 1, 1))
     state, found = law.respond(F, 0.0 * F).state, []
     for k in range(1, 4):

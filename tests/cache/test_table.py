@@ -23,6 +23,7 @@ from surrofe2.cache.table.records import (
 from surrofe2.law.stress_law import Status
 from tests.cache.tables import RANGE, make, states, taught
 from tests.laws import PointStates, SquareLaw, square_stress
+from tests.numerics import differences
 
 
 def test_what_it_learnt_it_knows_within_the_tolerance():
@@ -194,8 +195,8 @@ def test_records_begin_warm_from_the_state_of_their_points():
     law = SquareLaw()
     table = make(law)
     table.learn(F, F_dot, square_stress(F, F_dot), PointStates(F.copy()))
-    asked = law.states[0].F
-    assert np.array_equal(asked, np.repeat(F[:1], 8, axis=0))
+    _, start = law.asked[0]
+    assert np.array_equal(start.F, np.repeat(F[:1], 8, axis=0))
 
 
 def test_where_a_neighbour_fails_the_ellipsoid_is_the_small_one():
@@ -237,15 +238,11 @@ def test_slopes_are_derivatives_along_the_inputs():
     law = SquareLaw()
     answer = law.respond(F, F_dot, tangents=True)
     slopes = input_slopes(R, *answer.tangents.cauchy(F, answer.stress))
-    for i in range(7):
-        step = np.zeros(7)
-        step[i] = 1e-5
-        sides = [
-            to_components(transpose(R) @ square_stress(*from_inputs(x + sign * step, R)) @ R)
-            for sign in (1.0, -1.0)
-        ]
-        expected = (sides[0] - sides[1]) / 2e-5
-        np.testing.assert_allclose(slopes[:, :, i], expected, atol=1e-6)
+
+    def rotated(x):
+        return to_components(transpose(R) @ square_stress(*from_inputs(x, R)) @ R)
+
+    np.testing.assert_allclose(slopes, differences(rotated, x, 1e-5, axes=1), atol=1e-6)
 
 
 def test_merged_tables_know_what_both_know():
@@ -303,11 +300,6 @@ def random_records(count, seed=0):
     )
 
 
-def bounds(records, x):
-    d = x - records.centre
-    return np.einsum("ni,nij,nj->n", d, records.curvature, d)
-
-
 @pytest.mark.parametrize("radius", [0.5, 1.4])
 def test_a_changed_ellipsoid_passes_the_point_and_changes_nowhere_else(radius):
     """In the metric of the ellipsoid only the semi-axis through the point changes."""
@@ -324,51 +316,33 @@ def test_a_changed_ellipsoid_passes_the_point_and_changes_nowhere_else(radius):
     assert np.linalg.eigvalsh(C).min() > 0.0
 
 
-def linear(records, x, k=0):
-    return records.stress[k] + records.slope[k] @ (x - records.centre[k])
+GROWN = Rule().grown
 
 
-def along(records, radius):
-    p = np.array([1.0, 0.3, -0.2, 0.1, 0.4, 0.0, 0.2])
-    return records.centre[0] + p * radius / np.sqrt(p @ records.curvature[0] @ p)
-
-
-def weighed(radius, error, rule=None):
-    """One RVE answer at a radius in the ellipsoid of tolerance 1, off by a Frobenius error."""
+@pytest.mark.parametrize(
+    ("radius", "error", "covered", "changed", "bound"),
+    [
+        (0.8, 0.3, True, "grown", GROWN),  # a right answer near by: it grows beyond it
+        (1.3, 0.3, True, "grown", GROWN),
+        (0.7, 0.3, True, None, 0.49),  # a right answer well within changes nothing
+        (1.3, 0.5, False, None, 1.3**2),  # nor does a wrong or a far one beyond it
+        (1.5, 0.0, False, None, 1.5**2),
+        (0.9, 2.0, False, "shrunk", 3.0),  # a violation: the point is out
+    ],
+)
+def test_an_ellipsoid_changes_by_an_rve_answer(radius, error, covered, changed, bound):
+    """At a radius in the ellipsoid of tolerance 1, off by a Frobenius error. It grows so near to
+    the answer that a cache takes the point back."""
     records = random_records(1)
-    x = along(records, radius)
-    s = linear(records, x) + np.array([error * np.sqrt(2.0), 0.0, 0.0, 0.0])
-    covered, counts = update_ellipsoids(x[None], s[None], 1, records, 1.0, rule or Rule())
-    return covered[0], counts, bounds(records, x)[0]
-
-
-@pytest.mark.parametrize("radius", [0.8, 1.3])
-def test_a_right_answer_near_by_makes_an_ellipsoid_grow_beyond_it(radius):
-    """So near to its centre that a cache takes the point back."""
-    covered, counts, bound = weighed(radius, 0.3)
-    assert covered
-    assert counts == {"grown": 1, "shrunk": 0}
-    assert bound == pytest.approx(Rule().grown)
-    assert np.sqrt(bound) < RETURN
-
-
-def test_a_right_answer_well_within_changes_nothing():
-    assert weighed(0.7, 0.3) == (True, {"grown": 0, "shrunk": 0}, pytest.approx(0.49))
-
-
-@pytest.mark.parametrize(("radius", "error"), [(1.3, 0.5), (1.5, 0.0)])
-def test_a_wrong_or_a_far_answer_does_not(radius, error):
-    covered, counts, bound = weighed(radius, error)
-    assert not covered
-    assert counts == {"grown": 0, "shrunk": 0}
-    assert bound == pytest.approx(radius**2)
-
-
-def test_a_violation_shrinks_so_that_the_point_is_out():
-    covered, counts, bound = weighed(0.9, 2.0)
-    assert not covered
-    assert counts == {"grown": 0, "shrunk": 1}
-    assert bound == pytest.approx(3.0)
+    p = np.array([1.0, 0.3, -0.2, 0.1, 0.4, 0.0, 0.2])
+    d = p * radius / np.sqrt(p @ records.curvature[0] @ p)
+    x = records.centre[0] + d
+    s = records.stress[0] + records.slope[0] @ d + [error * np.sqrt(2.0), 0.0, 0.0, 0.0]
+    found, counts = update_ellipsoids(x[None], s[None], 1, records, 1.0, Rule())
+    assert found[0] == covered
+    assert counts == {name: int(name == changed) for name in ("grown", "shrunk")}
+    assert d @ records.curvature[0] @ d == pytest.approx(bound)
+    assert np.sqrt(GROWN) < RETURN
 
 
 def test_first_size_is_exact_for_one_quadratic_component():

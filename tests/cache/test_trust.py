@@ -2,12 +2,12 @@
 
 import logging
 from contextlib import nullcontext
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import binom
 
-from surrofe2 import LoadCase
 from surrofe2.base.errors import MismatchError
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.cache import CachedLaw, CacheSettings, sampled_spread
@@ -24,12 +24,10 @@ from surrofe2.cache.trust import (
 )
 from surrofe2.law.stress_law import Status
 from surrofe2.macro import MacroSettings, simulate
+from tests.cache.tables import LOAD_CASE, cached
 from tests.laws import Learnt, Truth, shear_error
 
-LOAD_CASE = LoadCase(
-    width=60.0, height=40.0, watched=(60.0, 20.0), elements=(4, 3), duration=6.0,
-    output_interval=0.5,
-)  # fmt: skip
+LOAD_CASE = replace(LOAD_CASE, duration=6.0)
 SETTINGS = MacroSettings(frames=5)
 
 
@@ -41,39 +39,37 @@ SMALL = shear_error(0.01)
 LIE = lambda F, F_dot: 3.0 + 0.0 * F[:, 0, 0]  # noqa: E731
 
 
-def run(error=SMALL, bound=sound_bound, audit=0.05, **more):
+def run(error=SMALL, bound=sound_bound, audit=0.05):
     """A bar on a cache with tolerance 0.1 µN/µm; the cache and what it reports."""
-    cached = CachedLaw(
-        Learnt(error, bound, **more), Truth(), CacheSettings(tolerance=0.01, audit=audit)
-    )
-    done = simulate(LOAD_CASE, cached, SETTINGS)
-    return cached, cached.report(), done
+    law = cached(error, bound, audit)
+    done = simulate(LOAD_CASE, law, SETTINGS)
+    return law, law.report(), done
 
 
 def test_a_sound_cache_is_left_alone(caplog):
     with caplog.at_level(logging.WARNING, logger="surrofe2.cache"):
-        cached, report, _ = run()
+        law, report, _ = run()
     assert report["trust"] == {"factor": 1.0, "reach": [], "off": False, "events": []}
     assert not caplog.records
     assert report["audit"]["audited"] > 50
-    assert cached.counts["fallbacks"] == 0
+    assert law.counts["fallbacks"] == 0
 
 
 def test_a_biased_surrogate_is_tightened_until_it_keeps_its_word(caplog):
     """Errors three times the bound: the bound comes to count as often, and then holds."""
     biased = lambda F, F_dot: 3.0 * sound_bound(F, F_dot)  # noqa: E731
     with caplog.at_level(logging.WARNING, logger="surrofe2.cache"):
-        cached, report, _ = run(error=biased, audit=0.2)
+        law, report, _ = run(error=biased, audit=0.2)
     trust = report["trust"]
     assert not trust["off"]
     assert trust["factor"] == pytest.approx(3.3, rel=0.01)
     assert [event["action"] for event in trust["events"]] == ["tightened"]
     assert "off by more than the tolerance;" in caplog.text
-    assert cached.counts["fallbacks_not_trusted"] > 0
-    assert cached.counts["hits"] > 0
+    assert law.counts["fallbacks_not_trusted"] > 0
+    assert law.counts["hits"] > 0
     # From the window that failed on nothing is accepted that is off by more than the tolerance.
     F = np.eye(2) + np.linspace(0.0, 0.3, 50)[:, None, None] * [[0.0, 0.0], [1.0, 0.0]]
-    answer = cached.respond(F, 0.0 * F)
+    answer = law.respond(F, 0.0 * F)
     error = np.linalg.norm(answer.stress - Truth().stress(F, 0.0 * F), axis=(1, 2))
     assert error.max() <= 0.1
     assert 0 < answer.effort["hits"] < 50
@@ -81,19 +77,19 @@ def test_a_biased_surrogate_is_tightened_until_it_keeps_its_word(caplog):
 
 def test_a_surrogate_that_lies_grossly_is_switched_off_and_the_run_is_the_true_one(caplog):
     with caplog.at_level(logging.WARNING, logger="surrofe2.cache"):
-        cached, report, done = run(LIE, lambda F, F_dot: 5e-4 + 0.4 * abs(F[:, 1, 0]))
-    assert cached.history()["trust"]["off"]
+        law, report, done = run(LIE, lambda F, F_dot: 5e-4 + 0.4 * abs(F[:, 1, 0]))
+    assert law.history()["trust"]["off"]
     assert report["trust"]["events"][-1]["action"] == "off"
     assert "the cache is off from here on" in caplog.text
     last = report["trust"]["events"][-1]["step"]
     assert last < 0.2 * done.counts["steps"]
-    looked_up = cached.surrogate.looked_up
-    cached.respond(np.eye(2)[None], np.zeros((1, 2, 2)))
-    assert cached.surrogate.looked_up == looked_up
+    looked_up = law.surrogate.looked_up
+    law.respond(np.eye(2)[None], np.zeros((1, 2, 2)))
+    assert law.surrogate.looked_up == looked_up
     # The steps were made again; only at rest, before the first, was it asked.
     assert done.rolled_back["steps"] == last - 1
-    assert cached.counts["hits"] == 60
-    assert cached.counts["fallbacks"] == 60 * done.counts["steps"]
+    assert law.counts["hits"] == 60
+    assert law.counts["fallbacks"] == 60 * done.counts["steps"]
 
 
 @pytest.mark.parametrize(("times", "is_refused"), [(1.0, False), (3.0, True), (1e6, True)])
@@ -109,12 +105,11 @@ def test_a_scale_of_stress_that_is_not_the_rves_is_refused(times, is_refused):
 def test_audits_say_so_where_the_tolerance_is_larger_than_the_stress():
     learnt = Learnt(SMALL, sound_bound)
     learnt.stress_spread = 1e6
-    cached = CachedLaw(learnt, Truth(), CacheSettings(audit=0.05))
-    simulate(LOAD_CASE, cached, SETTINGS)
-    findings = [event["finding"] for event in cached.report()["trust"]["events"]]
-    assert len(findings) == 1
-    assert findings[0].startswith("audits say little")
-    assert cached.report()["trust"]["events"] == cached.history()["trust"]["events"]
+    law = CachedLaw(learnt, Truth(), CacheSettings(audit=0.05))
+    simulate(LOAD_CASE, law, SETTINGS)
+    (event,) = law.report()["trust"]["events"]
+    assert event["finding"].startswith("audits say little")
+    assert law.history()["trust"]["events"] == [event]
 
 
 def test_the_plan_is_the_smallest_that_keeps_both_risks():
@@ -232,32 +227,28 @@ def test_windows_that_fail_again_and_again_switch_off():
 
 def test_a_law_that_nobody_marks_is_more_cautious_after_a_window_that_failed():
     """As a caller without roll-back uses it."""
-    cached = CachedLaw(
-        Learnt(lambda F, F_dot: 3.0 * sound_bound(F, F_dot), sound_bound),
-        Truth(),
-        CacheSettings(tolerance=0.01, audit=0.5),
-    )
+    law = cached(lambda F, F_dot: 3.0 * sound_bound(F, F_dot), sound_bound, 0.5)
     F = np.tile(np.eye(2), (60, 1, 1))
     F[:, 1, 0] = np.linspace(0.0, 0.12, 60)
     hits = []
     for _ in range(20):
-        answer = cached.respond(F, 0.0 * F)
+        answer = law.respond(F, 0.0 * F)
         hits.append(answer.effort["hits"])
-        cached.accept(F, 0.0 * F, answer)
-    trust = cached.history()["trust"]
+        law.accept(F, 0.0 * F, answer)
+    trust = law.history()["trust"]
     assert trust["events"]
     assert not trust["off"]
     assert min(hits) < 0.5 * hits[0]
-    assert not cached.decisions
+    assert not law.decisions
 
 
 def test_a_surrogate_of_nan_leaves_all_to_the_fallback():
     def lookup(F, F_dot, limit):
         return np.full_like(F, np.nan), np.full(len(F), 4, dtype=np.int8), np.full(len(F), np.inf)
 
-    cached = CachedLaw(Learnt(None, None), Truth(), CacheSettings(tolerance=0.01))
-    cached.surrogate.lookup = lookup
-    done = simulate(LOAD_CASE, cached, SETTINGS)
+    law = cached(None, None)
+    law.surrogate.lookup = lookup
+    done = simulate(LOAD_CASE, law, SETTINGS)
     true = simulate(LOAD_CASE, Truth(), SETTINGS)
     np.testing.assert_allclose(done.curve.displacement, true.curve.displacement, rtol=1e-9)
-    assert cached.counts["hits"] == 0
+    assert law.counts["hits"] == 0

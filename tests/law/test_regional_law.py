@@ -17,7 +17,7 @@ from surrofe2.problem import (
     with_regions,
 )
 from surrofe2.rve import RveLaw
-from tests.laws import DryFriction, Failing, KelvinVoigt, Surrogate, TrueLaw, stretched
+from tests.laws import DryFriction, KelvinVoigt, Surrogate, TrueLaw, failing, stretched
 
 MESH = with_regions(
     rectangle(60.0, 40.0, (3, 2)),
@@ -98,7 +98,7 @@ def test_a_step_to_which_one_law_objects_changes_no_other():
     """The cached law of the skin counts, audits and learns only from what the flesh keeps."""
     cached = CachedLaw(Surrogate(), TrueLaw(), CacheSettings(audit=1.0))
     objecting = []
-    flesh = Failing(KelvinVoigt(), refuses=lambda F, F_dot: np.full(len(F), bool(objecting)))
+    flesh = failing(KelvinVoigt(), refuses=lambda F, F_dot: np.full(len(F), bool(objecting)))
     law = RegionalLaw({"skin": cached, "flesh": flesh}, POINTS)
     F, F_dot = stretched(*np.linspace(0.9, 1.7, 30))
     answer = law.respond(F, F_dot)

@@ -1,11 +1,10 @@
 """The model of a tissue of square cells in plain numpy, pair by pair, over all images.
 
-Written from the formulas, not from the kernels: no pair lists, no cut lists, no lanes.
+Written from the formulas, not from the kernels: no cut lists, no lanes. Wall particles are points
+of a grid of springs, fluid belongs to a plant cell.
 """
 
 import numpy as np
-
-from surrofe2.plant_cell.parameters import CellParameters
 
 IMAGES = [(a, b) for a in range(-2, 3) for b in range(-2, 3)]
 
@@ -35,15 +34,42 @@ def densities(cell, x, fluid_pairs):
     return density
 
 
-def pair_forces(cell, rest_length, x, v, pairs):
-    """By kind i, j, r (k, 2), the force on i (k, 2), stored energy and power lost (k,).
+def sort_pairs(cell, grid, home, images=((0, 0),), edges=()):
+    """By kind i, j (k,), the share of each pair that acts, and the shift of j by plant cells.
 
-    pairs: by kind i, j (k,), the share of the pair that acts, and offsets of x_j and v_j.
+    grid: (walls, 2) columns and rows of wall particles; home: (fluid, 2) those of plant cells.
+    edges: axes and lines of the grid on which walls are outer ones.
+    """
+    per_side, walls, n = cell.wall_springs_per_side, len(grid), len(grid) + len(home)
+    i, j, image = np.indices((n, n, len(images))).reshape(3, -1)
+    ahead = np.array([tuple(each) > (0, 0) for each in images])
+    once = (i < j) | ((i == j) & ahead[image])
+    i, j, shift = i[once], j[once], np.array(images)[image[once]]
+    place = np.concatenate([grid, per_side * home])
+    first, second = place[i], place[j] + per_side * shift
+    way, both_walls = second - first, j < walls
+    bonded = both_walls & (abs(way).sum(axis=1) == 1)
+    # wall i on the rim of the plant cell of fluid j
+    on_rim = (i < walls) & (j >= walls) & ((way <= 0) & (way >= -per_side)).all(axis=1)
+    fluid = (i >= walls) & ~way.any(axis=1)
+    share = np.ones(len(i))
+    for axis, line in edges:
+        outer = both_walls & (first[:, axis] == line) & (second[:, axis] == line)
+        share[outer] = 0.5 * cell.outer_wall
+    kinds = {"bond": bonded, "contact": on_rim | (both_walls & ~bonded), "fluid": fluid}
+    return {kind: (i[of], j[of], share[of], shift[of]) for kind, of in kinds.items()}
+
+
+def pair_forces(cell, rest_length, x, v, pairs, lattice, lattice_rate):
+    """By kind i, j, shift, r (k, 2), the force on i (k, 2), stored energy and power lost (k,).
+
+    lattice, lattice_rate: (2, 2) by which shifts move x_j and v_j.
     """
     c, x0, strength = cell, cell.repulsion_cutoff, cell.repulsion_strength
     per = 1.0 / densities(c, x, pairs["fluid"])
-    for kind, (i, j, share, offset, drift) in pairs.items():
-        r, w = x[j] + offset - x[i], v[j] + drift - v[i]
+    for kind, (i, j, share, shift) in pairs.items():
+        r = x[j] + shift @ lattice.T - x[i]
+        w = v[j] + shift @ lattice_rate.T - v[i]
         length = np.hypot(*r.T)
         n = r / length[:, None]
         rate = (n * w).sum(axis=1)
@@ -65,52 +91,39 @@ def pair_forces(cell, rest_length, x, v, pairs):
             viscous = -2.0 * c.viscosity * slope * per[i] * per[j]
             force = pressure[:, None] * r + viscous[:, None] * w
             stored, lost = np.zeros_like(length), viscous * (w * w).sum(axis=1)
-        share = np.broadcast_to(share, length.shape)
-        yield kind, i, j, r, share[:, None] * force, share * stored, share * lost
+        yield i, j, shift, r, share[:, None] * force, share * stored, share * lost
+
+
+def resultants(cell, rest_length, x, v, pairs, lattice, lattice_rate):
+    """f (n, 2), elastic energy, power lost to damping and virial (2, 2)."""
+    first_fluid = pairs["fluid"][0].min()
+    density = densities(cell, x, pairs["fluid"])[first_fluid:]
+    energy = cell.fluid_particle_mass * cell.sound_speed**2 * np.log(density).sum()
+    f, lost, virial = np.zeros_like(x), 0.0, np.zeros((2, 2))
+    of_pairs = pair_forces(cell, rest_length, x, v, pairs, lattice, lattice_rate)
+    for i, j, _, r, force, stored, power in of_pairs:
+        np.add.at(f, i, force)
+        np.add.at(f, j, -force)
+        energy, lost, virial = energy + stored.sum(), lost + power.sum(), virial + force.T @ r
+    return f, energy, lost, virial
 
 
 class Twin:
-    """Forces, energy and virial stress of one periodic square cell at material positions z.
+    """Forces, energy and virial stress of one periodic square cell at material positions z."""
 
-    pairs: by kind i, j and the shift of j, (k, 2) columns and rows.
-    """
-
-    def __init__(self, cell: CellParameters, rest_length: float) -> None:
+    def __init__(self, cell, rest_length):
         self.cell, self.rest_length = cell, rest_length
-        per_side = cell.wall_springs_per_side
-        walls = self.walls = 2 * per_side - 1
-        self.particles = walls + cell.fluid_particles_per_side**2
-        # wall particles lie on the lines of a grid of springs: column and row
-        grid = np.zeros((self.particles, 2), dtype=int)
-        grid[:per_side, 0], grid[per_side:walls, 1] = np.arange(per_side), np.arange(1, per_side)
-        i, j, image = np.indices((self.particles, self.particles, len(IMAGES))).reshape(3, -1)
-        a, b = np.array(IMAGES)[image].T
-        once = (i < j) | ((i == j) & ((a > 0) | ((a == 0) & (b > 0))))
-        i, j, shift = i[once], j[once], np.stack([a, b], axis=1)[once]
-        ring = per_side * shift
-        bonded = (j < walls) & (abs(grid[j] + ring - grid[i]).sum(axis=1) == 1)
-        # wall i seen from the cell of fluid j, which is shifted
-        at = grid[i] - ring
-        on_rim = (i < walls) & (j >= walls) & ((at >= 0) & (at <= per_side)).all(axis=1)
-        fluid = (i >= walls) & ~shift.any(axis=1)
-        contact = on_rim | ((j < walls) & ~bonded)
-        kinds = {"bond": bonded, "contact": contact, "fluid": fluid}
-        self.pairs = {kind: (i[of], j[of], shift[of]) for kind, of in kinds.items()}
+        along, zero = (
+            np.arange(cell.wall_springs_per_side),
+            0 * np.arange(cell.wall_springs_per_side),
+        )
+        grid = np.concatenate([np.stack([along, zero], 1), np.stack([zero, along], 1)[1:]])
+        home = np.zeros((cell.fluid_particles_per_side**2, 2), dtype=int)
+        self.walls, self.pairs = len(grid), sort_pairs(cell, grid, home, IMAGES)
 
     def evaluate(self, z, F, F_dot, fluctuation=0.0):
         """f (n, 2), elastic energy, Cauchy stress (2, 2); velocities Ḟ z + fluctuation."""
-        cell, side = self.cell, self.cell.cell_side
-        x, v = z @ F.T, z @ F_dot.T + fluctuation
-        f, virial = np.zeros_like(z), np.zeros((2, 2))
-        density = densities(cell, x, self.pairs["fluid"])[self.walls :]
-        energy = cell.fluid_particle_mass * cell.sound_speed**2 * np.log(density).sum()
-        pairs = {
-            kind: (i, j, 1.0, side * shift @ F.T, side * shift @ F_dot.T)
-            for kind, (i, j, shift) in self.pairs.items()
-        }
-        for _, i, j, r, force, stored, _ in pair_forces(cell, self.rest_length, x, v, pairs):
-            np.add.at(f, i, force)
-            np.add.at(f, j, -force)
-            energy += stored.sum()
-            virial += force.T @ r
+        side, x, v = self.cell.cell_side, z @ F.T, z @ F_dot.T + fluctuation
+        lattices = side * F, side * F_dot
+        f, energy, _, virial = resultants(self.cell, self.rest_length, x, v, self.pairs, *lattices)
         return f, energy, virial / (np.linalg.det(F) * side**2)

@@ -31,7 +31,7 @@ class Curvatures:
         x, f, virial = z @ F.transpose(0, 2, 1), np.zeros_like(z), np.zeros((m, 2, 2))
         H = np.zeros((m, n, n, 2, 2))
         density, gradient = self._densities(x)
-        for kind, (i, j, shift) in self.twin.pairs.items():
+        for kind, (i, j, _, shift) in self.twin.pairs.items():
             offset = self.cell.cell_side * shift @ F.transpose(0, 2, 1)
             r = x[:, j] + offset - x[:, i]
             length = np.linalg.norm(r, axis=2)
