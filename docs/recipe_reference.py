@@ -13,8 +13,7 @@ from surrofe2.base.units import NONE
 from surrofe2.problem.amplitude import KINDS, Amplitude, Constant
 from surrofe2.problem.conditions import CONDITIONS, Condition
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody
-from surrofe2.recipe.problem_sections import MeshSettings, TimeSettings
-from surrofe2.recipe.recipe import SECTIONS
+from surrofe2.recipe.recipe import SECTIONS, MeshSettings, TimeSettings
 
 PAGE = Path(__file__).parent / "recipe.md"
 HEAD = """# Keys of a recipe

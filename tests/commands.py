@@ -19,7 +19,7 @@ import numba
 from matplotlib.figure import Figure
 
 from surrofe2.base.interruption import begin_work, exit_code, watch
-from surrofe2.recipe import cell_types
+from surrofe2.recipe import recipe as recipes
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store import samples
 from surrofe2.workflow import laws, rest, run, tissue
@@ -99,8 +99,8 @@ def checkpointed(name):
         for module in (run, rest, tissue):
             patch(module, "CHECKPOINT_INTERVAL", 0.0)
         patch(samples, "INTERVAL", 0.0)
-        patch(cell_types, "FIRST_COUNT", 40)
-        patch(cell_types, "MOST_COUNT", 160)
+        patch(recipes, "FIRST_COUNT", 40)
+        patch(recipes, "MOST_COUNT", 160)
         patch(generate_data_set, "__kwdefaults__", generate_data_set.__kwdefaults__ | {"chunk": 8})
         patch(Figure, "savefig", lambda self, target, **_: target.write(b"drawn"))
         yield

@@ -3,18 +3,24 @@
 Each section of a recipe is the frozen dataclass of the layer it configures (`CellParameters`,
 `RveSettings`, …), so names, types, defaults and bounds stand there and nowhere else; what is wrong
 comes out as one `InputError` sentence.
+
+`[mesh] [conditions] [bodies] [watch] [time]` state a problem, `[cell]` or `[cells]` its plant cells
+and how their stress is sampled and learnt. What needs the mesh itself is checked where a command
+needs the problem.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import skfem
@@ -22,24 +28,502 @@ from numpy.typing import NDArray
 
 from surrofe2.base.errors import FileError, InputError, quoted, shortened
 from surrofe2.base.sampling import SamplingRange
-from surrofe2.base.settings import Faults, build, check_value, unknown
+from surrofe2.base.settings import (
+    Faults,
+    build,
+    check_settings,
+    check_table,
+    check_value,
+    setting,
+    unknown,
+)
+from surrofe2.base.units import LENGTH, TIME
 from surrofe2.cache.settings import CacheSettings, TableSettings
+from surrofe2.macro.elements import make_discretisation, points_by_region
 from surrofe2.macro.settings import MacroSettings, SurfaceSettings
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem.bar import LoadSettings
-from surrofe2.problem.conditions import FREE
-from surrofe2.problem.mesh import boundary
-from surrofe2.problem.problem import Problem
-from surrofe2.recipe.cell_types import CellType, SampleSettings, cell_types, points_of_cells
+from surrofe2.problem.conditions import FREE, BodyForce, Condition, Foundation, Pressure, Traction
+from surrofe2.problem.mesh import Part, boundary, check_mesh, nodes_on, rectangle, region
+from surrofe2.problem.problem import Point, Problem, label, sections_of
+from surrofe2.problem.rigid_bodies import RigidBody
 from surrofe2.recipe.entries import with_changes
-from surrofe2.recipe.problem_sections import SECTIONS as PROBLEM_SECTIONS
-from surrofe2.recipe.problem_sections import StatedProblem, stated_problem
 from surrofe2.rve.settings import RveSettings
-from surrofe2.store.store import plain, read_text
+from surrofe2.store.meshes import read_mesh
+from surrofe2.store.store import digest, plain, read_text
 from surrofe2.surrogate.settings import CalibrationSettings, TrainingSettings
 from surrofe2.tissue.settings import TissueSettings
 
 T = TypeVar("T")
+Index = NDArray[np.int64]
+
+# The problem.
+
+PROBLEM_SECTIONS = ("mesh", "conditions", "watch", "bodies", "time")
+"""Those that state a problem."""
+
+_ON_BOUNDARIES = (Traction, Pressure, Foundation)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeshSettings:
+    """A rectangle [0, width] × [0, height] of equal quadrilaterals, or a file."""
+
+    width: float | None = setting(None, "extent in x", LENGTH, above=0.0)
+    height: float | None = setting(None, "extent in y", LENGTH, above=0.0)
+    elements: tuple[int, int] | None = setting(None, "elements in x and in y", least=1)
+    file: str | None = setting(None, "mesh file, relative to the recipe")
+    length_unit: Literal["µm", "um", "mm", "m"] | None = setting(None, "of the file; µm")
+    boundaries: Mapping[str, Part] | None = setting(
+        None, "parts of the plane that hold outer sides"
+    )
+    regions: Mapping[str, Part] | None = setting(
+        None, "parts of the plane that hold elements' centres"
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self, "mesh")
+        numbers = {"width": self.width, "height": self.height, "elements": self.elements}
+        for name, value in numbers.items():
+            if self.file is None and value is None:
+                raise InputError(
+                    f"mesh.{name}", "missing; a rectangle or a mesh.file must be given"
+                )
+            if self.file is not None and value is not None:
+                raise InputError(f"mesh.{name}", f"{quoted(value)}; a mesh from a file has its own")
+        if self.file is None and self.length_unit is not None:
+            raise InputError(
+                "mesh.length_unit", f"{quoted(self.length_unit)}; it is of a mesh.file"
+            )
+
+    def mesh(self, folder: Path) -> skfem.Mesh:
+        """The mesh with the boundaries and regions that it has by itself."""
+        if self.file is None:
+            assert self.width is not None
+            assert self.height is not None
+            assert self.elements is not None
+            mesh = rectangle(self.width, self.height, self.elements)
+        else:
+            try:
+                mesh = load_mesh(folder / self.file, self.length_unit or "µm")
+            except InputError as error:
+                raise InputError("mesh.file", str(error)) from None
+        for kind, known, more in (
+            ("boundaries", mesh.boundaries, self.boundaries),
+            ("regions", mesh.subdomains, self.regions),
+        ):
+            for name in {*(known or ())} & {*(more or ())}:
+                raise InputError(
+                    f"mesh.{kind}.{name}", "the mesh has one of that name; take another"
+                )
+        return mesh
+
+    def to_dict(self) -> dict[str, Any]:
+        """The section, defaults filled in."""
+        parts = {
+            kind: {name: part.entry() for name, part in (stated or {}).items()}
+            for kind, stated in (("boundaries", self.boundaries), ("regions", self.regions))
+        }
+        return asdict(self) | parts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TimeSettings:
+    """How long, and how often results are kept."""
+
+    duration: float = setting(250.0, "length of the run", TIME, above=0.0)
+    output_interval: float | None = setting(
+        None, "time between rows of results; a five-hundredth of the duration", TIME, above=0.0
+    )
+    frames: int | None = setting(None, "whole fields kept; as macro.frames", least=2)
+
+    def __post_init__(self) -> None:
+        check_settings(self, "time")
+        if self.output_interval is None:
+            object.__setattr__(self, "output_interval", self.duration / 500.0)
+        elif self.output_interval > self.duration:
+            raise InputError(
+                "time.output_interval",
+                f"{self.output_interval}; it must be at most the duration, {self.duration} µs",
+            )
+
+
+def _conditions(where: str, entry: Any) -> tuple[Condition, ...]:
+    """Conditions by name, or in a list."""
+    if not isinstance(entry, list | dict):
+        raise InputError(where, f"{quoted(entry)}; it must be a section [{where}]")
+    if isinstance(entry, dict):
+        named = [(f"{where}.{name}", one, name) for name, one in entry.items()]
+    else:
+        named = [(f"{where}[{k}]", one, None) for k, one in enumerate(entry)]
+    acting, faults = dict[str, Condition](), Faults()
+    for place, one, name in named:
+        with faults.noted():
+            condition = Condition.read(place, one, name)
+            if label(condition) in acting:
+                raise InputError(
+                    place, f"a second one called {label(condition)}; give it another name"
+                )
+            acting[label(condition)] = condition
+    faults.check()
+    return tuple(acting.values())
+
+
+def _bodies(where: str, entry: Any) -> tuple[RigidBody, ...]:
+    return tuple(check_value(where, entry, Mapping[str, RigidBody], {}).values())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StatedProblem:
+    """A problem as a recipe states it.
+
+    Attributes:
+        sha256: of the mesh file.
+        section: that states its extent, "mesh" or "load".
+    """
+
+    mesh: MeshSettings = setting(about="the tissue")
+    conditions: tuple[Condition, ...] = setting((), "what holds and loads it", read=_conditions)
+    watch: Mapping[str, Point] | None = setting(None, "points by name", LENGTH)
+    bodies: tuple[RigidBody, ...] = setting((), "that it touches", read=_bodies)
+    time: TimeSettings = setting(TimeSettings(), "of the run")
+    sha256: str | None = None
+    section: str = "mesh"
+
+    @property
+    def watched(self) -> Mapping[str, Point]:
+        """Watched points by name, µm."""
+        return self.watch or {}
+
+    def problem(self, folder: Path) -> Problem:
+        """The problem; its files lie relative to `folder`.
+
+        Raises:
+            InputError: the mesh is none, or has not what the sections name.
+        """
+        problem = Problem(
+            mesh=self.mesh.mesh(folder),
+            conditions=self.conditions,
+            bodies=self.bodies,
+            duration=self.time.duration,
+            output_interval=self.time.output_interval or self.time.duration,
+            watched=self.watched,
+            boundaries=self.mesh.boundaries or {},
+            regions=self.mesh.regions or {},
+        )
+        mesh, space = problem.mesh, make_discretisation(problem.mesh)
+        for condition in self.conditions:
+            where = f"conditions.{label(condition)}.on"
+            if isinstance(condition, BodyForce):
+                region(mesh, condition.on, where)
+            elif isinstance(condition, _ON_BOUNDARIES):
+                boundary(mesh, condition.on, where)
+            else:
+                nodes_on(mesh, condition.on, where)
+        for body in self.bodies:
+            boundary(mesh, body.on, f"bodies.{body.name}.on")
+        for name, at in self.watched.items():
+            try:
+                space.locate(np.array(at), f"watch.{name}")
+            except InputError as error:
+                x, y = mesh.p[:, np.hypot(*(mesh.p.T - np.array(at)).T).argmin()]
+                message = f"{error}, whose nearest node is at ({x:.6g}, {y:.6g}) µm"
+                raise InputError(message) from None
+        return problem
+
+    def to_dict(self) -> dict[str, dict[str, Any]]:
+        """The sections, defaults filled in; conditions by the names that results have."""
+        acts = sections_of(self.conditions, self.bodies, self.watched)
+        mesh = self.mesh.to_dict() | {"sha256": self.sha256}
+        return {"mesh": mesh, **acts, "time": asdict(self.time)}
+
+
+def load_mesh(path: str | Path, length_unit: str = "µm") -> skfem.Mesh:
+    """The mesh of a file whose lengths are in µm ("µm", "um"), mm or m.
+
+    Raises:
+        FileError: it is not there, or meshio cannot read it.
+        InputError: it is no mesh of quadrilaterals or triangles in a plane, or has no such unit.
+    """
+    stored = read_mesh(Path(path), length_unit)
+    try:
+        return check_mesh(stored)
+    except InputError as error:
+        raise InputError(f"{Path(path).name}: {error}") from None
+
+
+def stated_problem(
+    table: Mapping[str, Any], folder: Path, elements: tuple[int, int]
+) -> StatedProblem:
+    """The problem of a recipe's tables; without any for one, the bar of [load] on `elements`.
+
+    Raises:
+        InputError: naming the entry that is not what it must be.
+        FileError: there is no such mesh file.
+    """
+    sections, section = {name: table[name] for name in PROBLEM_SECTIONS if name in table}, "mesh"
+    if sections and "load" in table:
+        first = next(iter(sections))
+        raise InputError(
+            "load", f"[load] states the paper's bar, [{first}] another problem; leave one out"
+        )
+    if not sections:
+        section = "load"
+        sections = build(LoadSettings, table.get("load", {}), "load").sections(elements)
+    faults, fixed = Faults(), dict[str, Any](section=section)
+    if "mesh" not in sections:
+        fixed["mesh"] = None
+        with faults.noted():
+            raise InputError("mesh", f"missing; [{next(iter(sections))}] needs the section [mesh]")
+    stated = faults.take(partial(build, StatedProblem, sections, "", **fixed))
+    if not any(sections.get(name, {}) not in ({}, []) for name in ("conditions", "bodies")):
+        with faults.noted():
+            raise InputError("conditions", "missing; something must hold or move the tissue")
+    file = sections["mesh"].get("file") if isinstance(sections.get("mesh"), dict) else None
+    sha256 = faults.take(_digest_of, folder / file) if isinstance(file, str) else None
+    faults.check()
+    return replace(stated, sha256=sha256)
+
+
+def _digest_of(path: Path) -> str:
+    """SHA-256 of a mesh file."""
+    try:
+        return digest(path)
+    except FileError as error:
+        raise FileError(f"mesh.file: {error}") from None
+
+
+# Its plant cells.
+
+REST = "rest"
+"""As a region of a cell: what no other cell fills, unless the mesh has a region of that name."""
+CELL_SECTIONS = ("range", "samples", "training")
+"""Sections that a cell may have; what they leave out is as in the recipe's section."""
+_OWN = (("samples", "file"), ("training", "file"))
+"""Files that cells cannot share."""
+ALIASES = {"ghysels2009": "printed", "ghysels2009-light": "water"}
+"""Presets by the paper that they are of."""
+FIRST_COUNT, MOST_COUNT = 512, 16384
+"""Samples that training begins with, and takes at most, where a recipe leaves their number out."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampleSettings:
+    """How many samples of the range, by which seed of the low-discrepancy sequence; their file."""
+
+    count: int | None = setting(
+        None,
+        f"number of samples; left out: as many as training.bound needs, {MOST_COUNT} without one",
+        least=1,
+    )
+    seed: int = setting(1, "of the sequence", least=0)
+    tangents: bool = setting(False, "whether ∂P/∂F and ∂P/∂Ḟ are sampled with the stress")
+    file: str | None = setting(None, "of the data set, relative to the recipe")
+
+    def __post_init__(self) -> None:
+        check_settings(self, "samples")
+
+    def counts(self, bound: float) -> tuple[int, ...]:
+        """How many samples training takes, in turn, until its bound is met.
+
+        Args:
+            bound: that training wants, of the spread of stress; 0: none, and so the most at once.
+        """
+        if self.count is not None or not bound:
+            return (self.count or MOST_COUNT,)
+        counts = [FIRST_COUNT]
+        while counts[-1] < MOST_COUNT:
+            counts.append(2 * counts[-1])
+        return tuple(counts)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CellType:
+    """A plant cell, the regions it fills (of [cell] none are named: all of them), and how its
+    stress is sampled and learnt."""
+
+    preset: str
+    cell: CellParameters
+    regions: tuple[str, ...]
+    range: SamplingRange | None
+    samples: SampleSettings
+    training: TrainingSettings
+    training_file: str | None
+
+    def to_dict(self) -> dict[str, dict[str, Any]]:
+        """The sections of a recipe that state it, defaults filled in."""
+        sections = {
+            "cell": {"preset": self.preset, **self.cell.to_dict()},
+            "samples": asdict(self.samples),
+            "training": {**asdict(self.training), "file": self.training_file},
+        }
+        return sections if self.range is None else sections | {"range": asdict(self.range)}
+
+
+def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
+    """The cell types that a recipe's tables state, by name; that of [cell] is called "".
+
+    Raises:
+        InputError: naming the entry that is not what it must be.
+    """
+    shared = {name: table[name] for name in CELL_SECTIONS if name in table}
+    if "cells" not in table:
+        return {"": _cell_type("", table.get("cell", {}), shared)}
+    cells = table["cells"]
+    if not isinstance(cells, dict) or not cells:
+        raise InputError(
+            "cells", f"{quoted(cells)}; it must have a section [cells.NAME] for each cell"
+        )
+    if "cell" in table:
+        raise InputError(
+            "cell",
+            "[cell] fills the tissue with one cell, [cells.NAME] with several; leave one out",
+        )
+    if "mesh" not in table:
+        raise InputError(
+            "cells", "[cells.NAME] fill regions of a mesh; the section [mesh] is missing"
+        )
+    for section, key in _OWN:
+        if key in shared.get(section, {}):
+            raise InputError(
+                f"{section}.{key}",
+                f"{quoted(shared[section][key])}; each cell has its own: give "
+                f"cells.NAME.{section}.{key}",
+            )
+    _settings(shared, "")  # what is wrong there is reported once, of no cell
+    faults = Faults()
+    types = {name: faults.take(_cell_type, name, one, shared) for name, one in cells.items()}
+    faults.check()
+    for kind, files in (
+        ("samples", {name: each.samples.file for name, each in types.items()}),
+        ("training", {name: each.training_file for name, each in types.items()}),
+    ):
+        known: dict[str, str] = {}
+        for name, file in files.items():
+            first = known.setdefault(str(Path(file)), name) if file is not None else name
+            if first != name:
+                raise InputError(f"cells.{name}.{kind}.file", f"{quoted(file)}; that is {first}'s")
+    return types
+
+
+def _cell_type(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]]) -> CellType:
+    """The cell of [cell], called "", or [cells.NAME]; what its sections leave out is shared."""
+    where, faults = f"cells.{name}" if name else "cell", Faults()
+    if name and not re.fullmatch(r"[\w-]+", name):
+        raise InputError(where, f"{quoted(name)}; a name must be of letters, digits, _ and -")
+    if not isinstance(entries, dict):
+        raise InputError(where, f"{quoted(entries)}; it must be a section [{where}]")
+    extras = ("preset", "regions", *CELL_SECTIONS) if name else ("preset",)
+    constants = {key: value for key, value in entries.items() if key not in extras}
+    preset = entries.get("preset", "printed")
+    preset, cell = faults.take(_cell, constants, preset, where, extras) or ("", None)
+    regions = faults.take(_regions, entries.get("regions", [name]), where) if name else ()
+    sections = dict(shared)
+    for section in CELL_SECTIONS if name else ():
+        with faults.noted():
+            own = entries.get(section, {})
+            check_table(f"{where}.{section}", own)
+            if merged := {**shared.get(section, {}), **own}:
+                sections[section] = merged
+    settings = faults.take(_settings, sections, f"{where}." if name else "")
+    faults.check()
+    return CellType(preset=preset, cell=cell, regions=regions, **settings)
+
+
+def _cell(
+    constants: Mapping[str, Any], preset: Any, where: str, extras: tuple[str, ...]
+) -> tuple[str, Any]:
+    """A preset and the plant cell that it is with other constants."""
+    preset = check_value(f"{where}.preset", preset, str, {})
+    preset = ALIASES.get(preset, preset)
+    make = partial(CellParameters.preset, preset)
+    return preset, build(make, constants, where, extras, of=CellParameters)
+
+
+def _regions(stated: Any, where: str) -> tuple[str, ...]:
+    regions: tuple[str, ...] = check_value(f"{where}.regions", stated, tuple[str, ...], {})
+    if not regions:
+        raise InputError(f"{where}.regions", "[]; it must name a region of the mesh")
+    return regions
+
+
+def _settings(sections: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, Any]:
+    """Range, samples, training and training_file that sections state."""
+    training, faults = dict(sections.get("training", {})), Faults()
+    file, samples = training.pop("file", None), sections.get("samples", {})
+    settings = {
+        "training_file": faults.take(check_value, f"{where}training.file", file, str | None, {}),
+        "samples": faults.take(build, SampleSettings, samples, f"{where}samples"),
+        "training": faults.take(build, TrainingSettings, training, f"{where}training", ("file",)),
+        "range": None,
+    }
+    if "range" in sections:
+        settings["range"] = faults.take(build, SamplingRange, sections["range"], f"{where}range")
+    faults.check()
+    return settings
+
+
+def points_of_cells(mesh: skfem.Mesh, types: Mapping[str, CellType]) -> dict[str, Index]:
+    """Numbers of the points that each cell fills; together the whole mesh.
+
+    Raises:
+        InputError: there is no such region, or an element is of no cell or of two.
+    """
+    known, filled = mesh.subdomains or {}, dict[str, Index]()
+    for name, each in types.items():
+        parts = [part for part in each.regions if part in known or part != REST]
+        inside = [region(mesh, part, f"cells.{name}.regions") for part in parts]
+        filled[name] = np.unique(np.concatenate([np.zeros(0, np.int64), *inside]))
+    others = np.setdiff1d(np.arange(mesh.nelements), np.concatenate([*filled.values()]))
+    for name, each in types.items():
+        if _takes_rest(each, known):
+            filled[name] = np.union1d(filled[name], others)
+        if not filled[name].size:
+            raise InputError(
+                f"cells.{name}.regions", f"{REST}; the other cells fill the whole mesh"
+            )
+    return points_by_region(mesh.with_subdomains(filled), tuple(filled), "cells")
+
+
+def _takes_rest(cell: CellType, known: Container[str]) -> bool:
+    """Whether a cell fills what no other does."""
+    return not cell.regions or (REST in cell.regions and REST not in known)
+
+
+def kinds_of_cells(
+    problem: Problem, types: Mapping[str, CellType], counts: tuple[int, int]
+) -> Index:
+    """(n, m) which of the types each plant cell of a full tissue is, by where its middle lies.
+
+    Raises:
+        InputError: a plant cell is of none, or of two.
+    """
+    known, side = problem.mesh.subdomains or {}, next(iter(types.values())).cell.cell_side
+    kind = np.full(counts, -1)
+
+    def at(where: NDArray[np.bool_]) -> str:
+        x, y = side * (np.argwhere(where)[0] + 0.5)
+        return f"({x:g}, {y:g}) µm"
+
+    for k, (name, each) in enumerate(types.items()):
+        for part in (part for part in each.regions if part in known):
+            inside = problem.cells_inside(part, counts, side)
+            twice = inside & (kind >= 0) & (kind != k)
+            if twice.any():
+                raise InputError(
+                    f"cells.{name}.regions",
+                    f"{part}; the plant cell at {at(twice)} is of another type, too",
+                )
+            kind[inside] = k
+    for k, each in enumerate(types.values()):
+        if _takes_rest(each, known):
+            kind[kind < 0] = k
+    if (kind < 0).any():
+        raise InputError("cells", f"none fills the plant cell at {at(kind < 0)}; give it a type")
+    return kind
+
+
+# All of it.
 
 _LONGEST_NAME = 200
 """Bytes of a file's name; others that are made from it are longer."""
@@ -121,7 +605,7 @@ class Recipe:
         """Of the cell, or of all cells in their order."""
         return " ".join(part.cell.fingerprint for part in self.parts().values())
 
-    def points_of_cells(self, mesh: skfem.Mesh) -> dict[str, NDArray[np.int64]]:
+    def points_of_cells(self, mesh: skfem.Mesh) -> dict[str, Index]:
         """Numbers of the points of the mesh that each cell fills; raises as the function."""
         return points_of_cells(mesh, self.cells)
 

@@ -24,10 +24,7 @@ from surrofe2.problem.conditions import CONDITIONS
 from surrofe2.problem.mesh import PARTS, Box, Part
 from surrofe2.problem.problem import Point
 from surrofe2.problem.rigid_bodies import SHAPES, RigidBody
-from surrofe2.recipe.cell_types import ALIASES
-from surrofe2.recipe.cell_types import SECTIONS as SECTIONS_OF_CELL
-from surrofe2.recipe.problem_sections import MeshSettings, TimeSettings
-from surrofe2.recipe.recipe import SECTIONS
+from surrofe2.recipe.recipe import ALIASES, CELL_SECTIONS, SECTIONS, MeshSettings, TimeSettings
 from surrofe2.store.store import read_bytes, write_text
 
 Schema = dict[str, Any]
@@ -59,7 +56,7 @@ def recipe_schema() -> Schema:
     sections["cell"]["properties"]["preset"] = {"enum": [*PRESETS, *ALIASES]}
     sections["training"]["properties"]["file"] = _TEXT
     sections["macro"]["properties"]["elements"] = _value(tuple[int, int], {"least": 1})
-    shared = {name: {**sections[name], "required": []} for name in SECTIONS_OF_CELL}
+    shared = {name: {**sections[name], "required": []} for name in CELL_SECTIONS}
     names = {"type": "array", "items": _TEXT}
     cell = _with(sections["cell"], {"regions": names, **shared})
     condition = {"anyOf": _kinds({each.kind(): each for each in CONDITIONS})}

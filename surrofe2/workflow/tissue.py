@@ -13,8 +13,7 @@ from surrofe2.base.errors import InputError
 from surrofe2.base.units import time_text
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem import Problem
-from surrofe2.recipe.cell_types import kinds_of_cells
-from surrofe2.recipe.recipe import Recipe
+from surrofe2.recipe.recipe import Recipe, kinds_of_cells
 from surrofe2.run.loop import Report, no_report
 from surrofe2.store.fields import write_particle_fields
 from surrofe2.store.run_folder import (

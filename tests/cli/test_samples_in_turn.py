@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from surrofe2.recipe import cell_types
+from surrofe2.recipe import recipe as recipes
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.run.loop import no_stage
 from surrofe2.store.hdf5 import read_seconds
@@ -32,8 +32,8 @@ def _few(monkeypatch):
     monkeypatch.setattr(laws, "true_law", lambda part, *_: SoftLaw().of(part.cell, part.rve))
     kept = generate_data_set.__kwdefaults__
     monkeypatch.setattr(generate_data_set, "__kwdefaults__", {**kept, "chunk": 16})
-    monkeypatch.setattr(cell_types, "FIRST_COUNT", 40)
-    monkeypatch.setattr(cell_types, "MOST_COUNT", 160)
+    monkeypatch.setattr(recipes, "FIRST_COUNT", 40)
+    monkeypatch.setattr(recipes, "MOST_COUNT", 160)
     monkeypatch.setattr(training, "ROUND", 10)
     monkeypatch.setattr(training, "_ITERATIONS_AT_ONCE", 10)
 
@@ -142,7 +142,7 @@ def stopping(where, at):
 @pytest.fixture
 def whole(wanting, monkeypatch):
     """(recipe without a surrogate, the file of one made in one go, from twice as many samples)."""
-    monkeypatch.setattr(cell_types, "MOST_COUNT", 80)
+    monkeypatch.setattr(recipes, "MOST_COUNT", 80)
     monkeypatch.setattr("surrofe2.workflow.train._HELPS", np.inf)
     recipe = wanting(NEVER)
     generate_data_set(recipe)

@@ -10,7 +10,7 @@ import pytest
 
 from surrofe2.base.errors import FileError, InputError
 from surrofe2.problem.mesh import check_mesh, element_nodes
-from surrofe2.recipe.problem_sections import load_mesh
+from surrofe2.recipe.recipe import load_mesh
 from surrofe2.store.meshes import read_mesh
 from tests.macro.meshes import sides_of
 from tests.store.gmsh_files import QUADS, TRIANGLES
