@@ -112,7 +112,7 @@ if TYPE_CHECKING:
     )
     from surrofe2.surrogate.surrogate_law import SurrogateLaw as SurrogateLaw
     from surrofe2.surrogate.training import train as train
-    from surrofe2.workflow.calibrate import calibrate as calibrate
+    from surrofe2.workflow.train import calibrate as calibrate
     from surrofe2.report.comparison import compare_runs as compare_runs
     from surrofe2.workflow.check import proposed_range as proposed_range
     from surrofe2.workflow.generate import sample_stress as sample_stress

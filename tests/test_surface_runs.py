@@ -12,10 +12,10 @@ from surrofe2.recipe.recipe import load_recipe, make_recipe
 from surrofe2.store.run_folder import read_record, read_run
 from surrofe2.store.store import read_columns
 from surrofe2.surface.tabulated import TabulatedSurface
-from surrofe2.workflow import surfaces
+from surrofe2.workflow import laws as surfaces
+from surrofe2.workflow.laws import surface_notes, with_surface
 from surrofe2.workflow.rest import rest_study
 from surrofe2.workflow.run import new_record, run_study
-from surrofe2.workflow.surfaces import surface_notes, with_surface
 from tests.conftest import RECIPE
 
 SIDES = '\n[surface]\non = ["top", "right"]\n'

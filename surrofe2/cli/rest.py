@@ -11,9 +11,8 @@ from surrofe2.cli import console
 from surrofe2.recipe.recipe import changed, load_recipe
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import INITIALISATIONS
-from surrofe2.workflow.laws import open_study, use_threads
+from surrofe2.workflow.laws import open_study, surface_notes, use_threads
 from surrofe2.workflow.rest import modes_study, rest_study, rest_summary
-from surrofe2.workflow.surfaces import surface_notes
 
 
 def rest(

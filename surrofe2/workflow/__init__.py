@@ -2,15 +2,13 @@
 
 In reading order:
 
-    laws         the stress law of a run, of one cell type or several
-    surfaces     the law of free sides, kept
+    laws         the stress law of a run, of one cell type or several, and that of free sides
     run          a problem by a stress law, and what it leaves in its folder
     tissue       the full microscopic tissue
     rest         the tissue at rest under its load, and its small oscillations
     workers      pieces of work by several processes or a cluster
     generate     a data set of RVE stresses, and what training takes of it and of harvests
-    calibrate    the bound of a surrogate's error, along walks and runs under other loads
-    train        a surrogate with its bound
+    train        a surrogate, and the bound of its error, along walks and runs under other loads
     refine       active learning: rounds of cached run, sampling and training
     zoom         the plant cells of a run: at a point, and what all of them met
     grid         parameter studies

@@ -30,9 +30,8 @@ from surrofe2.store.run_folder import (
     write_curves,
 )
 from surrofe2.store.store import keep
-from surrofe2.workflow.laws import cell_of_elements, choose_laws
+from surrofe2.workflow.laws import cell_of_elements, choose_laws, with_surface
 from surrofe2.workflow.run import new_record, problem_record, with_rest, write_points
-from surrofe2.workflow.surfaces import with_surface
 
 STATES = {"unloaded": 0.0, "loaded": 1.0}
 """Factor of the loads by the name of the state whose modes are asked for."""

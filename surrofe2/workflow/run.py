@@ -75,9 +75,11 @@ from surrofe2.workflow.laws import (
     cell_of_elements,
     check_tangents,
     choose_laws,
+    surface_notes,
+    surface_record,
     surrogate_record,
+    with_surface,
 )
-from surrofe2.workflow.surfaces import surface_notes, surface_record, with_surface
 
 HARVEST = "harvest.h5"
 MANY_UNTRUSTED = 0.1

@@ -1,36 +1,63 @@
-"""From a data set to a surrogate with a calibrated bound of its error."""
+"""From a data set to a surrogate with a bound of its error, by RVEs along paths it has not seen."""
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surrofe2.base.compilation import Meter
-from surrofe2.base.errors import InputError, MismatchError
+from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.base.sampling import SamplingRange
+from surrofe2.base.tensors import stress_spread
 from surrofe2.law.samples import StressSamples
+from surrofe2.law.stress_law import StressLaw
+from surrofe2.macro import MacroSettings, simulate
+from surrofe2.macro.settings import SECTION_6_2
+from surrofe2.macro.system import System, system_of
+from surrofe2.problem import Problem
+from surrofe2.problem.amplitude import Amplitude, Table, Value
+from surrofe2.problem.bar import LoadCase
+from surrofe2.problem.conditions import BodyForce, Condition, DrivenCondition, InitialVelocity
+from surrofe2.problem.rigid_bodies import RigidBody
 from surrofe2.recipe.recipe import Recipe
-from surrofe2.run.loop import Report, Stage, no_stage
+from surrofe2.report.tables import percent
+from surrofe2.run.loop import Report, Stage, no_report, no_stage
+from surrofe2.rve import RveLaw
 from surrofe2.store.hdf5 import read_seconds
 from surrofe2.store.samples import stored_count
 from surrofe2.store.store import START_OVER, check_same, file_lock, locked_file, remove
 from surrofe2.store.surrogates import read_surrogate, read_training, write_surrogate, write_training
+from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.calibration import Truth
-from surrofe2.surrogate.settings import WISH
-from surrofe2.surrogate.surrogate_law import SurrogateLaw
-from surrofe2.workflow import laws
-from surrofe2.workflow.calibrate import (
-    bound_summary,
-    calibrate_surrogate,
-    shaped_bound,
-    shaping_truths,
+from surrofe2.surrogate.calibration import calibrate as calibrate_by
+from surrofe2.surrogate.deformation_paths import (
+    DeformationPaths,
+    State,
+    WatchedLaw,
+    random_walks,
+    run_paths,
+    true_stress,
 )
+from surrofe2.surrogate.settings import (
+    MARGIN,
+    RUN_ELEMENTS,
+    RUN_POINTS,
+    SHAPING_RUNS,
+    SHAPING_WALKS,
+    WISH,
+    CalibrationSettings,
+)
+from surrofe2.workflow import laws
 from surrofe2.workflow.generate import (
     Generated,
     counts_of,
@@ -38,10 +65,23 @@ from surrofe2.workflow.generate import (
     training_samples,
     wanted_count,
 )
+from surrofe2.workflow.laws import law_by_region
 
 if TYPE_CHECKING:
     from surrofe2.surrogate.training import TrainingState
 
+log = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
+FACTOR = (0.25, 1.5)
+"""Of an amplitude or a velocity of a run that makes paths, uniform between."""
+PACE = (0.5, 2.0)
+"""Of all its amplitudes, the logarithm uniform between."""
+LOAD_FACTOR, LOAD_TIMES, LONGEST_RUN = (0.25, 3.0), 4, 25.0
+"""Of a bar: factor of its body force, corners of its amplitude, µs (half a period of the paper's
+bar)."""
+Runs = Callable[[int, int], Iterator[list[State]]]
+"""What so many runs by a seed meet, one after the other."""
 STRESSES = ("xx", "xy", "yx", "yy")
 _BEFORE = "bound_before"
 _HELPS = 0.8
@@ -276,3 +316,311 @@ def training_summary(trained: Trained) -> str:
     kept = " (already trained)" if trained.kept else ""
     found = f"{100 * rms:.2g} % RMS, {100 * worst:.2g} % worst"
     return f"held-out errors up to {found}, from {len(trained.samples.F)} samples{kept}"
+
+
+# The bound.
+
+
+def calibrate(
+    surrogate: SurrogateLaw,
+    samples: StressSamples,
+    law: StressLaw | None = None,
+    settings: CalibrationSettings | None = None,
+    *,
+    problem: Problem | None = None,
+    macro: MacroSettings = SECTION_6_2,
+    report: Report = no_report,
+    shaping: Sequence[Truth] = (),
+    runs: Runs | None = None,
+) -> SurrogateLaw:
+    """The surrogate with the bound of its error, without which a `CachedLaw` never trusts it.
+
+    RVEs along paths that it has not seen give the bound; `surrogate.calibration` says what it
+    promises, `bound_summary` what was found.
+
+    Args:
+        samples: that it was trained on; walks are drawn from their range.
+        law: the full model; None: the RVEs of the samples.
+        settings: how many paths of which kind.
+        problem: whose runs under other loads are paths too; None: the paper's bar.
+        macro: settings of these runs; the paper's bar has 2 × 2 elements.
+        report: called with the fraction that is done, up to 1, and a remark.
+        shaping: as of `shaping_truths`, which computes it where it is left out.
+        runs: instead of those of `problem`.
+
+    Raises:
+        InputError: no path to calibrate on.
+    """
+    law = law or RveLaw(samples.cell, initialisation=samples.initialisation)
+    settings = settings or CalibrationSettings()
+    if runs is None:
+
+        def runs(count: int, seed: int) -> Iterator[list[State]]:
+            bar = LoadCase(elements=(RUN_ELEMENTS, RUN_ELEMENTS))
+            vary = varied_problems if problem else random_loads
+            return _met_in_runs(surrogate, vary(problem or bar, count, seed), macro, seed)
+
+    # Which samples there are may depend on what another surrogate did along paths of this seed
+    # (`refine`), so these samples choose the paths that calibrate.
+    drawn = np.random.SeedSequence([settings.seed, 0, int(samples.fingerprint, 16)])
+    walk_seed, run_seed, shaping_seed = drawn.generate_state(3).tolist()
+
+    def run_kind(count: int, seed: int) -> DeformationPaths:
+        met = []
+        for along_a_run in runs(count, seed):
+            met.append(along_a_run)
+            report(0.0, f"run {len(met)} of {count}")
+        return run_paths(met, -(-settings.length // 3))
+
+    shaping = [*(shaping or shaping_truths(samples, law, settings))]
+    shapes, tests = [], []
+    if settings.walks:
+        tests.append(random_walks(samples.range, settings.walks, settings.length, walk_seed))
+    if settings.runs:
+        shapes.append(run_kind(int(np.ceil(SHAPING_RUNS * settings.runs)), shaping_seed))
+        tests.append(run_kind(settings.runs, run_seed))
+    total = sum(len(paths.states[0]) for paths in (*shapes, *tests))
+    done = 0
+
+    def solved(paths: DeformationPaths) -> Truth:
+        nonlocal done
+        stress, status = true_stress(
+            paths, law, lambda k: report((done + k) / max(total, 1), "stresses of RVEs")
+        )
+        done += len(status)
+        return Truth(paths, stress, status)
+
+    shaping += [solved(paths) for paths in shapes]
+    testing = [solved(paths) for paths in tests]
+    bounded = calibrate_by(surrogate, samples, shaping, testing, settings.alpha, asdict(settings))
+    why = _unbounded(bounded)
+    if why:
+        log.warning("bound: none, because %s", why)
+    return bounded
+
+
+def calibrate_surrogate(
+    recipe: Recipe,
+    surrogate: SurrogateLaw,
+    samples: StressSamples,
+    report: Report,
+    shaping: Sequence[Truth],
+) -> SurrogateLaw:
+    """The surrogate with a calibrated bound, by RVEs along paths of the recipe; see `calibrate`."""
+    law, runs = laws.true_law(recipe), partial(_runs, recipe, surrogate)
+    settings = recipe.calibration
+    return calibrate(surrogate, samples, law, settings, report=report, shaping=shaping, runs=runs)
+
+
+def shaping_truths(
+    samples: StressSamples, law: StressLaw, settings: CalibrationSettings
+) -> list[Truth]:
+    """Stresses along the walks that shape the bound. Training may look at these, since what the
+    bound promises rests on the paths that calibrate it."""
+    count = int(np.ceil(SHAPING_WALKS * settings.walks))
+    (seed,) = np.random.SeedSequence([settings.seed, 1]).generate_state(1).tolist()
+    walks = random_walks(samples.range, count, settings.length, seed)
+    return [Truth(walks, *true_stress(walks, law))] if count else []
+
+
+def shaped_bound(
+    surrogate: SurrogateLaw, samples: StressSamples, shaping: Sequence[Truth]
+) -> float:
+    """The largest bound within the domain that the shaping paths alone would give, by the spread of
+    stress; infinite where they give none."""
+    alpha = 1.0 / (1.0 + min(truth.paths.count for truth in shaping))
+    bounded = calibrate_by(surrogate, samples, shaping, shaping, alpha)
+    return _edge(bounded, samples) / stress_spread(samples.valid.stress)
+
+
+def _runs(recipe: Recipe, surrogate: SurrogateLaw, count: int, seed: int) -> Iterator[list[State]]:
+    """What runs under other loads meet at points of a cell; others follow their quadratic law."""
+    problem, whole, macro = _coarse_problem(recipe), replace(recipe, part=None), recipe.macro
+    cases = varied_problems(problem, count, seed)
+    if recipe.stated.section == "load":
+        cases = random_loads(problem, count, seed)
+        macro = replace(macro, integrator="explicit")
+    others = {
+        name: laws.quadratic_law(part)
+        for name, part in whole.parts().items()
+        if name != recipe.cell_name
+    }
+
+    def tissue(watched: StressLaw) -> StressLaw:
+        return law_by_region(whole, problem.mesh, lambda part: others.get(part.cell_name, watched))
+
+    return _met_in_runs(surrogate, cases, macro, seed, tissue)
+
+
+def _coarse_problem(recipe: Recipe) -> Problem:
+    """The recipe's problem, on a coarser mesh where that is a rectangle and has all it names."""
+    whole, stated = replace(recipe, part=None), recipe.stated
+    if stated.mesh.elements is not None and len(whole.cells) == 1:
+        along, across = (min(n, RUN_ELEMENTS) for n in stated.mesh.elements)
+        mesh = replace(stated.mesh, elements=(along, across))
+        with suppress(InputError):
+            return replace(whole, stated=replace(stated, mesh=mesh)).problem()
+    return whole.problem()
+
+
+def _met_in_runs(
+    surrogate: StressLaw,
+    cases: Iterable[Problem],
+    macro: MacroSettings,
+    seed: int,
+    tissue: Callable[[StressLaw], StressLaw] = lambda watched: watched,
+) -> Iterator[list[State]]:
+    """(F, F_dot) at some of the surrogate's points at the steps of each run, while in its range;
+    `tissue` gives the law of all points by that of the surrogate's."""
+    macro = replace(macro, frames=2, record_dissipation=False)
+    met: list[State] = []
+    points: NDArray[np.int64] | None = None
+    system: System | None = None
+
+    def note(F: Array, F_dot: Array) -> None:
+        nonlocal points
+        if points is None:
+            points = np.random.default_rng(seed).permutation(len(F))[:RUN_POINTS]
+        met.append((F[points], F_dot[points]))
+
+    law = tissue(WatchedLaw(surrogate, note))
+    for each in cases:
+        met = []
+        system = system_of(each, law) if system is None else system.under(each)
+        with suppress(SimulationError):  # a load beyond the surrogate's range ends the path
+            simulate(each, law, macro, system=system)
+        yield met
+
+
+def _unbounded(surrogate: SurrogateLaw) -> str:
+    """Why the bound is infinite even at rest; empty where it is not."""
+    calibration = surrogate.calibration
+    if calibration is None or not np.isfinite(calibration.quantile):
+        return (
+            "the RVE has no stress on too many paths within the domain; "
+            "narrow [range] or generate more samples"
+        )
+    if np.isfinite(_at_rest(surrogate)):
+        return ""
+    return (
+        "the samples that failed or left a bifurcation leave no domain even at rest, "
+        "and every point of a cached run would go to its RVE; narrow [range]"
+    )
+
+
+def _at_rest(surrogate: SurrogateLaw) -> float:
+    return float(surrogate.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0])
+
+
+def _edge(surrogate: SurrogateLaw, samples: StressSamples) -> float:
+    """The largest bound at any sample that the surrogate answers; infinite where it has none."""
+    everywhere = surrogate.error_bound(samples.valid.F, samples.valid.F_dot)
+    return float(everywhere[np.isfinite(everywhere)].max(initial=_at_rest(surrogate)))
+
+
+def bound_summary(surrogate: SurrogateLaw, samples: StressSamples, tolerance: float) -> str:
+    """What the calibration found, in two lines.
+
+    Args:
+        tolerance: of the cache, a fraction of the spread of stress.
+    """
+    why, calibration = _unbounded(surrogate), surrogate.calibration
+    if why or calibration is None:
+        return f"Error bound: none, because {why}"
+    centre, edge = (
+        percent(2)(bound / calibration.stress_spread)
+        for bound in (_at_rest(surrogate), _edge(surrogate, samples))
+    )
+    kept = f"{100.0 * (1.0 - calibration.alpha):g} %"
+    paths = " and ".join(
+        f"{kind['paths']:,} {name}" for name, kind in calibration.kinds.items() if kind["paths"]
+    )
+    return (
+        f"Error bound: {centre} of the stress spread at the centre of the range, {edge} at its "
+        f"edge; tolerance {percent(3)(tolerance)}\n"
+        f"The bound holds on {kept} of paths like the {paths} that calibrated it, with "
+        f"{100.0 * calibration.confidence:.2g} % confidence, times a margin of {MARGIN:g}"
+    )
+
+
+def random_loads(problem: Problem, count: int, seed: int) -> Iterator[Problem]:
+    """The bar under body forces of any direction that come, go and reverse, of up to 25 µs.
+
+    Their modulus is a quarter to three times that of its own, uniform; its factor runs linearly
+    through values uniform in [−1, 1], the first of them at once.
+    """
+    rng = np.random.default_rng(seed)
+    *others, load = problem.conditions
+    assert isinstance(load, BodyForce)
+    modulus = float(np.hypot(*load.acceleration))
+    duration = min(problem.duration, LONGEST_RUN)
+    times = np.linspace(0.0, duration, LOAD_TIMES)
+    for _ in np.arange(count):
+        angle, factor = rng.uniform(-np.pi, np.pi), rng.uniform(*LOAD_FACTOR)
+        force = modulus * factor * np.array([np.cos(angle), np.sin(angle)])
+        course = Table(points=tuple((t, rng.uniform(-1.0, 1.0)) for t in times.tolist()))
+        varied = replace(load, acceleration=tuple(force.tolist()), amplitude=course)
+        yield replace(
+            problem, conditions=(*others, varied), duration=duration, output_interval=duration
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Varied(Amplitude):
+    """factor · amplitude(pace · t)."""
+
+    amplitude: Amplitude
+    factor: float
+    pace: float
+
+    def at(self, t: float, within: float) -> Value:
+        factor, pace = self.factor, self.pace
+        value, rate, bend = self.amplitude.at(pace * t, pace * within)
+        return factor * value, factor * pace * rate, factor * pace**2 * bend
+
+    def corners(self) -> tuple[float, ...]:
+        return tuple(t / self.pace for t in self.amplitude.corners())
+
+    @property
+    def resolved_by(self) -> float:
+        return self.amplitude.resolved_by / self.pace
+
+
+def varied_problems(problem: Problem, count: int, seed: int) -> Iterator[Problem]:
+    """The problem under loads that are weaker or stronger, and faster or slower with its duration.
+
+    Constant loads and initial velocities vary by their factor alone.
+    """
+    rng = np.random.default_rng(seed)
+    for _ in np.arange(count):
+        pace = float(np.exp(rng.uniform(*np.log(PACE))))
+        conditions = tuple(
+            _varied(each, float(rng.uniform(*FACTOR)), pace) for each in problem.conditions
+        )
+        bodies = tuple(_varied(each, float(rng.uniform(*FACTOR)), pace) for each in problem.bodies)
+        yield replace(
+            problem,
+            conditions=conditions,
+            bodies=bodies,
+            duration=problem.duration / pace,
+            output_interval=problem.duration / pace,
+        )
+
+
+def _varied(stated: Condition | RigidBody, factor: float, pace: float) -> Any:
+    if isinstance(stated, DrivenCondition):
+        return replace(stated, amplitude=Varied(stated.amplitude, factor, pace))
+    if isinstance(stated, InitialVelocity):
+        return replace(stated, velocity=_times(factor, stated.velocity))
+    if isinstance(stated, RigidBody):
+        return replace(
+            stated,
+            amplitude=Varied(stated.amplitude, factor, pace),
+            velocity=_times(factor, stated.velocity),
+            acceleration=_times(factor, stated.acceleration),
+        )
+    return stated
+
+
+def _times(factor: float, vector: tuple[float, float]) -> tuple[float, float]:
+    return factor * vector[0], factor * vector[1]

@@ -15,8 +15,8 @@ from surrofe2.store.samples import read_data_set
 from surrofe2.store.surrogates import read_surrogate
 from surrofe2.surrogate import training
 from surrofe2.surrogate.deformation_paths import random_walks
-from surrofe2.workflow import calibrate as calibrating
-from surrofe2.workflow.calibrate import FACTOR, PACE, Varied, varied_problems
+from surrofe2.workflow import train as calibrating
+from surrofe2.workflow.train import FACTOR, PACE, Varied, varied_problems
 from tests.laws import SoftLaw
 from tests.macro.bars import with_load
 

@@ -22,7 +22,7 @@ from surrofe2.surrogate.deformation_paths import (
     true_stress,
 )
 from surrofe2.surrogate.settings import CalibrationSettings
-from surrofe2.workflow.calibrate import calibrate_surrogate, shaping_truths
+from surrofe2.workflow.train import calibrate_surrogate, shaping_truths
 
 DATA = Path(__file__).parents[2] / "data"
 TOLERANCE = 1e-3
