@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 
 from surrofe2 import LoadCase
-from surrofe2.macro import MacroSettings
+from surrofe2.macro import MacroSettings, MacroState, simulate
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.system import make_system
 
@@ -24,6 +24,29 @@ def with_load(problem, **changes):
     """The bar with another body force."""
     clamp, load = problem.conditions
     return replace(problem, conditions=(clamp, replace(load, **changes)))
+
+
+def resumed(problem, law, settings, state):
+    """The run from a state that went through a file's arrays."""
+    return simulate(problem, law, settings, resume=MacroState.from_arrays(state.to_arrays()))
+
+
+def assert_same_run(found, whole, atol=0.0):
+    """Curves, energies, histories and frames of two runs, to the bit by default; and counts."""
+    series = [(each.energies | each.history, vars_of(each.frames)) for each in (found, whole)]
+    for own, other in zip(*series, strict=True):
+        assert own.keys() == other.keys()
+        for name, values in other.items():
+            np.testing.assert_allclose(own[name], values, rtol=0.0, atol=atol, err_msg=name)
+    np.testing.assert_array_equal(found.curve.t, whole.curve.t)
+    for name, curve in whole.curves.items():
+        own = found.curves[name].displacement
+        np.testing.assert_allclose(own, curve.displacement, rtol=0.0, atol=atol, err_msg=name)
+    assert found.counts == whole.counts
+
+
+def vars_of(data):
+    return {item.name: getattr(data, item.name) for item in fields(data)}
 
 
 def equations_of_bar(problem, law):

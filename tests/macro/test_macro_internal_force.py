@@ -19,6 +19,7 @@ from surrofe2.problem import Problem
 from tests.laws import KelvinVoigt
 from tests.macro.bars import PLATE, distorted_bar, random_state, state_vector
 from tests.macro.meshes import plate
+from tests.numerics import assert_near, turn
 
 
 def unheld_state(bar, rng):
@@ -26,50 +27,42 @@ def unheld_state(bar, rng):
     return rng.uniform(-0.5, 0.5, (2, *bar.nodes.shape))
 
 
-def deformation_twin(bar, u, v):
-    nodal_u, nodal_v = u[bar.elements], v[bar.elements]
-    gradients = bar.gradients
-    F = np.eye(2) + np.einsum("eai,eqaj->eqij", nodal_u, gradients)
-    F_dot = np.einsum("eai,eqaj->eqij", nodal_v, gradients)
+@pytest.fixture(params=["quads", "curved triangles"])
+def space(request, rng):
+    """Elements that are no rectangles, of five points each or of three."""
+    if request.param == "quads":
+        return distorted_bar(rng).discretisation
+    problem = Problem(mesh=plate(request.param, rng), conditions=())
+    return make_system(problem, 0.08).discretisation
+
+
+def deformation_twin(space, u, v):
+    nodal_u, nodal_v = u[space.elements], v[space.elements]
+    F = np.eye(2) + np.einsum("eai,eqaj->eqij", nodal_u, space.gradients)
+    F_dot = np.einsum("eai,eqaj->eqij", nodal_v, space.gradients)
     return F.reshape(-1, 2, 2), F_dot.reshape(-1, 2, 2)
 
 
-def internal_force_twin(bar, F, stress):
+def stress_times_area(space, F, stress):
+    """(e, q, 2, 2) what counts of the stress at each point, times its current area: of
+    quadrilaterals the deviator at the first four points, the pressure at the fifth, the middle."""
+    points = space.weights.shape
+    area = (det(F).reshape(points) * space.weights)[..., None, None]
+    stress = stress.reshape(*points, 2, 2)
+    if points[1] == 5:
+        pressure = 0.5 * np.trace(stress, axis1=2, axis2=3)[..., None, None] * np.eye(2)
+        stress = np.concatenate([(stress - pressure)[:, :4], pressure[:, 4:]], axis=1)
+    return area * stress
+
+
+def internal_force_twin(space, F, stress):
     """As it is written: current gradients F⁻ᵀ∇N, current areas det F w, dev and tr/2 apart."""
-    F, stress = F.reshape(-1, 5, 2, 2), stress.reshape(-1, 5, 2, 2)
-    current = np.einsum("eqaj,eqji->eqai", bar.gradients, np.linalg.inv(F))
-    area = np.linalg.det(F) * bar.weights
-    pressure = 0.5 * np.trace(stress, axis1=2, axis2=3)[:, :, None, None] * np.eye(2)
-    nodal = np.einsum("eq,eqij,eqaj->eai", area[:, :4], (stress - pressure)[:, :4], current[:, :4])
-    nodal += np.einsum("e,eij,eaj->eai", area[:, 4], pressure[:, 4], current[:, 4])
-    force = np.zeros_like(bar.nodes)
-    np.add.at(force, bar.elements, nodal)
+    inverse = np.linalg.inv(F).reshape(*space.weights.shape, 2, 2)
+    current = np.einsum("eqaj,eqji->eqai", space.gradients, inverse)
+    force = np.zeros_like(space.nodes)
+    counted = stress_times_area(space, F, stress)
+    np.add.at(force, space.elements, np.einsum("eqij,eqaj->eai", counted, current))
     return force
-
-
-def test_triangles_balance_and_their_virial_is_the_stress(rng):
-    """Σ f = 0, Σ f ⊗ x = ∫ σ dv and Σ f · v = ∫ σ : L dv, σ unsymmetric; three points each."""
-    system = make_system(Problem(mesh=plate("curved triangles", rng), conditions=()), 0.08)
-    space = system.discretisation
-    assert space.n_points == 3 * len(space.elements)
-    u, v = unheld_state(space, rng)
-    F, F_dot, J = deformation_gradient(space, u, v)
-    stress = rng.normal(size=F.shape)
-    force = internal_force(space, F, stress)
-    assert abs(force.sum(axis=0)).max() < 1e-12 * abs(force).sum()
-    area = J * space.weights.ravel()
-    virial = np.einsum("p,pij->ij", area, stress)
-    np.testing.assert_allclose(force.T @ (space.nodes + u), virial, rtol=1e-10)
-    power = area * np.einsum("pij,pij->p", stress, F_dot @ np.linalg.inv(F))
-    assert np.vdot(force, v) == pytest.approx(power.sum(), rel=1e-10)
-    by_element = power.reshape(-1, 3).sum(axis=1)
-    np.testing.assert_allclose(stress_power(space, F, F_dot, stress), by_element, atol=1e-10)
-    mean = element_mean_stress(space, F, stress)
-    total = (mean * area.reshape(-1, 3).sum(axis=1)[:, None, None]).sum(axis=0)
-    np.testing.assert_allclose(total, virial, rtol=1e-10, atol=1e-10)
-    centre = np.einsum("eq,eqij->eij", space.weights, F.reshape(-1, 3, 2, 2))
-    centre /= space.weights.sum(axis=1)[:, None, None]
-    np.testing.assert_allclose(element_mean_F(space, F), centre, rtol=1e-12)
 
 
 def extremes_twin(F, F_dot):
@@ -82,23 +75,16 @@ def extremes_twin(F, F_dot):
     return values.min(axis=1), values.max(axis=1)
 
 
-def test_deformation_kernel_agrees_with_its_twin(rng):
-    bar = distorted_bar(rng).discretisation
-    u, v = unheld_state(bar, rng)
-    F, F_dot, J = deformation_gradient(bar, u, v)
-    expected_F, expected_rate = deformation_twin(bar, u, v)
+def test_kernels_agree_with_their_twins(space, rng):
+    u, v = unheld_state(space, rng)
+    F, F_dot, J = deformation_gradient(space, u, v)
+    expected_F, expected_rate = deformation_twin(space, u, v)
     np.testing.assert_allclose(F, expected_F, rtol=0, atol=1e-13)
     np.testing.assert_allclose(F_dot, expected_rate, rtol=0, atol=1e-13)
     np.testing.assert_allclose(J, det(expected_F), rtol=0, atol=1e-13)
-
-
-def test_force_kernel_agrees_with_its_twin(rng):
-    bar = distorted_bar(rng).discretisation
-    F, _, _ = deformation_gradient(bar, *unheld_state(bar, rng))
     stress = rng.normal(size=F.shape)
-    expected = internal_force_twin(bar, F, stress)
-    atol = 1e-12 * abs(expected).max()
-    np.testing.assert_allclose(internal_force(bar, F, stress), expected, rtol=0, atol=atol)
+    expected = internal_force_twin(space, F, stress)
+    assert_near(internal_force(space, F, stress), expected, 1e-12)
 
 
 def test_extremes_kernel_agrees_with_its_twin(rng):
@@ -126,10 +112,8 @@ def test_kernels_keep_nan(rng):
 
 def test_rotating_unheld_body_feels_no_force(rng):
     bar, law = distorted_bar(rng).discretisation, KelvinVoigt()
-    c, s, spin = np.cos(0.7), np.sin(0.7), 0.3
-    Q = np.array([[c, -s], [s, c]])
-    x = bar.nodes @ Q.T
-    v = spin * x @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    x = bar.nodes @ turn(0.7).T
+    v = 0.3 * x @ np.array([[0.0, 1.0], [-1.0, 0.0]])
     F, F_dot, _ = deformation_gradient(bar, x - bar.nodes, v)
     force = internal_force(bar, F, law.respond(F, F_dot).stress)
     assert abs(force).max() < 1e-12 * law.shear_modulus * PLATE["height"]
@@ -138,19 +122,33 @@ def test_rotating_unheld_body_feels_no_force(rng):
     assert abs(internal_force(bar, F, law.respond(F, F_dot).stress)).max() > 1.0
 
 
-def test_forces_of_unheld_body_balance_and_their_virial_is_the_stress(rng):
-    """Σ f = 0, and Σ f ⊗ x = Σ_Gauss dv dev σ + Σ_centre dv tr(σ)/2 I, σ unsymmetric."""
-    bar = distorted_bar(rng).discretisation
-    u, v = unheld_state(bar, rng)
-    F, _, J = deformation_gradient(bar, u, v)
+def test_forces_of_unheld_body_balance_and_their_virial_is_the_stress(space, rng):
+    """Σ f = 0, Σ f ⊗ x = ∫ σ dv and Σ f · v = ∫ σ : L dv, σ unsymmetric."""
+    u, v = unheld_state(space, rng)
+    F, F_dot, _ = deformation_gradient(space, u, v)
     stress = rng.normal(size=F.shape)
-    force = internal_force(bar, F, stress)
+    force = internal_force(space, F, stress)
     assert abs(force.sum(axis=0)).max() < 1e-12 * abs(force).sum()
-    area = (J.reshape(-1, 5) * bar.weights)[..., None, None]
-    stress = stress.reshape(-1, 5, 2, 2)
-    pressure = 0.5 * np.trace(stress, axis1=2, axis2=3)[..., None, None] * np.eye(2)
-    expected = (area * (stress - pressure))[:, :4].sum(axis=(0, 1)) + (area * pressure)[:, 4].sum(0)
-    np.testing.assert_allclose(force.T @ (bar.nodes + u), expected, rtol=1e-11)
+    counted = stress_times_area(space, F, stress)
+    np.testing.assert_allclose(force.T @ (space.nodes + u), counted.sum(axis=(0, 1)), rtol=1e-11)
+    L = (F_dot @ np.linalg.inv(F)).reshape(counted.shape)
+    by_element = np.einsum("eqij,eqij->e", counted, L)
+    assert np.vdot(force, v) == pytest.approx(by_element.sum(), rel=1e-10)
+    np.testing.assert_allclose(stress_power(space, F, F_dot, stress), by_element, atol=1e-10)
+
+
+def test_means_over_triangles_are_those_of_their_points(rng):
+    problem = Problem(mesh=plate("curved triangles", rng), conditions=())
+    space = make_system(problem, 0.08).discretisation
+    F, _, J = deformation_gradient(space, *unheld_state(space, rng))
+    stress, points = rng.normal(size=F.shape), (len(space.elements), 3)
+    for found, values, weights in (
+        (element_mean_stress(space, F, stress), stress, J.reshape(points) * space.weights),
+        (element_mean_F(space, F), F, space.weights),
+    ):
+        whole = np.einsum("eq,eqij->eij", weights, values.reshape(*points, 2, 2))
+        mean = whole / weights.sum(axis=1)[:, None, None]
+        np.testing.assert_allclose(found, mean, rtol=1e-10, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -167,13 +165,9 @@ def test_load_power_is_kinetic_rate_plus_internal_power(seed):
     load_power = 0.7 * np.vdot(system.forces[0].dead, v)
 
     F, F_dot = deformation_twin(bar, u, v)
-    L = (F_dot @ np.linalg.inv(F)).reshape(-1, 5, 2, 2)
-    stress = law.respond(F, F_dot).stress.reshape(-1, 5, 2, 2)
-    area = det(F).reshape(-1, 5) * bar.weights
-    trace_L, pressure = (np.trace(A, axis1=2, axis2=3) for A in (L, 0.5 * stress))
-    power = np.einsum("eqij,eqij->eq", stress, L) - pressure * trace_L
-    internal_power = (area * power)[:, :4].sum() + (area * pressure * trace_L)[:, 4].sum()
-
+    counted = stress_times_area(bar, F, law.respond(F, F_dot).stress)
+    L = F_dot @ np.linalg.inv(F)
+    internal_power = np.vdot(counted, L)
     scale = abs(kinetic_rate) + abs(internal_power)
     assert abs(load_power - kinetic_rate - internal_power) < 1e-10 * scale
     powers = [internal_power, load_power, 0.0, kinetic_rate]

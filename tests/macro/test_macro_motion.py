@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surrofe2.base.errors import InputError
-from surrofe2.macro import MacroSettings, MacroState, simulate
+from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.system import make_system
 from surrofe2.problem import (
@@ -22,7 +22,7 @@ from surrofe2.problem import (
 )
 from surrofe2.problem.amplitude import ONE, Pulse, Ramp, Sine, Table
 from tests.laws import KelvinVoigt
-from tests.macro.bars import random_state, state_vector
+from tests.macro.bars import assert_same_run, random_state, resumed, state_vector
 from tests.macro.meshes import HEIGHT, WIDTH, plate, sides_of
 
 LAW = KelvinVoigt()
@@ -156,13 +156,7 @@ def test_run_resumes_to_the_bit_across_corners(integrator, rng):
     at_corner = int(np.flatnonzero(t == corners[3])[0])
     assert whole.history["penetration ball"].max() > 0.0
     for number in (2, at_corner, at_corner + 1):
-        state = MacroState.from_arrays(states[number].to_arrays())
-        resumed = simulate(problem, LAW, settings, resume=state)
-        np.testing.assert_array_equal(resumed.curve.displacement, whole.curve.displacement)
-        for name, values in {**whole.energies, **whole.history}.items():
-            found = {**resumed.energies, **resumed.history}[name]
-            np.testing.assert_array_equal(found, values, err_msg=name)
-        assert resumed.counts == whole.counts
+        assert_same_run(resumed(problem, LAW, settings, states[number]), whole)
 
 
 @pytest.mark.parametrize("integrator", ["explicit", "implicit"])

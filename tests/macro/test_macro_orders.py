@@ -16,6 +16,7 @@ from surrofe2.problem.amplitude import Proportional
 from surrofe2.problem.mesh import element_nodes
 from tests.laws import KelvinVoigt, LinearFirstPiola
 from tests.macro.meshes import distance, plate, quadrature, weak_load
+from tests.numerics import rates
 
 KINDS = ("quads", "triangles")
 TIGHT = MacroSettings(newton_tolerance=1e-11)
@@ -34,10 +35,6 @@ def gradient(x):
     shared = 2 * (2 * x + x**2) * e * c
     rows = [[shared, -4 * x**2 * e * s], [-(2 + 4 * x + x**2) * e * s, -shared]]
     return 0.1 * np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def rates(errors):
-    return np.log2(np.divide(errors[:-1], errors[1:]))
 
 
 def first_piola(law, F):

@@ -11,8 +11,7 @@ from surrofe2.base.simd import TILE, fill_tanh
 from surrofe2.base.square_symmetry import parity
 from surrofe2.base.tensors import INPUTS, to_inputs
 from surrofe2.law.stress_law import Status
-from surrofe2.surrogate import TrainingSettings
-from surrofe2.surrogate.features import SYMMETRIES, input_scale
+from surrofe2.surrogate.features import SYMMETRIES
 from surrofe2.surrogate.lookup import (
     MANY,
     BoundArrays,
@@ -20,22 +19,18 @@ from surrofe2.surrogate.lookup import (
     evaluate_slopes,
     lookup,
 )
-from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.products import BLOCK, ONE, TILES, Polynomials, columns, evaluate, monomials
 from tests.laws import RANGE
-from tests.surrogate.twins import differentiate, network_stress
+from tests.numerics import assert_near, turn
+from tests.surrogate import twins
 
 EVERYWHERE = BoundArrays.of(None, None)
 
 
-def make_network(hidden, degree, symmetry="D4", **settings):
+def make_network(hidden, degree, symmetry="D4"):
     """Random weights, all of which matter."""
-    settings = TrainingSettings(hidden=hidden, baseline_degree=degree, seed=3, **settings)
-    network = StressNetwork(settings, symmetry)
+    network = twins.make_network(symmetry, hidden, degree)
     network.second_order = True
-    generator = torch.Generator().manual_seed(4)
-    network.input_scale.copy_(torch.from_numpy(input_scale(RANGE)))
-    network.coefficients.normal_(generator=generator)
     network.output_scale.copy_(torch.tensor([1.0, 2.0, 3.0, 4.0]))
     return network
 
@@ -51,8 +46,7 @@ def look_up(F, F_dot, arrays):
 
 def turned_points(count):
     F, F_dot = sample(RANGE, count, seed=2)
-    Q = np.array([[0.6, -0.8], [0.8, 0.6]])
-    return Q @ F, Q @ F_dot
+    return turn(0.9) @ F, turn(0.9) @ F_dot
 
 
 @pytest.mark.parametrize(
@@ -64,9 +58,8 @@ def test_agrees_with_torch(hidden, degree, symmetry, count):
     network = make_network(hidden, degree, symmetry)
     F, F_dot = turned_points(count)
     stress, status = look_up(F, F_dot, make_arrays(network))
-    expected = network_stress(network, F, F_dot)
     assert not status.any()
-    assert np.abs(stress - expected).max() < 1e-12 * np.abs(expected).max()
+    assert_near(stress, twins.network_stress(network, F, F_dot), 1e-12)
 
 
 @pytest.mark.parametrize("symmetry", SYMMETRIES)
@@ -74,21 +67,16 @@ def test_agrees_with_torch(hidden, degree, symmetry, count):
 def test_slopes_of_every_symmetry_agree_with_torch(symmetry, degree):
     network = make_network((7, 6), degree, symmetry)
     F, F_dot = turned_points(BLOCK + 3)
-    found = slopes_of(network, F, F_dot)
-    expected = differentiate(network, to_inputs(F, F_dot)[0])
+    found = evaluate_slopes(F, F_dot, make_arrays(network))
+    expected = twins.differentiate(network, to_inputs(F, F_dot)[0])
     for one, other in zip(found, expected, strict=True):
-        assert np.abs(one - other).max() < 1e-12 * np.abs(other).max()
-
-
-def slopes_of(network, F, F_dot):
-    return evaluate_slopes(F, F_dot, make_arrays(network))
+        assert_near(one, other, 1e-12)
 
 
 def test_no_points():
-    network, none = make_network((4,), 1), np.empty((0, 2, 2))
-    shapes = [each.shape for each in look_up(none, none, make_arrays(network))]
-    assert shapes == [(0, 2, 2), (0,)]
-    assert [each.shape for each in slopes_of(network, none, none)] == [(0, 4), (0, 4, 7)]
+    arrays, none = make_arrays(make_network((4,), 1)), np.empty((0, 2, 2))
+    found = *look_up(none, none, arrays), *evaluate_slopes(none, none, arrays)
+    assert [each.shape for each in found] == [(0, 2, 2), (0,), (0, 4), (0, 4, 7)]
 
 
 def test_many_points_on_all_cores_give_the_same():
@@ -154,39 +142,26 @@ def test_a_fingerprint_is_of_weights_and_range():
     assert replace(parameters, tensors=other).fingerprint(RANGE) != parameters.fingerprint(RANGE)
 
 
-def all_products(degree, symmetric):
-    products = [(), *monomials(degree)]
-    if symmetric:
-        return [(product, parity(product)) for product in products]
-    return [(product, component) for product in products for component in range(3)]
-
-
-def differentiated(product, k):
-    left = list(product)
-    if k not in left:
-        return 0.0, ()
-    left.remove(k)
-    return float(product.count(k)), tuple(left)
-
-
 @pytest.mark.parametrize("inputs", [0, INPUTS])
 @pytest.mark.parametrize(("degree", "symmetric"), [(1, True), (4, True), (3, False), (5, True)])
 def test_values_and_slopes_are_sums_of_monomials(degree, symmetric, inputs):
-    rng = np.random.default_rng(degree)
-    listed = all_products(degree, symmetric)
-    coefficients = rng.normal(size=len(listed)).tolist()
-    x = rng.uniform(-1.0, 1.0, (TILES * TILE, INPUTS + 1))
-    x[:, ONE] = 1.0
-    expected, slopes = np.zeros((4, len(x))), np.zeros((INPUTS, 4, len(x)))
-    for (product, component), c in zip(listed, coefficients, strict=True):
-        expected[component] += c * columns(x, [product])[0]
-        for k in range(INPUTS):
-            count, left = differentiated(product, k)
-            slopes[k, component] += c * count * columns(x, [left])[0]
+    """Slopes by differences along imaginary inputs, which are exact."""
+    rng, h = np.random.default_rng(degree), 1e-30
+    products = [(), *monomials(degree)]
     each = [
-        [(product, c) for (product, at), c in zip(listed, coefficients, strict=True) if at == k]
+        [(product, rng.normal()) for product in products if not symmetric or parity(product) == k]
         for k in range(4)
     ]
+    each[3] = each[3] if symmetric else []
+    x = rng.uniform(-1.0, 1.0, (TILES * TILE, INPUTS + 1))
+    x[:, ONE] = 1.0
+
+    def values(x):
+        zero = 0.0 * x[:, 0]
+        return np.array([zero + sum(c * x[:, [*p]].prod(axis=1) for p, c in part) for part in each])
+
+    expected = values(x)
+    slopes = np.array([values(x + 1j * h * unit).imag / h for unit in np.eye(INPUTS, INPUTS + 1)])
     kept = [(0, 3, 6), (2,), ()]
     polynomials = Polynomials.of(ONE + 1, each, kept)
     rows = np.full((ONE + 1 + len(polynomials.products), TILES, TILE), np.nan)
@@ -194,7 +169,7 @@ def test_values_and_slopes_are_sums_of_monomials(degree, symmetric, inputs):
     y, row_slopes = np.empty((4, TILES, TILE)), np.empty((inputs, *rows.shape))
     y_slopes = np.empty((inputs, *y.shape))
     evaluate(polynomials, rows, y, row_slopes, y_slopes)
-    assert np.abs(y.reshape(4, -1) - expected).max() < 1e-12 * np.abs(expected).max()
+    assert_near(y.reshape(4, -1), expected, 1e-12)
     found = y_slopes.reshape(inputs, 4, len(x)) - slopes[:inputs]
     assert np.abs(found).max(initial=0.0) < 1e-12 * np.abs(slopes).max()
     read = rows[polynomials.kept].reshape(len(kept), -1)

@@ -49,9 +49,9 @@ def buckles(x):
     return sum_U + 2.0 * rate < -0.07 + 2.0 * difference**2 + 1.5 * shear**2
 
 
-def make_network(symmetry="D4"):
+def make_network(symmetry="D4", hidden=(6, 5), degree=3):
     """A torch network of random weights."""
-    settings = TrainingSettings(hidden=(6, 5), baseline_degree=3, seed=2)
+    settings = TrainingSettings(hidden=hidden, baseline_degree=degree, seed=2)
     network = StressNetwork(settings, symmetry)
     generator = torch.Generator().manual_seed(4)
     network.input_scale.copy_(torch.from_numpy(input_scale(RANGE)))
