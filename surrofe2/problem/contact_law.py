@@ -75,31 +75,29 @@ def friction(pressed: Real, sliding: Real, law: tuple[float, float]) -> tuple[Re
 
 
 @formula
-def circle(x: Real, y: Real, radius: float) -> tuple[Real, Real, Real, Real]:
-    """Gap, normal (two) and curvature at points relative to the middle of a disc."""
-    distance = np.maximum(np.sqrt(x * x + y * y), TINY)
-    return distance - radius, x / distance, y / distance, 1.0 / distance
+def gap(x: Real, y: Real, outline: Any) -> tuple[Real, Real, Real, Real]:
+    """Gap, normal (two) and curvature at points relative to a body's position.
 
-
-@formula
-def corner(
-    x: Real, y: Real, wedge: tuple[float, float, float, float, float]
-) -> tuple[Real, Real, Real, Real]:
-    """The same relative to the tip of a rounded wedge: distance from a sharp one, less the radius.
+    Every outline is a rounded wedge: the distance from a sharp one less the radius, with the tip of
+    the rounding at the body's position. A half plane is a wedge of 180° without rounding, a disc is
+    a tip without flanks.
 
     Args:
-        wedge: unit axis into the body (two), cosine and sine of half its angle, radius (µm).
+        outline: unit axis into the body (two, zero of a disc), cosine and sine of half the angle,
+            radius (µm), and how far along the flanks the tip reaches, 0 or infinity (µm).
     """
-    axis_x, axis_y, cosine, sine, radius = wedge
+    axis_x, axis_y, cosine, sine = outline[0], outline[1], outline[2], outline[3]
+    radius, reach = outline[4], outline[5]
     x, y = x - radius * axis_x, y - radius * axis_y
     side = where(axis_x * y - axis_y * x >= 0.0, 1.0, -1.0)
     across_x, across_y = -side * axis_y, side * axis_x
-    at_tip = x * (cosine * axis_x + sine * across_x) + y * (cosine * axis_y + sine * across_y) < 0.0
+    along = x * (cosine * axis_x + sine * across_x) + y * (cosine * axis_y + sine * across_y)
+    at_tip = along < reach
     flank_x, flank_y = cosine * across_x - sine * axis_x, cosine * across_y - sine * axis_y
-    gap, normal_x, normal_y, curvature = circle(x, y, radius)
+    distance = np.maximum(np.sqrt(x * x + y * y), TINY)
     return (
-        where(at_tip, gap, x * flank_x + y * flank_y - radius),
-        where(at_tip, normal_x, flank_x),
-        where(at_tip, normal_y, flank_y),
-        where(at_tip, curvature, 0.0),
+        where(at_tip, distance, x * flank_x + y * flank_y) - radius,
+        where(at_tip, x / distance, flank_x),
+        where(at_tip, y / distance, flank_y),
+        where(at_tip, 1.0 / distance, 0.0),
     )

@@ -7,8 +7,10 @@ level line, so that ∂n/∂p = κ (I − n nᵀ).
 
 from __future__ import annotations
 
+import math
+from abc import ABC, abstractmethod
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,36 +27,53 @@ from surrofe2.base.settings import (
 )
 from surrofe2.base.units import ACCELERATION, LENGTH, MASS, NONE
 from surrofe2.problem.amplitude import IN_TIME, ONE, Amplitude
-from surrofe2.problem.contact_law import circle, corner
+from surrofe2.problem.contact_law import gap
 
 Array = NDArray[np.float64]
+Outline = tuple[float, float, float, float, float, float]
 
 
-class Shape(Protocol):
-    """The outline of a rigid body."""
+class Shape(ABC):
+    """The outline of a rigid body, a rounded wedge."""
+
+    __slots__ = ()
+
+    @property
+    @abstractmethod
+    def outline(self) -> Outline:
+        """As `contact_law.gap` has it."""
 
     def gap(self, p: Array) -> tuple[Array, Array, Array]:
         """(n,) gap in µm, (n, 2) outward normal, (n,) curvature in 1/µm at points p (n, 2)."""
+        distance, x, y, curvature = gap(p[:, 0], p[:, 1], self.outline)
+        return distance, np.stack([x, y], axis=1), curvature
+
+
+def _unit(where: str, vector: tuple[float, float]) -> tuple[float, float]:
+    length = math.hypot(*vector)
+    if not length > 0.0:
+        raise InputError(where, f"{list(vector)}; it must not be zero")
+    return vector[0] / length, vector[1] / length
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plane:
+class Plane(Shape):
     """A half plane behind the body's position; `normal` points out of it."""
 
     normal: tuple[float, float] = setting(about="out of the body, of any length")
 
     def __post_init__(self) -> None:
         check_settings(self, "plane")
-        if not np.linalg.norm(self.normal) > 0.0:
-            raise InputError("plane.normal", f"{list(self.normal)}; it must not be zero")
+        _unit("plane.normal", self.normal)
 
-    def gap(self, p: Array) -> tuple[Array, Array, Array]:
-        normal = np.array(self.normal) / np.linalg.norm(self.normal)
-        return p @ normal, np.broadcast_to(normal, p.shape), np.zeros(len(p))
+    @property
+    def outline(self) -> Outline:
+        x, y = _unit("plane.normal", self.normal)
+        return -x, -y, 0.0, 1.0, 0.0, 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Circle:
+class Circle(Shape):
     """A disc about the body's position."""
 
     radius: float = setting(about="of the disc", unit=LENGTH, above=0.0)
@@ -62,13 +81,13 @@ class Circle:
     def __post_init__(self) -> None:
         check_settings(self, "circle")
 
-    def gap(self, p: Array) -> tuple[Array, Array, Array]:
-        gap, x, y, curvature = circle(p[:, 0], p[:, 1], self.radius)
-        return gap, np.stack([x, y], axis=1), curvature
+    @property
+    def outline(self) -> Outline:
+        return 0.0, 0.0, 1.0, 0.0, self.radius, math.inf
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Corner:
+class Corner(Shape):
     """A wedge with a rounded tip, which is the body's position; `axis` points into the body."""
 
     axis: tuple[float, float] = setting(about="from the tip into the body, of any length")
@@ -77,19 +96,12 @@ class Corner:
 
     def __post_init__(self) -> None:
         check_settings(self, "corner")
-        if not np.linalg.norm(self.axis) > 0.0:
-            raise InputError("corner.axis", f"{list(self.axis)}; it must not be zero")
-
-    def gap(self, p: Array) -> tuple[Array, Array, Array]:
-        gap, x, y, curvature = corner(p[:, 0], p[:, 1], self.wedge)
-        return gap, np.stack([x, y], axis=1), curvature
+        _unit("corner.axis", self.axis)
 
     @property
-    def wedge(self) -> tuple[float, float, float, float, float]:
-        """As `contact_law.corner` takes it."""
-        x, y = np.array(self.axis) / np.linalg.norm(self.axis)
-        half = 0.5 * np.radians(self.angle)
-        return float(x), float(y), float(np.cos(half)), float(np.sin(half)), self.radius
+    def outline(self) -> Outline:
+        half = math.radians(0.5 * self.angle)
+        return *_unit("corner.axis", self.axis), math.cos(half), math.sin(half), self.radius, 0.0
 
 
 SHAPES: dict[str, type[Shape]] = {"plane": Plane, "circle": Circle, "corner": Corner}
@@ -189,12 +201,12 @@ def check_outside(body: str, shape: Shape, position: Array, points: Array, allow
     """Refuse a body that begins with points (n, 2) of a tissue deeper inside it than `allowed`.
     Raises `InputError` naming the deepest place.
     """
-    gap, _, _ = shape.gap(points - position)
-    deepest = int(gap.argmin())
-    if gap[deepest] < -allowed:
+    distance, _, _ = shape.gap(points - position)
+    deepest = int(distance.argmin())
+    if distance[deepest] < -allowed:
         x, y = points[deepest]
         raise InputError(
             f"bodies.{body}.position",
-            f"{position.tolist()}; the tissue begins {-gap[deepest]:.3g} "
+            f"{position.tolist()}; the tissue begins {-distance[deepest]:.3g} "
             f"µm inside it, at ({x:.6g}, {y:.6g}) µm; it must begin outside",
         )

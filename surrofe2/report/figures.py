@@ -144,7 +144,7 @@ def outline(shape: Shape, far: float) -> Array:
         turn = 2.0 * np.pi * np.arange(_ARC) / _ARC
         return shape.radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     assert isinstance(shape, Corner)
-    x, y, cosine, sine, radius = shape.wedge
+    x, y, cosine, sine, radius, _ = shape.outline
     axis, across = np.array([x, y]), np.array([-y, x])
     half = np.arctan2(sine, cosine)
     turn = np.linspace(half + 0.5 * np.pi, 1.5 * np.pi - half, _ARC)[:, None]

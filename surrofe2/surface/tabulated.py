@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebpts1, chebvander
+from numpy.polynomial.chebyshev import chebder, chebpts1, chebvander
 from numpy.typing import NDArray
 
-from surrofe2.base.compilation import kernel
 from surrofe2.base.errors import InputError
 from surrofe2.law.surface_law import SurfaceLaw, SurfaceResponse
 from surrofe2.plant_cell.parameters import CellParameters
@@ -66,60 +65,32 @@ class TabulatedSurface:
         self, stretch: Any, stretch_rate: Any, *, tangents: bool = False
     ) -> SurfaceResponse:
         """Tension at n points; see `SurfaceLaw.respond`."""
-        along = np.ascontiguousarray(stretch, dtype=np.float64)
-        rate = np.ascontiguousarray(stretch_rate, dtype=np.float64)
-        values, valid = np.empty((3, len(along))), np.empty(len(along), dtype=np.bool_)
-        evaluate(self.coefficients, (*self.stretch, self.rate), along, rate, values, valid)
+        stretch, rate = np.asarray(stretch, np.float64), np.asarray(stretch_rate, np.float64)
+        (low, high), C = self.stretch, self.coefficients
+        x, y = 2.0 * (stretch - low) / (high - low) - 1.0, rate / self.rate
+        valid = np.maximum(abs(x), abs(y)) <= 1.0 + _SLACK
+        by_x = chebvander(np.clip(x, -1.0, 1.0), len(C) - 1)
+        by_y = chebvander(np.clip(y, -1.0, 1.0), C.shape[1] - 1)
+        values = [_series(C, by_x, by_y)]
+        if tangents:
+            slopes = chebder(C, scl=2.0 / (high - low)), chebder(C, scl=1.0 / self.rate, axis=1)
+            values += [_series(each, by_x, by_y) for each in slopes]
+        for each in values:
+            each[~valid] = np.nan
         outside = np.flatnonzero(~valid)
         if outside.size and self.beyond is not None:
-            answer = self.beyond().respond(along[outside], rate[outside], tangents=tangents)
-            values[0, outside], valid[outside] = answer.tension, answer.valid
-            if tangents:
-                values[1, outside], values[2, outside] = answer.tangent, answer.rate_tangent
-        if not tangents:
-            return SurfaceResponse(values[0], valid)
-        return SurfaceResponse(values[0], valid, values[1], values[2])
+            answer = self.beyond().respond(stretch[outside], rate[outside], tangents=tangents)
+            valid[outside] = answer.valid
+            found = answer.tension, answer.tangent, answer.rate_tangent
+            for each, there in zip(values, found, strict=False):
+                each[outside] = there
+        return SurfaceResponse(values[0], valid, *values[1:])
 
 
-@kernel
-def evaluate(
-    coefficients: Array,
-    bounds: tuple[float, float, float],
-    stretch: Array,
-    rate: Array,
-    values: Array,
-    valid: NDArray[np.bool_],
-) -> None:
-    """Set values (3, n): P_s, ∂P_s/∂λ, ∂P_s/∂λ̇ in µN, µN, µN µs; NaN where `valid` (n,) is not.
-
-    bounds: low and high of λ, and of |λ̇|.
-    """
-    (p, q), (low, high, bound) = coefficients.shape, bounds
-    polynomial, slope = np.empty(q), np.empty(q)
-    x_scale, y_scale = 2.0 / (high - low), 1.0 / bound
-    for n in range(stretch.shape[0]):
-        x, y = (stretch[n] - low) * x_scale - 1.0, rate[n] * y_scale
-        valid[n] = abs(x) <= 1.0 + _SLACK and abs(y) <= 1.0 + _SLACK
-        if not valid[n]:
-            values[0, n], values[1, n], values[2, n] = np.nan, np.nan, np.nan
-            continue
-        polynomial[0], slope[0] = 1.0, 0.0
-        polynomial[1], slope[1] = y, 1.0
-        for j in range(2, q):
-            polynomial[j] = 2.0 * y * polynomial[j - 1] - polynomial[j - 2]
-            slope[j] = 2.0 * (polynomial[j - 1] + y * slope[j - 1]) - slope[j - 2]
-        # Clenshaw's recurrence in x of the value, its slope by x and its slope by y
-        b1, b2, d1, d2, r1, r2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for i in range(p - 1, -1, -1):
-            value, by_y = 0.0, 0.0
-            for j in range(q):
-                value += coefficients[i, j] * polynomial[j]
-                by_y += coefficients[i, j] * slope[j]
-            twice = 2.0 * x if i > 0 else x
-            d0 = (2.0 * b1 if i > 0 else b1) + twice * d1 - d2
-            b0, r0 = value + twice * b1 - b2, by_y + twice * r1 - r2
-            b1, b2, d1, d2, r1, r2 = b0, b1, d0, d1, r0, r1
-        values[0, n], values[1, n], values[2, n] = b1, d1 * x_scale, r1 * y_scale
+def _series(C: NDArray, by_x: NDArray, by_y: NDArray) -> Array:
+    """(n,) Σ C_ij T_i(x) T_j(y) from (n, …) polynomials at the points, of which C has the first."""
+    p, q = C.shape
+    return np.asarray(np.einsum("nj,nj->n", by_x[:, :p] @ C, by_y[:, :q]))
 
 
 def tabulate_surface(

@@ -24,13 +24,10 @@ from surrofe2.problem.conditions import (
 )
 from surrofe2.problem.mesh import boundary
 from surrofe2.problem.problem import Problem, Support, label, supports_of, without_overlap
-from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape, check_outside
+from surrofe2.problem.rigid_bodies import RigidBody, check_outside
 from surrofe2.tissue.external_forces import (
-    CIRCLE,
-    CORNER,
     NO_BODIES,
     NO_DRIVEN,
-    PLANE,
     BodyContacts,
     DrivenParticles,
     OutlineForces,
@@ -164,14 +161,12 @@ class Conditions:
         everyone = np.concatenate(touching)
         moves = np.array([body.moves for body in bodies])
         first = len(self.moving)
-        kinds, outlines = zip(*(_outline(body.name, body.shape) for body in bodies), strict=True)
         return BodyContacts(
             starts=np.cumsum([0, *map(len, touching)]),
             at=self._address(everyone),
             length=np.concatenate([self.lengths(body.on) for body in bodies]),
             offset=offset[everyone],
-            kind=np.array(kinds),
-            outline=np.array(outlines),
+            outline=np.array([body.shape.outline for body in bodies]),
             law=np.array([self.contact_law(body) for body in bodies]),
             rubs=any(body.friction for body in bodies),
             x=np.array([body.position for body in bodies]),
@@ -189,14 +184,9 @@ class Conditions:
         )
 
     def check_bodies(self) -> None:
-        """Refuse bodies that cannot act.
-
-        Raises:
-            InputError: one begins inside the tissue, or has an outline of its own.
-        """
+        """Raise an `InputError` where a body begins inside the tissue."""
         allowed = _TOUCHING * self.tissue.cell.cell_side
         for body in self.problem.bodies:
-            _outline(body.name, body.shape)
             start, points = np.array(body.position), self.tissue.outline[self.boundary(body.on)]
             check_outside(body.name, body.shape, start, points, allowed)
 
@@ -325,16 +315,3 @@ class Conditions:
         )
         ring = np.argsort(way)[: int(np.isfinite(way).sum())]
         return np.stack([ring, np.roll(ring, -1)], axis=1)
-
-
-def _outline(name: str, shape: Shape) -> tuple[int, tuple[float, ...]]:
-    """Kind and numbers as of `BodyContacts`."""
-    match shape:
-        case Plane():
-            x, y = np.array(shape.normal) / np.hypot(*shape.normal)
-            return PLANE, (float(x), float(y), 0.0, 0.0, 0.0)
-        case Circle():
-            return CIRCLE, (shape.radius, 0.0, 0.0, 0.0, 0.0)
-        case Corner():
-            return CORNER, shape.wedge
-    raise InputError(f"bodies.{name}: {shape!r}; a full tissue touches planes, circles and corners")

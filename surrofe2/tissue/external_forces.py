@@ -17,12 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.compilation import kernel
-from surrofe2.problem.contact_law import circle, corner, friction, pressure, stored
+from surrofe2.problem.contact_law import friction, gap, pressure, stored
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-PLANE, CIRCLE, CORNER = 0, 1, 2
 _ITERATIONS = 50
 
 
@@ -89,8 +88,7 @@ class BodyContacts(NamedTuple):
         starts: (b + 1,) where the particles of each body begin.
         at: (c, 3) tile, own particle, lane. length: (c,) of the boundary, µm.
         offset: (c, 2) added to a particle's position, µm.
-        kind: (b,) `PLANE`, `CIRCLE` or `CORNER`. outline: (b, 5) of a plane its unit normal, of a
-            circle its radius, of a corner as `contact_law.corner` takes it.
+        outline: (b, 6) as `contact_law.gap` has it.
         law: (b, 5) stiffness k, smoothing δ, damping c, friction µ, slip speed s.
         rubs: whether any has friction.
         x, v: (b, 2) position and velocity, µm and µm/µs.
@@ -106,7 +104,6 @@ class BodyContacts(NamedTuple):
     at: Ints
     length: Array
     offset: Array
-    kind: Ints
     outline: Array
     law: Array
     rubs: bool
@@ -124,16 +121,16 @@ class BodyContacts(NamedTuple):
     lost: Array
 
 
-_NO, _NONE, _PAIRS, _FIVE = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 5))
+_NO, _NONE, _PAIRS = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 2))
 NO_DRIVEN = DrivenParticles(np.zeros((0, 4), np.int64), _NO, _NONE, _NONE, _NONE, np.zeros(1))
 NO_OUTLINE = OutlineForces(
     np.zeros((0, 3), np.int64), _NO, _NONE, _PAIRS, _PAIRS, _PAIRS, _PAIRS, _PAIRS, _PAIRS,
     _PAIRS, _NONE,
 )  # fmt: skip
 NO_BODIES = BodyContacts(
-    np.zeros(1, np.int64), np.zeros((0, 3), np.int64), _NONE, _PAIRS, _NO, _FIVE, _FIVE, False,
-    _PAIRS, _PAIRS, _PAIRS, _NONE, _NONE, _NONE, _PAIRS, _NO, _PAIRS, np.zeros(3),
-    np.zeros((0, 3)), np.zeros((0, 4)),
+    np.zeros(1, np.int64), np.zeros((0, 3), np.int64), _NONE, _PAIRS, np.zeros((0, 6)),
+    np.zeros((0, 5)), False, _PAIRS, _PAIRS, _PAIRS, _NONE, _NONE, _NONE, _PAIRS, _NO, _PAIRS,
+    np.zeros(3), np.zeros((0, 3)), np.zeros((0, 4)),
 )  # fmt: skip
 
 
@@ -209,13 +206,13 @@ def add_normal_contact(particles, bodies):
             t, i, lane = bodies.at[k, 0], bodies.at[k, 1], bodies.at[k, 2]
             px = x[t, 0, i, lane] + bodies.offset[k, 0] - bodies.x[b, 0]
             py = x[t, 1, i, lane] + bodies.offset[k, 1] - bodies.x[b, 1]
-            gap, nx, ny = _gap(px, py, bodies.kind[b], bodies.outline[b])
+            distance, nx, ny, _ = gap(px, py, bodies.outline[b])
             bodies.pressed[k, 0] = 0.0
-            if not gap < 0.0:
+            if not distance < 0.0:
                 continue
             vx, vy = v[t, 0, i, lane] - bodies.v[b, 0], v[t, 1, i, lane] - bodies.v[b, 1]
-            whole = pressure(-gap, -(vx * nx + vy * ny), (law[0], law[1], law[2]))[0]
-            spring = pressure(-gap, 0.0, (law[0], law[1], 0.0))[0]
+            whole = pressure(-distance, -(vx * nx + vy * ny), (law[0], law[1], law[2]))[0]
+            spring = pressure(-distance, 0.0, (law[0], law[1], 0.0))[0]
             size = bodies.length[k] * whole
             dashpot = size - bodies.length[k] * spring if law[2] > 0.0 else 0.0
             bodies.lost[k, 0], bodies.lost[k, 1] = dashpot * nx, dashpot * ny
@@ -225,24 +222,10 @@ def add_normal_contact(particles, bodies):
             f[t, 1, i, lane] += size * ny
             sum_x += size * nx
             sum_y += size * ny
-            energy += bodies.length[k] * stored(-gap, law[0], law[1])
-            depth = max(depth, -gap)
+            energy += bodies.length[k] * stored(-distance, law[0], law[1])
+            depth = max(depth, -distance)
         bodies.force[b, 0], bodies.force[b, 1] = sum_x, sum_y
         bodies.stored[b], bodies.depth[b] = energy, depth
-
-
-@kernel
-def _gap(x, y, kind, outline):
-    """Gap and normal at a point relative to a body."""
-    if kind == CIRCLE:
-        gap, nx, ny, _ = circle(x, y, outline[0])
-    elif kind == CORNER:
-        wedge = outline[0], outline[1], outline[2], outline[3], outline[4]
-        gap, nx, ny, _ = corner(x, y, wedge)
-    else:
-        nx, ny = outline[0], outline[1]
-        gap = x * nx + y * ny
-    return gap, nx, ny
 
 
 @kernel

@@ -6,18 +6,21 @@ import numpy as np
 import pytest
 
 from surrofe2.base.compilation import kernel
-from surrofe2.problem import contact_law
+from surrofe2.problem import Circle, Corner, Plane, contact_law
 from surrofe2.tissue.external_forces import _drag
 
 LAW = (3000.0, 0.01, 4.0)
-WEDGE = (0.6, -0.8, float(np.cos(0.7)), float(np.sin(0.7)), 3.0)
+PLANE = Plane(normal=(3.0, -4.0)).outline
+CIRCLE = Circle(radius=2.0).outline
+CORNER = Corner(axis=(0.6, -0.8), angle=80.0, radius=3.0).outline
 NUMBERS = np.random.default_rng(2)
 FORMULAS = {
     "pressure": (lambda d, w: contact_law.pressure(d, w, LAW)),
     "stored": (lambda d, w: (contact_law.stored(d, 3000.0, 0.01),)),
     "friction": (lambda d, w: contact_law.friction(d, w, (0.3, 0.05))),
-    "circle": (lambda d, w: contact_law.circle(300.0 * d - 4.0, 5.0 * w, 2.0)),
-    "corner": (lambda d, w: contact_law.corner(300.0 * d - 4.0, 5.0 * w, WEDGE)),
+    "plane": (lambda d, w: contact_law.gap(300.0 * d - 4.0, 5.0 * w, PLANE)),
+    "circle": (lambda d, w: contact_law.gap(300.0 * d - 4.0, 5.0 * w, CIRCLE)),
+    "corner": (lambda d, w: contact_law.gap(300.0 * d - 4.0, 5.0 * w, CORNER)),
 }
 
 
@@ -29,6 +32,19 @@ def test_kernels_and_arrays_have_one_law(name):
     one_by_one = np.array([compiled(*both) for both in zip(depth, speed, strict=True)]).T
     for found, expected in zip(one_by_one, arrays, strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * abs(expected).max())
+
+
+def test_a_disc_and_a_half_plane_are_wedges_in_all_directions():
+    """On the axis of the wedge, too, and in the middle of the disc."""
+    points = 5.0 * NUMBERS.normal(size=(200, 2))
+    points[:4] = (3.0, -4.0), (-3.0, 4.0), (0.0, 0.0), (4.0, 3.0)
+    distance, normal, curvature = Plane(normal=(3.0, -4.0)).gap(points)
+    np.testing.assert_allclose(distance, points @ (0.6, -0.8), atol=1e-14)
+    np.testing.assert_array_equal(normal, np.tile((0.6, -0.8), (200, 1)))
+    assert not curvature.any()
+    distance, normal, curvature = Circle(radius=2.0).gap(points)
+    np.testing.assert_allclose(distance, np.hypot(*points.T) - 2.0, atol=1e-14)
+    np.testing.assert_allclose(normal, points * curvature[:, None], atol=1e-14)
 
 
 def test_pressure_is_the_slope_of_what_is_stored_and_never_pulls():
