@@ -6,6 +6,7 @@ import pytest
 from surrofe2.base.simd import TILE
 from surrofe2.plant_cell import derivatives, forces
 from surrofe2.plant_cell.derivatives import add_force_gradients, add_stiffness_rates
+from tests.numerics import assert_near, slope_along
 from tests.plant_cell.lanes_of_states import Patch
 
 
@@ -58,19 +59,13 @@ def along(first, second):
 def test_gradients_are_the_slopes_of_the_weighted_sum(local):
     """Images have weights of their own here, as they have in the virial."""
     by_x, by_v = local.gradients(local.fields)
-    step = 1e-6
-    for way_x, way_v, slope in (
-        (local.others, 0.0 * local.others, along(by_x, local.others)),
-        (0.0 * local.others, local.others, along(by_v, local.others)),
+    for forces_at, at, by in (
+        (lambda x: local.all_forces(x, local.v), local.x, by_x),
+        (lambda v: local.all_forces(local.x, v), local.v, by_v),
     ):
-        for m in range(4):
-            up, down = (
-                local.all_forces(local.x + s * way_x[m], local.v + s * way_v[m])
-                for s in (step, -step)
-            )
-            expected = np.sum(local.fields[m] * (up - down), axis=(0, 1)) / (2.0 * step)
-            scale = np.abs(slope).max()
-            np.testing.assert_allclose(slope[m], expected, rtol=0, atol=1e-6 * scale)
+        slope = along(by, local.others)
+        expected = [slope_along(forces_at, at, each, 1e-6) for each in local.others]
+        assert_near(along(local.fields, np.array(expected)), slope, 1e-6)
 
 
 def test_gradients_are_the_transposed_jacobian(local):
@@ -83,8 +78,7 @@ def test_gradients_are_the_transposed_jacobian(local):
     for fields, first in ((by_x, 0), (by_v, 4)):
         affine = np.einsum("mckl,dkl->mcdl", fields, Z).reshape(4, 4, TILE)
         expected = np.einsum("mil,ijl->mjl", own, columns[:, first : first + 4])
-        scale = np.abs(expected).max()
-        np.testing.assert_allclose(affine, expected, rtol=0, atol=1e-12 * scale)
+        assert_near(affine, expected, 1e-12)
     weights[:, :, local.owners == 0] = 0.0  # forces on the held particle are in no matrix
     by_x, by_v = local.gradients(weights)
     total = by_x + np.einsum("cal,mckl->makl", L, by_v)
@@ -92,17 +86,11 @@ def test_gradients_are_the_transposed_jacobian(local):
     np.add.at(folded, (slice(None), slice(None), local.owners), total)
     folded = folded.swapaxes(1, 2).reshape(4, 2 * n, TILE)
     own = weights[:, :, 1:n].swapaxes(1, 2).reshape(4, 2 * n - 2, TILE)
-    expected = np.einsum("mil,ijl->mjl", own, J)
-    scale = np.abs(expected).max()
-    np.testing.assert_allclose(folded[:, 2:], expected, rtol=0, atol=1e-12 * scale)
+    assert_near(folded[:, 2:], np.einsum("mil,ijl->mjl", own, J), 1e-12)
 
 
 def test_stiffness_rates_are_the_slopes_of_the_elastic_force_rates(local):
     rates = local.stiffness_rates(local.fields, local.v)
-    step = 1e-6
-    for m in range(4):
-        up, down = (
-            local.elastic_rates(local.x + s * local.fields[m], local.v) for s in (step, -step)
-        )
-        scale = np.abs(rates[m]).max()
-        np.testing.assert_allclose(rates[m], (up - down) / (2.0 * step), rtol=0, atol=1e-6 * scale)
+    rates_at = lambda x: local.elastic_rates(x, local.v)  # noqa: E731
+    for found, field in zip(rates, local.fields, strict=True):
+        assert_near(slope_along(rates_at, local.x, field, 1e-6), found, 1e-6)

@@ -7,12 +7,9 @@ from scipy.integrate import quad
 
 from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell import derivatives, forces
-from surrofe2.plant_cell.pair_laws import (
-    spline,
-    spline_curvature,
-    spline_slope,
-)
+from surrofe2.plant_cell.pair_laws import spline, spline_curvature, spline_slope
 from surrofe2.plant_cell.tiles import pack, unpack
+from tests.numerics import assert_near, differences, slope_along
 from tests.plant_cell.lanes_of_states import Patch
 
 
@@ -44,11 +41,9 @@ def test_smoothing_kernel_integrates_to_one_and_its_slopes_are_its_derivatives()
     total, _ = quad(lambda r: 2 * np.pi * r * at(w, r), 0, 2 * h, points=[h])
     assert total == pytest.approx(1.0, abs=1e-12)
     r = np.array([0.3, 2.0, 5.0, 6.0, 9.0, 10.9])
-    step = 1e-5
-    np.testing.assert_allclose(slope(r, h), (w(r + step, h) - w(r - step, h)) / (2 * step),
-                               rtol=1e-7, atol=1e-12)  # fmt: skip
-    np.testing.assert_allclose(curvature(r, h), (slope(r + step, h) - slope(r - step, h))
-                               / (2 * step), rtol=1e-7, atol=1e-12)  # fmt: skip
+    for law, derivative in ((w, slope), (slope, curvature)):
+        expected = slope_along(lambda r, law=law: law(r, h), r, 1.0, 1e-5)
+        np.testing.assert_allclose(derivative(r, h), expected, rtol=1e-7, atol=1e-12)
     assert w(np.array([11.0, 12.0]), h).tolist() == [0.0, 0.0]
 
 
@@ -56,7 +51,7 @@ def test_forces_are_those_of_the_twin(patch):
     f = patch.forces()
     for lane in range(3):
         expected, *_ = patch.twin.evaluate(patch.z[lane], patch.F[lane], patch.F_dot[lane])
-        np.testing.assert_allclose(f[lane], expected, rtol=0, atol=1e-10 * abs(expected).max())
+        assert_near(f[lane], expected, 1e-10)
 
 
 def test_forces_sum_to_zero(patch):
@@ -72,16 +67,12 @@ def test_each_term_alone_is_a_gradient(patch, term):
     if term != "fluid_pairs":
         patch.constants = patch.constants._replace(sound_speed_squared=0.0)
     f = patch.forces(F_dot=np.zeros_like(patch.F_dot))
-    step = 1e-4
     direction = np.random.default_rng(3).normal(size=patch.z.shape)
     moved = np.einsum("lab,lpb->lpa", patch.F, direction)
-    slope = (
-        patch.energy(patch.z + step * direction, patch.F)
-        - patch.energy(patch.z - step * direction, patch.F)
-    ) / (2 * step)
+    slope = slope_along(lambda z: patch.energy(z, patch.F), patch.z, direction, 1e-4)
     work = (f * moved).sum(axis=(1, 2))
     assert abs(work).min() > 0
-    np.testing.assert_allclose(-slope, work, rtol=0, atol=1e-6 * abs(work).max())
+    assert_near(-slope, work, 1e-6)
 
 
 def test_dashpots_only_dissipate(patch):
@@ -100,24 +91,18 @@ def test_dashpots_only_dissipate(patch):
 def test_jacobian_and_load_are_the_derivatives_of_the_forces(patch):
     z, F, F_dot = patch.z, patch.F, patch.F_dot
     n, (J, load) = patch.topology.particles, patch.jacobian(F_dot)
-    step = 1e-6
     inverse = np.linalg.inv(F)
     for column in range(0, 2 * n - 2, 3):
         i, axis = divmod(column + 2, 2)
         shift = np.zeros_like(z)
-        shift[:, i] = inverse[:, :, axis] * step
-        slope = (patch.forces(z + shift) - patch.forces(z - shift)) / (2 * step)
-        np.testing.assert_allclose(
-            J[:, column].T, slope.reshape(TILE, -1)[:, 2:], rtol=0, atol=1e-6 * abs(J).max()
-        )
+        shift[:, i] = inverse[:, :, axis]
+        slope = slope_along(patch.forces, z, shift, 1e-6).reshape(TILE, -1)[:, 2:]
+        np.testing.assert_allclose(J[:, column].T, slope, rtol=0, atol=1e-6 * abs(J).max())
+    by_F = differences(lambda at: patch.forces(z, at, F_dot), F, 1e-7)
+    by_F_dot = differences(lambda at: patch.forces(z, F, at), F_dot, 1e-7)
+    slopes = np.concatenate([each.reshape(TILE, 2 * n, 4) for each in (by_F, by_F_dot)], axis=2)
     for column in range(8):
-        change = np.zeros((2, 2, 2))
-        change.ravel()[column] = 1e-7
-        up, down = (patch.forces(z, F + s * change[0], F_dot + s * change[1]) for s in (1, -1))
-        slope = (up - down).reshape(TILE, -1) / 2e-7
-        np.testing.assert_allclose(
-            load[:, column].T, slope, rtol=0, atol=1e-6 * abs(load[:, column]).max()
-        )
+        assert_near(slopes[:, :, column], load[:, column].T, 1e-6)
 
 
 def test_elastic_force_rates_are_the_slopes_along_a_motion(patch):
@@ -139,14 +124,9 @@ def test_elastic_force_rates_are_the_slopes_along_a_motion(patch):
     np.testing.assert_allclose(
         np.moveaxis(f[:, :n], -1, 0).swapaxes(1, 2), patch.forces(F_dot=still), rtol=0, atol=1e-9
     )
-    step = 1e-5
-    up, down = (
-        patch.forces(patch.z + s * y, patch.F + s * patch.F_dot, still) for s in (step, -step)
-    )
-    slope = (up - down) / (2 * step)
-    np.testing.assert_allclose(
-        np.moveaxis(rate[:, :n], -1, 0).swapaxes(1, 2), slope, rtol=0, atol=1e-6 * abs(slope).max()
-    )
+    moving = lambda t: patch.forces(patch.z + t * y, patch.F + t * patch.F_dot, still)  # noqa: E731
+    slope = slope_along(moving, 0.0, 1.0, 1e-5)
+    assert_near(np.moveaxis(rate[:, :n], -1, 0).swapaxes(1, 2), slope, 1e-6)
 
 
 def test_elastic_jacobian_is_symmetric(patch):

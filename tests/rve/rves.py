@@ -29,17 +29,17 @@ def deformations(preset, n=48, seed=0, corners=True):
     return np.eye(2) + SPREAD[preset] * F, 0.01 * rng.uniform(-1, 1, (n, 2, 2))
 
 
-def particles(answer, point):
+def particles(state, point):
     """(n, 2) material positions of one point."""
     tile, lane = divmod(point, 8)
-    return answer.state.z[tile, :, :, lane].T
+    return state.z[tile, :, :, lane].T
 
 
 def clear_of_the_cut_off(answer, F, wide=1e-3):
     """(n,) whether no contact sits within `wide` µm of x₀, where tangents are one-sided."""
     clear = []
     for point in range(len(F)):
-        z = particles(answer, point)
+        z = particles(answer.state, point)
         offsets = 25.0 * np.array(IMAGES)
         r = (z[None, :, None] + offsets[None, None]) - z[:, None, None]
         length = np.linalg.norm(r @ F[point].T, axis=-1)
@@ -47,7 +47,5 @@ def clear_of_the_cut_off(answer, F, wide=1e-3):
     return np.array(clear)
 
 
-def piola(this, F, F_dot, state):
-    answer = this.respond(F, F_dot, state)
-    inverse = np.linalg.inv(F)
-    return np.linalg.det(F)[:, None, None] * answer.stress @ np.swapaxes(inverse, 1, 2)
+def piola(this, F, F_dot):
+    return this.respond(F, F_dot).first_piola(F)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from surrofe2.law.stress_law import Status, describe
-from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tiles import pack, unpack
-from surrofe2.rve import RveLaw
 from surrofe2.rve.continuation import KICK, ROAM, descend, over_saddle
 from surrofe2.rve.particle_state import stored_energy
+from tests.numerics import turn
+from tests.rve import rves
 from tests.rve.curvature_twin import Curvatures
 
 PRESETS = ("printed", "water")
@@ -28,9 +28,8 @@ LOST = {"printed": [[0.905, 0.486], [0.0, 0.7585]], "water": [[0.905, 0.486], [0
 """Nothing stable is found there."""
 
 
-@cache
-def law(preset, initialisation="elastic", solver="direct"):
-    return RveLaw(CellParameters.preset(preset), initialisation=initialisation, solver=solver)
+def law(preset, initialisation="elastic"):
+    return rves.law(preset, initialisation)
 
 
 @cache
@@ -72,9 +71,7 @@ def far(count, seed=0):
     F = np.zeros((count, 2, 2))
     F[:, [0, 1], [0, 1]] = np.exp(rng.uniform(-1.0, 1.0, (count, 2)) * np.log(1.5))
     F[:, 0, 1] = rng.uniform(-0.6, 0.6, count)
-    angle = rng.uniform(-np.pi, np.pi, count)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return turn.transpose(2, 0, 1) @ F
+    return turn(rng.uniform(-np.pi, np.pi, count)) @ F
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -136,8 +133,7 @@ def test_no_other_initialisation_is_less_stable():
 
 def test_a_rotation_turns_the_branch_along():
     """Which of the branches is reached is chosen in material coordinates."""
-    F, angle = BEYOND["printed"], 0.7
-    Q = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    F, Q = BEYOND["printed"], turn(0.7)
     one, other = (law("printed").respond(G, np.zeros_like(F)) for G in (F, Q @ F))
     np.testing.assert_allclose(other.stress, Q @ one.stress @ Q.T, rtol=0, atol=1e-7)
 
@@ -191,13 +187,13 @@ def test_steps_over_a_saddle_go_down_unstable_modes(below):
     """By (A15); at rest along these modes alone, whatever their eigenvectors' signs."""
     rng = np.random.default_rng(1)
     values = np.array([*below, *range(1, 21 - len(below))])
-    turn, _ = np.linalg.qr(rng.normal(size=(len(values), len(values))))
-    matrix, forces = (turn * values) @ turn.T, rng.normal(size=len(values))
+    modes, _ = np.linalg.qr(rng.normal(size=(len(values), len(values))))
+    matrix, forces = (modes * values) @ modes.T, rng.normal(size=len(values))
     step = over_saddle(np.eye(2), forces, matrix, resting=False)
-    expected = turn @ ((turn.T @ forces) / np.abs(values))
+    expected = modes @ ((modes.T @ forces) / np.abs(values))
     np.testing.assert_allclose(step, expected, rtol=0, atol=1e-10)
     kick = over_saddle(np.eye(2), 0.0 * forces, matrix, resting=True)
-    stable = turn[:, len(below) :]
+    stable = modes[:, len(below) :]
     np.testing.assert_allclose(stable.T @ kick, 0.0, atol=1e-12)
     lengths = np.linalg.norm(kick.reshape(-1, 2), axis=1)
     assert lengths.max() == pytest.approx(KICK, rel=1e-12)

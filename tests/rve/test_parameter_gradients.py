@@ -42,7 +42,7 @@ def test_other_units_change_no_physics(initialisation, arrangement):
     F, F_dot = deformations("printed", n=24, corners=False)
     F = np.eye(2) + (1.0 if arrangement == "square" else 0.1) * (F - np.eye(2))
     found = parameter_gradients(this, F, F_dot)
-    P, given = piola(this, F, F_dot, None), this.cell.to_dict()
+    P, given = piola(this, F, F_dot), this.cell.to_dict()
     by_rate = np.einsum("nabcd,ncd->nab", found.answer.tangents.P_by_F_dot, F_dot)
     for unit, expected in enumerate((P, 0.0 * P, by_rate - 2.0 * P)):
         parts = [powers[unit] * given[k] * found.P_by[k] for k, powers in UNITS.items()]
@@ -57,7 +57,7 @@ def test_dashpots_carry_what_comes_with_the_rate():
     reference = resettled(undamped, this.reference)
     without = RveLaw(undamped, initialisation="elastic", reference=reference)
     F, F_dot = deformations("printed", n=8, corners=False)
-    viscous = piola(this, F, F_dot, None) - piola(without, F, F_dot, None)
+    viscous = piola(this, F, F_dot) - piola(without, F, F_dot)
     for at in (this, without):
         found = parameter_gradients(at, F, F_dot, DASHPOTS).P_by
         total = sum(this.cell.to_dict()[name] * found[name] for name in DASHPOTS)
