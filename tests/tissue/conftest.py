@@ -9,6 +9,7 @@ import pytest
 
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
+from surrofe2.tissue import TissueSettings, simulate_tissue
 from surrofe2.tissue.layout import make_tissue
 
 
@@ -32,6 +33,22 @@ def tissue_of(reference):
         return make_tissue([cell], [at_rest], np.zeros(cells, dtype=int))
 
     return make
+
+
+@pytest.fixture(scope="session")
+def run_tissue(reference):
+    """run_tissue(problem, preset, changes, **how): `how` are settings or what a run takes."""
+
+    def run(problem, preset="water", changes=None, **how):
+        cell, at_rest = reference(preset)
+        cell = replace(cell, **(changes or {}))
+        at_rest = replace(at_rest, fingerprint=cell.fingerprint)
+        names = {"checkpoint", "checkpoint_interval", "resume"} & how.keys()
+        given = {name: how.pop(name) for name in names}
+        settings = TissueSettings(**{"frames": 2, **how})
+        return simulate_tissue(problem, cell, settings, reference=at_rest, **given)
+
+    return run
 
 
 @pytest.fixture(scope="session")

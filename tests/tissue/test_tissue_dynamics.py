@@ -21,15 +21,6 @@ LOAD_CASE = LoadCase(
 )  # fmt: skip
 
 
-def run(reference, preset, micro_step, **changes):
-    """`changes` of the cell that leave its reference state as it is."""
-    cell, at_rest = reference(preset)
-    cell = replace(cell, **changes)
-    at_rest = replace(at_rest, fingerprint=cell.fingerprint)
-    settings = TissueSettings(micro_step=micro_step, residual=1e-8, frames=2, energy_steps=4)
-    return simulate_tissue(LOAD_CASE, cell, settings, reference=at_rest)
-
-
 @pytest.mark.parametrize(
     ("preset", "changes", "order"),
     [
@@ -42,10 +33,13 @@ def run(reference, preset, micro_step, **changes):
         ),
     ],
 )
-def test_order_of_displacement_and_of_energy_balance(reference, preset, changes, order):
+def test_order_of_displacement_and_of_energy_balance(run_tissue, preset, changes, order):
     """Lagged velocities in the dashpots: first order; without damping leapfrog's second."""
-    steps = (1e-3, 5e-4, 2.5e-4)
-    runs = [run(reference, preset, step, **changes) for step in steps]
+    settings = {"residual": 1e-8, "energy_steps": 4}
+    runs = [
+        run_tissue(LOAD_CASE, preset, changes, micro_step=step, **settings)
+        for step in (1e-3, 5e-4, 2.5e-4)
+    ]
     last = [one.curve.displacement[-1, 1] for one in runs]
     balance = [abs(one.energies["balance"]).max() for one in runs]
     rate = np.log2((last[0] - last[1]) / (last[1] - last[2]))
@@ -55,19 +49,17 @@ def test_order_of_displacement_and_of_energy_balance(reference, preset, changes,
     assert abs(last[0] - last[2]) < 1e-3 * abs(last[2])
 
 
-def test_a_load_that_comes_and_goes_between_two_samples_of_the_energy_does_work(reference):
-    cell, at_rest = reference("printed")
+def test_a_load_that_comes_and_goes_between_two_samples_of_the_energy_does_work(run_tissue):
     blow = with_load(
         LOAD_CASE, amplitude=Table(points=((0.0, 0.0), (0.02, 1.0), (0.04, 0.0), (1.0, 0.0)))
     )
-    settings = TissueSettings(micro_step=1e-3, frames=2, energy_steps=50)
-    energies = simulate_tissue(blow, cell, settings, reference=at_rest).energies
+    energies = run_tissue(blow, "printed", micro_step=1e-3, energy_steps=50).energies
     assert energies["kinetic"].max() > 0.0
     assert abs(energies["balance"]).max() < 0.02 * energies["load"].max()
 
 
-def test_held_walls_stay_and_energies_are_shared_out(reference):
-    done = run(reference, "water", 2e-3)
+def test_held_walls_stay_and_energies_are_shared_out(run_tissue):
+    done = run_tissue(LOAD_CASE, micro_step=2e-3, residual=1e-8, energy_steps=4)
     energies = done.energies
     assert energies["kinetic"][0] == energies["load"][0] == energies["elastic"][0] == 0.0
     assert (np.diff(energies["dissipated"]) > 0.0).all()

@@ -23,7 +23,7 @@ from surrofe2.problem import (
 )
 from surrofe2.problem.amplitude import Ramp, Sine, Table
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody
-from surrofe2.tissue import TissueSettings, TissueState, relax, simulate_tissue
+from surrofe2.tissue import TissueSettings, TissueState, relax
 from surrofe2.tissue.simulation import (
     advance,
     held_and_loaded,
@@ -31,6 +31,8 @@ from surrofe2.tissue.simulation import (
     meet_bodies,
     step_at_rest,
 )
+from tests.macro.bars import assert_same_run
+from tests.numerics import assert_near, differences, slope_along
 
 SMOOTH = Ramp(end=2.0, smooth=True)
 UPPER = RigidBody(
@@ -42,11 +44,6 @@ PRESSED = Problem(
     mesh=rectangle(50.0, 50.0, (2, 2)), conditions=(), bodies=(LOWER, UPPER), duration=3.0,
     output_interval=0.5, watched={"top": (25.0, 50.0)},
 )  # fmt: skip
-
-
-def run(reference, problem, preset="water", **settings):
-    cell, at_rest = reference(preset)
-    return simulate_tissue(problem, cell, TissueSettings(frames=2, **settings), reference=at_rest)
 
 
 def ready(reference, problem, preset="water"):
@@ -78,27 +75,22 @@ def test_contact_force_is_the_gradient_of_its_energy(reference, body):
     total = dynamics.bodies.force[0].copy()
     np.testing.assert_allclose(pressed.sum(axis=0), total, rtol=0, atol=1e-10 * abs(total).max())
 
-    def stored():
+    def stored_at(x):
+        dynamics.place(x)
         dynamics.forces()
         return dynamics.bodies.stored[0]
 
-    numbers = np.random.default_rng(3)
-    step, direction = 1e-5, numbers.normal(size=x.shape)
-    slopes = []
-    for sign in (1.0, -1.0):
-        dynamics.place(x + sign * step * direction)
-        slopes.append(stored())
-    slope = (slopes[0] - slopes[1]) / (2.0 * step)
+    def stored_of(place):
+        dynamics.bodies.x[0] = place
+        dynamics.forces()
+        return dynamics.bodies.stored[0]
+
+    direction = np.random.default_rng(3).normal(size=x.shape)
+    slope = slope_along(stored_at, x, direction, 1e-5)
     assert slope == pytest.approx(-np.sum(pressed * direction), rel=1e-6)
     dynamics.place(x)
-    for axis in (0, 1):
-        slopes = []
-        for sign in (1.0, -1.0):
-            dynamics.bodies.x[0, axis] += sign * step
-            slopes.append(stored())
-            dynamics.bodies.x[0, axis] -= sign * step
-        slope = (slopes[0] - slopes[1]) / (2.0 * step)
-        assert slope == pytest.approx(total[axis], abs=1e-6 * abs(total).max())
+    by_place = differences(stored_of, dynamics.bodies.x[0].copy(), 1e-5, axes=1)
+    assert_near(by_place, total, 1e-6)
 
 
 @pytest.mark.parametrize(
@@ -107,7 +99,7 @@ def test_contact_force_is_the_gradient_of_its_energy(reference, body):
      {"friction": 0.4, "shape": Corner(axis=(0.2, 1.0), angle=150.0, radius=4.0)}],
     ids=["smooth plate", "rough plate", "rough corner"],
 )  # fmt: skip
-def test_free_body_and_tissue_keep_their_momentum_and_energy(reference, rough):
+def test_free_body_and_tissue_keep_their_momentum_and_energy(reference, run_tissue, rough):
     """A heavy body is thrown on a tissue that nothing holds, aslant where it is rough."""
     velocity = (0.5, -1.0) if rough else (0.0, -1.0)
     thrown = replace(
@@ -124,7 +116,7 @@ def test_free_body_and_tissue_keep_their_momentum_and_energy(reference, rough):
         np.testing.assert_allclose(momentum, begin, rtol=0, atol=30e-11)
     assert min(force[1] for force in forces) < -5.0
     assert abs(dynamics.mass @ dynamics.v[:, 1]) > 0.1 * 30.0
-    done = run(reference, replace(PRESSED, bodies=(thrown,)), micro_step=5e-4, energy_steps=2)
+    done = run_tissue(replace(PRESSED, bodies=(thrown,)), micro_step=5e-4, energy_steps=2)
     energies = done.energies
     start = 15.0 * np.dot(velocity, velocity)
     assert energies["kinetic"][0] == pytest.approx(start)
@@ -137,7 +129,7 @@ def test_free_body_and_tissue_keep_their_momentum_and_energy(reference, rough):
 
 
 @pytest.mark.slow
-def test_energy_balance_falls_with_the_step(reference):
+def test_energy_balance_falls_with_the_step(run_tissue):
     """Motion of a boundary, of a plate and a load at once: first order, for the dashpots."""
     grip = PrescribedMotion(name="grip", on="right", displacement=(1.0, None), amplitude=SMOOTH)
     loads = (
@@ -151,7 +143,7 @@ def test_energy_balance_falls_with_the_step(reference):
     )  # fmt: skip
     balances = []
     for step in (1e-3, 5e-4):
-        energies = run(reference, problem, micro_step=step, energy_steps=2).energies
+        energies = run_tissue(problem, micro_step=step, energy_steps=2).energies
         balances.append(abs(energies["balance"]).max())
     assert {"pull", "gas", "base", "motion", "contact", "contact dissipated"} < set(energies)
     assert min(abs(energies[name]).max() for name in ("gas", "base", "contact dissipated")) > 0.3
@@ -159,7 +151,7 @@ def test_energy_balance_falls_with_the_step(reference):
     assert balances[0] < 1e-3 * energies["motion"].max()
 
 
-def test_forces_of_all_that_acts_are_the_rate_of_momentum(reference):
+def test_forces_of_all_that_acts_are_the_rate_of_momentum(reference, run_tissue):
     """Reactions, loads and contact together move the tissue's centre of mass."""
     grip = PrescribedMotion(name="grip", on="right", displacement=(1.0, 0.5), amplitude=SMOOTH)
     loads = (
@@ -171,7 +163,7 @@ def test_forces_of_all_that_acts_are_the_rate_of_momentum(reference):
         PRESSED, conditions=(Fixed(name="clamp", on="left"), grip, *loads), duration=1.0,
         output_interval=0.01, bodies=(replace(LOWER, friction=0.4), replace(UPPER, damping=2.0)),
     )  # fmt: skip
-    done = run(reference, problem, micro_step=5e-4)
+    done = run_tissue(problem, micro_step=5e-4)
     names = ("clamp", "grip", "weight", "gas", "base", "lower", "upper")
     total = np.stack(
         [sum(done.history[f"force {name} {axis}"] for name in names) for axis in "xy"], axis=1
@@ -183,7 +175,7 @@ def test_forces_of_all_that_acts_are_the_rate_of_momentum(reference):
     np.testing.assert_allclose(impulse, end, rtol=0, atol=2e-3 * abs(end).max())
 
 
-def test_friction_is_that_of_coulomb_where_a_plate_slides_and_of_a_grip_where_it_sticks(reference):
+def test_friction_is_that_of_coulomb_where_a_plate_slides_and_of_a_grip_where_it_sticks(run_tissue):
     """A plate presses and then moves along: fast, against a held tissue; slowly, a free one."""
     press = Table(points=((0.0, 0.0), (1.0, 1.0)))
     held = Fixed(name="held", on="bottom")
@@ -192,7 +184,7 @@ def test_friction_is_that_of_coulomb_where_a_plate_slides_and_of_a_grip_where_it
     for name, speed in (("slides", 6.0), ("sticks", 0.05)):
         along = replace(upper, displacement=(speed, -0.5), slip_speed=1e-3)
         problem = replace(PRESSED, conditions=(held,), bodies=(along,), duration=0.9)
-        done = run(reference, problem)
+        done = run_tissue(problem)
         force = [done.history[f"force upper {axis}"][-1] for axis in "xy"]
         found[name] = force[0] / -force[1], done.history["mean displacement top x"][-1]
     assert found["slides"][0] == pytest.approx(0.3, rel=0.01)
@@ -221,7 +213,7 @@ def test_pressure_follows_and_is_the_gradient_of_the_area(reference):
         a = (outline[order] + u[order]).T
         return 0.5 * float(np.sum(a[0] * np.roll(a[1], -1) - a[1] * np.roll(a[0], -1)))
 
-    slope = (area(1e-4 * direction) - area(-1e-4 * direction)) / 2e-4
+    slope = slope_along(area, 0.0 * x, direction, 1e-4)
     assert np.sum(pushed * direction) == pytest.approx(-14.0 * slope, rel=1e-9)
     dynamics.place(x + 0.5 * direction)
     moved = dynamics.forces(amplitudes=factors) - dynamics.forces(with_outline=False)
@@ -274,7 +266,7 @@ def test_stiff_plate_is_prescribed_motion(reference):
     assert off[2].max() < 3e-3
 
 
-def test_driven_side_arrives_where_it_is_led(reference):
+def test_driven_side_arrives_where_it_is_led(run_tissue):
     grip = PrescribedMotion(
         name="grip", on="right", displacement=(0.8, -0.3), amplitude=Table(points=((0, 0), (1, 1)))
     )
@@ -282,42 +274,30 @@ def test_driven_side_arrives_where_it_is_led(reference):
         PRESSED, bodies=(), conditions=(Fixed(name="clamp", on="left"), grip), duration=1.5,
         watched={"corner": (50.0, 50.0)},
     )  # fmt: skip
-    done = run(reference, problem)
+    done = run_tissue(problem)
     np.testing.assert_allclose(done.curve.displacement[-1], [0.8, -0.3], rtol=0, atol=1e-10)
     np.testing.assert_allclose(done.curve.displacement[1], [0.4, -0.15], rtol=0, atol=1e-10)
     assert done.history["mean displacement right x"][-1] == pytest.approx(0.8, abs=1e-10)
     assert done.energies["motion"][0] > 0.0  # the impulse of a start at once
 
 
-def test_run_with_bodies_resumes_bit_by_bit(reference):
+def test_run_with_bodies_resumes_bit_by_bit(run_tissue):
     thrown = replace(UPPER, name="thrown", displacement=(0.0, 0.0), mass=30.0, velocity=(0.1, -1.0))
     problem = replace(PRESSED, bodies=(LOWER, thrown), duration=1.5)
-    cell, at_rest = reference("water")
     states = []
-    settings = TissueSettings(frames=2)
-    whole = simulate_tissue(
-        problem,
-        cell,
-        settings,
-        reference=at_rest,
-        checkpoint=states.append,
-        checkpoint_interval=0.0,
-    )
+    whole = run_tissue(problem, checkpoint=states.append, checkpoint_interval=0.0)
     state = TissueState.from_arrays(states[0].to_arrays())
-    again = simulate_tissue(problem, cell, settings, reference=at_rest, resume=state)
-    for name, values in (whole.history | whole.energies).items():
-        np.testing.assert_array_equal((again.history | again.energies)[name], values, err_msg=name)
+    assert_same_run(run_tissue(problem, resume=state), whole)
 
 
-def test_stiff_plate_shortens_the_step(reference):
-    cell, at_rest = reference("water")
-    steps = []
-    for bodies in ((), (LOWER,), (replace(LOWER, stiffness=1e5),)):
-        conditions = make_conditions(replace(PRESSED, bodies=bodies), cell, at_rest)
-        steps.append(step_at_rest(conditions))
+def test_stiff_plate_shortens_the_step(reference, run_tissue):
+    steps = [
+        step_at_rest(make_conditions(replace(PRESSED, bodies=bodies), *reference("water")))
+        for bodies in ((), (LOWER,), (replace(LOWER, stiffness=1e5),))
+    ]
     assert steps[0] > steps[1] > 0.9 * steps[0]
     assert steps[2] < 0.6 * steps[0]
-    done = run(reference, replace(PRESSED, bodies=(replace(LOWER, stiffness=1e5), UPPER)))
+    done = run_tissue(replace(PRESSED, bodies=(replace(LOWER, stiffness=1e5), UPPER)))
     assert abs(done.energies["balance"]).max() < 1e-3 * done.energies["motion"].max()
 
 
@@ -328,13 +308,8 @@ def test_sides_and_elements_of_a_mesh_pick_what_regions_of_the_plane_do(referenc
     held = Fixed(name="held", on="corner")
     pull = BodyForce(name="pull", on="core", acceleration=(0.3, 0.1))
     stated = replace(PRESSED, conditions=(held, pull), bodies=(LOWER,))
-    found = [
-        make_conditions(each, *reference("water"))
-        for each in (
-            replace(stated, mesh=mesh),
-            replace(stated, boundaries=parts[0], regions=parts[1]),
-        )
-    ]
+    both = replace(stated, mesh=mesh), replace(stated, boundaries=parts[0], regions=parts[1])
+    found = [make_conditions(each, *reference("water")) for each in both]
     assert found[0].held.sum() == 2 * 11
     np.testing.assert_array_equal(*(each.held for each in found))
     np.testing.assert_array_equal(*(each.dead_loads() for each in found))
@@ -369,6 +344,6 @@ CLAMP = Fixed(name="clamp", on="left")
         ({"mesh": rectangle(50.0, 20.0, (2, 2))}, "mesh.height: 20; a tissue needs a whole num"),
     ],
 )  # fmt: skip
-def test_what_a_tissue_cannot_bear_is_named(reference, changes, message):
+def test_what_a_tissue_cannot_bear_is_named(run_tissue, changes, message):
     with pytest.raises(InputError, match=f"^{message}"):
-        run(reference, replace(PRESSED, **{"bodies": (), **changes}))
+        run_tissue(replace(PRESSED, **{"bodies": (), **changes}))
