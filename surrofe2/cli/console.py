@@ -220,34 +220,6 @@ _SETTLED = 0.5
 """Seconds before a rate is reported."""
 
 
-class _Clock:
-    """The rate of work and the time that is left; what was done before counts for neither.
-
-    Work whose total is 1 is reported in percent alone.
-    """
-
-    def __init__(self, total: float, unit: str) -> None:
-        self._total, self._unit = total, unit
-        self._first: tuple[float, float] | None = None
-
-    def far(self, done: float) -> list[str]:
-        """How far the work is in its unit."""
-        return [f"{_short(done)} of {_short(self._total)} {self._unit}"][self._total == 1.0 :]
-
-    def rate_and_time_left(self, done: float) -> list[str]:
-        """Time left and rate as people say them, where they are known yet."""
-        moment = time.perf_counter()
-        if self._first is None and done > 0.0:
-            self._first = moment, done
-        if self._first is None:
-            return []
-        elapsed, more = moment - self._first[0], done - self._first[1]
-        if elapsed < _SETTLED or more <= 0.0:
-            return []
-        known = [f"{time_text(max((self._total - done) * elapsed / more, 0.0))} left"]
-        return known if self._total == 1.0 else [*known, f"{_short(more / elapsed)} {self._unit}/s"]
-
-
 @contextmanager
 def progress(what: str, total: float, unit: str) -> Iterator[Report]:
     """A function (done, note) that shows how far work is, at which rate, and the time left."""
@@ -264,7 +236,7 @@ def stages() -> Iterator[Callable[[str, float, str], AbstractContextManager[Repo
     """
     console = Console(stderr=True)
     if is_quiet() or not console.is_terminal or console.is_dumb_terminal:
-        yield _lines
+        yield partial(_stage, None)
         return
     columns = (
         TextColumn("{task.description}"),
@@ -275,39 +247,41 @@ def stages() -> Iterator[Callable[[str, float, str], AbstractContextManager[Repo
     # what is piped elsewhere goes there
     redirected = sys.stdout.isatty()
     with Progress(*columns, console=console, transient=True, redirect_stdout=redirected) as shown:
-        yield partial(_row, shown)
+        yield partial(_stage, shown)
 
 
 @contextmanager
-def _row(shown: Progress, what: str, total: float, unit: str) -> Iterator[Report]:
-    clock, began = _Clock(total, unit), time.perf_counter()
-    task = shown.add_task(what, total=total, status="")
-    space = shown.console.width - len(what) - _bar_width(shown.console) - len("   100 %  ")
+def _stage(shown: Progress | None, what: str, total: float, unit: str) -> Iterator[Report]:
+    """A bar of a display, or lines without one; work whose total is 1 is reported in percent."""
+    began = last = time.perf_counter()
+    first: tuple[float, float] | None = None  # what was done before counts for no rate
+    task = shown.add_task(what, total=total, status="") if shown else None
 
     def report(done: float, note: str = "") -> None:
-        parts = [*clock.far(done), *clock.rate_and_time_left(done), *[note][: len(note)]]
-        while len(", ".join(parts)) > space and parts:
-            parts.pop()
-        shown.update(task, completed=done, status=", ".join(parts))
+        nonlocal first, last
+        moment, far, parts = time.perf_counter(), [], list[str]()
+        first = first or ((moment, done) if done > 0.0 else None)
+        elapsed, more = (moment - first[0], done - first[1]) if first else (0.0, 0.0)
+        if total != 1.0:
+            far = [f"{_short(done)} of {_short(total)} {unit}"]
+        if elapsed >= _SETTLED and more > 0.0:
+            parts = [f"{time_text(max((total - done) * elapsed / more, 0.0))} left"]
+            parts += [f"{_short(more / elapsed)} {unit}/s"] if far else []
+        parts += [note] if note else []
+        if shown is not None and task is not None:
+            parts = far + parts
+            space = shown.console.width - len(what) - _bar_width(shown.console) - len("   100 %  ")
+            while len(", ".join(parts)) > space and parts:
+                parts.pop()
+            shown.update(task, completed=done, status=", ".join(parts))
+        elif not is_quiet() and moment - last >= SELDOM:
+            last = moment
+            parts = [f"{100.0 * done / total:.0f} %"] * bool(total) + parts
+            typer.echo(f"{what}: {', '.join(parts)}", err=True)
 
     yield report
-    shown.update(task, completed=total, status=time_text(time.perf_counter() - began))
-
-
-@contextmanager
-def _lines(what: str, total: float, unit: str) -> Iterator[Report]:
-    clock, last = _Clock(total, unit), time.perf_counter()
-
-    def report(done: float, note: str = "") -> None:
-        nonlocal last
-        left_and_rate = clock.rate_and_time_left(done)
-        if is_quiet() or time.perf_counter() - last < SELDOM:
-            return
-        last = time.perf_counter()
-        far = [f"{100.0 * done / total:.0f} %"] if total else []
-        typer.echo(f"{what}: {', '.join([*far, *left_and_rate, *[note][: len(note)]])}", err=True)
-
-    yield report
+    if shown is not None and task is not None:
+        shown.update(task, completed=total, status=time_text(time.perf_counter() - began))
 
 
 def _bar_width(console: Console) -> int:
