@@ -6,7 +6,6 @@ In reading order:
     units            µm, µs, ng and what follows from them
     errors           what is raised, one sentence each
     settings         bounds of settings, stated once at the field
-    costs            seconds, and from when a cache pays
     interruption     signals
     compilation      numba's flags, where compiled kernels are kept, threads of BLAS
     simd             eight lanes of numbers in kernels

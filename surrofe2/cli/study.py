@@ -10,14 +10,20 @@ import typer
 from surrofe2.base.errors import InputError, SimulationError, quoted
 from surrofe2.base.units import rough_number, rough_time
 from surrofe2.cli import console
-from surrofe2.cli.compare import show_comparison
+from surrofe2.cli.compare import REPORT, show_comparison
 from surrofe2.recipe.entries import listed_values
+from surrofe2.recipe.recipe import Recipe
 from surrofe2.recipe.schema import TEMPLATES, write_recipe
+from surrofe2.report.comparison import compare_runs
+from surrofe2.report.page import write_report
+from surrofe2.run.loop import Stage
+from surrofe2.store.run_folder import RunRecord
 from surrofe2.workflow import check as checking
+from surrofe2.workflow.generate import data_summary
 from surrofe2.workflow.grid import GRID_FILES, run_grid
 from surrofe2.workflow.laws import open_study, use_threads
-from surrofe2.workflow.run import cache_notes
-from surrofe2.workflow.study import run_recipe
+from surrofe2.workflow.run import cache_notes, run_study, run_summary
+from surrofe2.workflow.train import is_trained, large_errors, learn, training_summary
 from surrofe2.workflow.workers import executor_of
 
 
@@ -156,16 +162,46 @@ def study(
     stated = open_study(recipe, threads)
     folder = console.folder_of(out, recipe)
     laws = (law,) if true is not None or without_true else ("rve", law)
+    first = 3 if law == "cached" else 1
+    last = first - 1 + len(laws)
+    folders, records = [] if true is None else [true], list[RunRecord]()
     kept = "finished steps, samples and iterations, and the run's last checkpoint are kept"
     with console.on_interrupt(kept), console.stages() as stage:
-        records, comparison = run_recipe(
-            stated, folder, laws, true, fresh=fresh, stage=stage, tell=console.print_line
-        )
+        faults = checking.study_faults(stated, laws, fresh=fresh)
+        if faults:
+            more = f"; and {len(faults) - 1} more, see `surrofe2 check`" if faults[1:] else ""
+            raise InputError(f"{faults[0]}{more}")
+        for part in stated.parts().values() if law == "cached" else ():
+            _learn(part, last, fresh, stage)
+        for k, each in enumerate(laws, first):
+            with stage(f"{k}/{last} run by {each}", stated.duration, "µs") as report:
+                records.append(run_study(stated, each, folder / each, fresh=fresh, report=report))
+            console.print_line(f"{k}/{last} {folder / each}: {run_summary(records[-1])}")
+            folders.append(folder / each)
+        # the comparison is made again: it takes no time, and its table is what people come for
+        out, several = folder / "comparison", len(folders) > 1
+        comparison = compare_runs(folders, out, fresh=True) if several else None
+        page = write_report(folders, folder / REPORT)
+        console.print_line(f"{page}: all of it on one page")
     if comparison is not None:
         show_comparison(comparison)
     notes = (note for record in records for note in cache_notes(record))
     console.show_notes(note for note in notes if note[1] or comparison is None)
     console.done(folder, "all steps done")
+
+
+def _learn(part: Recipe, last: int, fresh: bool, stage: Stage) -> None:
+    """Data set and surrogate of a cell, whatever is missing of both."""
+    path = part.training_path()
+    if not (fresh or part.data_path().exists()) and is_trained(part):  # it needs no data set
+        console.print_line(f"2/{last} surrogate {path}: already trained")
+        return
+    data, trained = learn(part, fresh=fresh, stage=stage)
+    console.print_line(f"1/{last} data set {data.path}: {data_summary(data)}")
+    console.print_line(f"2/{last} surrogate {path}: {training_summary(trained)}; {trained.bound}")
+    warning = large_errors(part, trained)
+    if warning is not None:
+        console.print_warning(warning)
 
 
 def grid(

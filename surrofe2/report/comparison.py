@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -9,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from surrofe2.base.costs import Balance
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.base.units import number
 from surrofe2.plant_cell.parameters import PRESETS
@@ -19,12 +19,73 @@ from surrofe2.run.displacement_curve import CurveDifference, DisplacementCurve, 
 from surrofe2.store.run_folder import (
     RunRecord,
     StoredRun,
-    balance_of,
     read_run,
 )
 from surrofe2.store.store import digest, flat, keep, write_bytes
 
 COMPARISON_FILES = ("comparison.json", "comparison.png")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Balance:
+    """A run through a cache against one by RVEs, with what the cache took to make; s.
+
+    Attributes:
+        made: of data set, training and calibration; None where that is not known.
+        run, true: of the two runs.
+    """
+
+    made: float | None
+    run: float
+    true: float
+
+    @property
+    def gain(self) -> float | None:
+        """How many times faster than the full run with everything counted."""
+        return None if self.made is None else self.true / (self.made + self.run)
+
+    @property
+    def pays_from(self) -> int | None:
+        """The number of such runs from which on it pays; None: never, or not known."""
+        if self.made is None or self.true <= self.run:
+            return None
+        return max(1, math.ceil(self.made / (self.true - self.run)))
+
+    @property
+    def sentence(self) -> str:
+        """What it comes to."""
+        if self.made is None:
+            return "the time to make its surrogate is not known; train again to have it counted"
+        gain = self.true / (self.made + self.run)
+        text = f"including data and training ({number(self.made)} s), " + (
+            f"{number(gain, 2)} times faster than full FE²"
+            if gain >= 1.0
+            else f"{number(1.0 / gain, 2)} times slower than full FE²"
+        )
+        if self.pays_from is None:
+            return f"{text}; it never pays off, since full FE² is faster"
+        if self.pays_from == 1:
+            return f"{text}; it pays off in the first run"
+        times = self.made / (self.true - self.run)
+        runs = f"it pays off after {self.pays_from:,} such runs"
+        return f"{text}; {runs}, or on {number(times, 2)} times as many elements"
+
+
+def made_for(record: RunRecord) -> float | None:
+    """Seconds of what was made for a run, a surrogate or a table to begin with; None: not known."""
+    if record.surrogate is None:
+        return None if record.law in ("cached", "surrogate") else 0.0
+    seconds = record.surrogate.get("seconds", {})
+    is_known = record.law == "table" or any(name.startswith("data") for name in seconds)
+    return float(sum(seconds.values())) if seconds and is_known else None
+
+
+def balance_of(record: RunRecord, true: RunRecord) -> Balance | None:
+    """A run through a cache or a surrogate against one by RVEs; None of other runs."""
+    if record.law not in ("cached", "table", "surrogate") or true.law not in ("rve", "tissue"):
+        return None
+    run, reference = (each.wall_time.get("total", 0.0) for each in (record, true))
+    return Balance(made=made_for(record), run=run, true=reference)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,13 +164,7 @@ class Comparison:
 
 
 def order_runs(runs: Sequence[StoredRun]) -> list[StoredRun]:
-    """The reference first: the first full tissue, else by RVEs, else the first of all.
-
-    Raises:
-        InputError: fewer than two runs.
-    """
-    if len(runs) < 2:
-        raise InputError(f"compare: {len(runs)} run folder; give at least two")
+    """The reference first: the first full tissue, else by RVEs, else the first of all."""
     ranks = {"tissue": 0, "rve": 1}
     reference = min(runs, key=lambda run: ranks.get(run.record.law, 2))
     return [reference, *(run for run in runs if run is not reference)]
@@ -122,6 +177,8 @@ def compare(runs: Sequence[StoredRun]) -> Comparison:
         MismatchError: the runs are of different load cases or problems; meshes may differ.
         InputError: fewer than two runs.
     """
+    if len(runs) < 2:
+        raise InputError(f"compare: {len(runs)} run folder; give at least two")
     reference, *others = order_runs(runs)
     load = _load_of(reference)
     for run in others:
@@ -255,7 +312,7 @@ def displacement_panels(runs: Sequence[StoredRun]) -> list[Panel]:
 
     Runs that nobody could tell from the reference are named at its line.
     """
-    reference, *others = order_runs(runs) if len(runs) > 1 else runs
+    reference, *others = order_runs(runs)
     largest = abs(reference.curve.displacement).max(axis=0)
     apart = {k: difference(run.curve, reference.curve).largest for k, run in enumerate(others)}
     close = [k for k in apart if apart[k] < _TOGETHER]
@@ -302,7 +359,7 @@ def difference_panels(runs: Sequence[StoredRun]) -> list[Panel]:
 def audit_panels(runs: Sequence[StoredRun]) -> list[Panel]:
     """How many audited answers of the caches have at most which error; none without audits."""
     curves: list[Curve] = []
-    for k, run in enumerate(order_runs(runs)[1:] if len(runs) > 1 else runs):
+    for k, run in enumerate(order_runs(runs)[1:] or runs):
         for of, cache in run.caches.items():
             if cache["audit"]["quantiles"]:
                 curves += audit_curves(cache["audit"], k, of)
@@ -337,7 +394,7 @@ def clock_of(run: StoredRun) -> str:
 
 def comparison_title(runs: Sequence[StoredRun]) -> str:
     """Watched point, problem, plant cell, and the initialisation that the runs have in common."""
-    reference = (order_runs(runs) if len(runs) > 1 else runs)[0]
+    reference = order_runs(runs)[0]
     recipe, usual = reference.record.recipe, reference.record.initialisation
     watched = reference.record.problem.get("watched") or recipe.get("watch", {})
     point = "Watched point"

@@ -37,13 +37,14 @@ from surrofe2.report.comparison import (
     difference_panels,
     displacement_panels,
     fallback_reasons,
+    made_for,
     order_runs,
 )
 from surrofe2.report.figures import Colours, DrawnBody, box, draw_tissue, drawn_bodies, rim
 from surrofe2.report.tables import Table, percent
 from surrofe2.run.charts import Curve, Panel, draw_panels, encoded
 from surrofe2.store.fields import DISPLACEMENT_NAME, FIELDS, SOURCE_NAME, StoredFields, read_fields
-from surrofe2.store.run_folder import EVENTS, StoredRun, made_for, read_run
+from surrofe2.store.run_folder import EVENTS, StoredRun, read_run
 from surrofe2.store.store import check_replaceable, flat, read_bytes, write_text
 
 Array = NDArray[np.float64]
@@ -99,11 +100,9 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> Path:
 def load_runs(folders: Sequence[str | Path]) -> ReportData:
     """What these run folders hold, the reference first."""
     runs = [read_run(folder, finished=False) for folder in folders]
-    if len(runs) == 1:
-        return ReportData(
-            (_load(runs[0]),), None, "One run, so there is nothing to compare it with."
-        )
     seen = tuple(_load(run) for run in order_runs(runs))
+    if len(runs) == 1:
+        return ReportData(seen, None, "One run, so there is nothing to compare it with.")
     try:
         return ReportData(seen, compare(runs))
     except MismatchError as error:

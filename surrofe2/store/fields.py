@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surrofe2.base.errors import FileError
 from surrofe2.store.hdf5 import Kind, reading, store_array, writing
-from surrofe2.store.store import read_text, write_text
+from surrofe2.store.store import write_text
 
 if TYPE_CHECKING:
     from surrofe2.macro.history import Frames
@@ -27,6 +27,7 @@ STRESS_NAME, SOURCE_NAME = "cauchy_stress_uN_per_um", "stress_source"
 RISK_NAME = "risk"
 DISPLACEMENT_NAME, VELOCITY_NAME = "displacement_um", "velocity_um_per_us"
 CELL = "plant_cell"
+_MOTION = (DISPLACEMENT_NAME, VELOCITY_NAME)
 _TENSORS = (STRESS_NAME, F_NAME, F_DOT_NAME)
 FIELDS_FILE = Kind("fields", 1)
 FIELDS, POINTS = "fields", "points"
@@ -120,11 +121,16 @@ def write_series(
 
         def stored(entry: str, values: NDArray[Any]) -> str:
             store_array(file, entry, values)
-            return _item(entry, values, f"{name}.h5")
+            number = "Int" if values.dtype.kind == "i" else "Float"
+            shape = " ".join(map(str, values.shape))
+            head = f'<DataItem DataType="{number}" Precision="8" Dimensions="{shape}" Format="HDF">'
+            return f"{head}{name}.h5:/{entry}</DataItem>"
 
         def attribute(what: str, centre: str, k: int, of_plane: NDArray[Any]) -> str:
             values = _in_space(of_plane, thickness=float(what == F_NAME))
-            return _attribute(what, centre, stored(f"{what}.{k}", values), values.ndim)
+            kind = {1: "Scalar", 2: "Vector", 3: "Tensor"}[values.ndim]
+            head = f'<Attribute Name="{what}" AttributeType="{kind}" Center="{centre}">'
+            return f"{head}{stored(f'{what}.{k}', values)}</Attribute>\n"
 
         mesh = (
             f'<Topology TopologyType="{_KINDS[cells.shape[1]]}" NumberOfElements="{len(cells)}" '
@@ -163,39 +169,12 @@ def _in_space(values: NDArray[Any], thickness: float = 0.0) -> NDArray[Any]:
     return out
 
 
-def _item(name: str, values: NDArray[Any], file: str = f"{FIELDS}.h5") -> str:
-    """The words of XDMF for a data set of a file."""
-    number = "Int" if values.dtype.kind == "i" else "Float"
-    shape = " ".join(map(str, values.shape))
-    return (
-        f'<DataItem DataType="{number}" Precision="8" Dimensions="{shape}" '
-        f'Format="HDF">{file}:/{name}</DataItem>'
-    )
-
-
-def _attribute(name: str, centre: str, item: str, rank: int) -> str:
-    kind = {1: "Scalar", 2: "Vector", 3: "Tensor"}[rank]
-    head = f'<Attribute Name="{name}" AttributeType="{kind}" Center="{centre}">'
-    return f"{head}{item}</Attribute>\n"
-
-
 def add_to_elements(folder: Path, added: Series) -> None:
     """Add values (m, e) of the elements, by name, to the fields of a folder, or renew them."""
-    of_frames = {f"{name}.{k}": at for name, of in added.items() for k, at in enumerate(of)}
-    path = folder / f"{FIELDS}.h5"
-    with reading(path) as there, writing(path, FIELDS_FILE, {}) as file:
-        for name in there.file:
-            if name not in of_frames:
-                there.file.copy(name, file)
-        for name, values in of_frames.items():
-            store_array(file, name, values)
-    path = folder / f"{FIELDS}.xdmf"
-    *grids, end = read_text(path).split("</Grid>\n")
-    for k in range(len(grids) - 1):
-        for name, values in added.items():
-            words = _attribute(name, "Cell", _item(f"{name}.{k}", values[k]), 1)
-            grids[k] += "" if words in grids[k] else words
-    write_text(path, "</Grid>\n".join([*grids, end]))
+    stored = read_fields(folder, (), None)
+    at_points = {name: of for name, of in stored.values.items() if name in _MOTION}
+    in_cells = {name: of for name, of in stored.values.items() if name not in _MOTION}
+    write_series(folder, stored.points, stored.cells, stored.t, at_points, in_cells | {**added})
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,10 +200,11 @@ class StoredFields:
 
 
 def read_fields(
-    folder: Path, needed: Iterable[str], others: Iterable[str] = (), name: str = FIELDS
+    folder: Path, needed: Iterable[str], others: Iterable[str] | None = (), name: str = FIELDS
 ) -> StoredFields:
     """The mesh of fields.h5, or of points.h5, the values of the `needed` names, and of the `others`
-    where they are there; FileError where the file is missing or damaged, or values are needed."""
+    where they are there (None: of all); FileError where the file is missing or damaged, or values
+    are needed."""
     path = folder / f"{name}.h5"
     with reading(path) as stored:
         file = stored.file
@@ -236,12 +216,14 @@ def read_fields(
         if not (len(t) and 0 <= cells.min(initial=0) <= cells.max(initial=0) < len(points)):
             raise ValueError("t or cells: empty, or of points that are not there")
         values = {}
+        if others is None:
+            others = dict.fromkeys(key.rpartition(".")[0] for key in file if "." in key)
         for what in (*needed, *others):
             if f"{what}.0" in file:
                 kind = file[f"{what}.0"].dtype
                 if kind.kind not in "if":
                     raise ValueError(f"{what}.0: {kind}; it must be numbers")
-                is_motion = what in (DISPLACEMENT_NAME, VELOCITY_NAME)
+                is_motion = what in _MOTION
                 axes = 2 if what in _TENSORS else int(is_motion)
                 shape = (len(points if is_motion else cells), *(3,) * axes)
                 whole = [stored.array(f"{what}.{k}", shape, kind) for k in range(len(t))]

@@ -18,7 +18,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from surrofe2.base.costs import Balance, processor
 from surrofe2.base.errors import (
     FileError,
     InputError,
@@ -358,13 +357,22 @@ def describe_origin() -> dict[str, Any]:
     }
 
 
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
+
+
 def describe_platform() -> dict[str, str]:
     """Processor, cores, system and library versions; nothing that identifies the machine."""
     libraries = {}
     for name in ("numpy", "scipy", "numba", "torch"):
         with suppress(PackageNotFoundError):  # runs do without torch
             libraries[name] = version(name)
-    machine = {"processor": processor(), "cores": str(os.cpu_count()), "system": platform.system()}
+    machine = {"processor": _processor(), "cores": str(os.cpu_count()), "system": platform.system()}
     return {**machine, "python": platform.python_version(), **libraries}
 
 
@@ -506,20 +514,3 @@ def write_events(folder: Path, decisions: Iterable[Mapping[str, Any]]) -> None:
     """Write events.jsonl whole, a decision of a cached law a line; run.json has its SHA-256."""
     lines = [json.dumps(plain(each), ensure_ascii=False) for each in decisions]
     write_text(folder / EVENTS, "".join(f"{line}\n" for line in lines))
-
-
-def made_for(record: RunRecord) -> float | None:
-    """Seconds of what was made for a run, a surrogate or a table to begin with; None: not known."""
-    if record.surrogate is None:
-        return None if record.law in ("cached", "surrogate") else 0.0
-    seconds = record.surrogate.get("seconds", {})
-    is_known = record.law == "table" or any(name.startswith("data") for name in seconds)
-    return float(sum(seconds.values())) if seconds and is_known else None
-
-
-def balance_of(record: RunRecord, true: RunRecord) -> Balance | None:
-    """A run through a cache or a surrogate against one by RVEs; None of other runs."""
-    if record.law not in ("cached", "table", "surrogate") or true.law not in ("rve", "tissue"):
-        return None
-    run, reference = (each.wall_time.get("total", 0.0) for each in (record, true))
-    return Balance(made=made_for(record), run=run, true=reference)

@@ -118,6 +118,17 @@ class DataSetHeader(Origin):
         }
 
 
+def rows_of(F: Array, F_dot: Array, answer: StressResponse, tangents: bool) -> dict[str, Any]:
+    """The columns of samples: F, Ḟ (n, 2, 2) and the answer there, with its tangents if wanted."""
+    left = (
+        np.zeros(len(F), np.bool_) if answer.left_bifurcation is None else answer.left_bifurcation
+    )
+    rows = {"F": F, "F_dot": F_dot, "stress": answer.stress, "status": answer.status, LEFT: left}
+    if answer.tangents is not None and tangents:
+        rows |= zip(TANGENTS, (answer.tangents.P_by_F, answer.tangents.P_by_F_dot), strict=True)
+    return rows
+
+
 class SampleWriter:
     """A file of samples in the making: rows are taken in parts, each whole or not at all."""
 
@@ -147,11 +158,10 @@ class SampleWriter:
             self._parts = [whole]
         return self._parts[0]
 
-    def write(self, arrays: Arrays | None = None, **entries: Any) -> None:
-        """Write all rows so far, and these arrays and entries of the header, if it is due."""
+    def write(self, **entries: Any) -> None:
+        """Write all rows so far, and these entries of the header, if it is due."""
         if not self._is_stored:
-            rows = self.to_arrays()
-            write(self.path, self.kind, self.header.entries() | entries, rows | (arrays or {}))
+            write(self.path, self.kind, self.header.entries() | entries, self.to_arrays())
             self._is_stored = True
 
 
@@ -169,12 +179,7 @@ class DataSetWriter(SampleWriter):
 
     def append(self, F: Array, F_dot: Array, answer: StressResponse) -> None:
         """Take the next n rows, F and Ḟ (n, 2, 2); with tangents if the data set holds them."""
-        rows: dict[str, Any] = {"stress": answer.stress, "status": answer.status}
-        left = answer.left_bifurcation
-        rows[LEFT] = np.zeros(len(F)) if left is None else left
-        if answer.tangents is not None and self.header.tangents:
-            rows |= zip(TANGENTS, (answer.tangents.P_by_F, answer.tangents.P_by_F_dot), strict=True)
-        self.take(F=F, F_dot=F_dot, **rows)
+        self.take(**rows_of(F, F_dot, answer, self.header.tangents))
         if self._clock.is_due():
             self._clock.write(self.store)
 
@@ -187,19 +192,16 @@ class DataSetWriter(SampleWriter):
         """How many rows so far have each status code."""
         return dict(sorted(Counter(self.to_arrays()["status"].tolist()).items()))
 
-    def store(self, status: str = "writing", arrays: Arrays | None = None) -> None:
+    def store(self, status: str = "writing") -> None:
         """Write the rows that there are, to resume from."""
         known = {"status": status, "completed": self.completed, "seconds": self.meter.seconds}
-        self.write(arrays, **known)
+        self.write(**known)
 
     def finish(self) -> StressSamples:
-        """Write all rows, none of which is missing, and which failed; as read back."""
+        """Write all rows, none of which is missing; as read back."""
         if not self.is_finished:
-            status = self.to_arrays()["status"]
-            failed = np.flatnonzero(status)
-            reasons = np.array([describe(code) for code in status[failed]], object)
             self._is_stored = False  # if so, as one that is not finished
-            self.store("finished", {"failed/index": failed, "failed/reason": reasons})
+            self.store("finished")
             self.is_finished = True
         return read_data_set(self.path)
 

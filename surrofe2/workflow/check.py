@@ -83,18 +83,6 @@ def study_faults(recipe: Recipe, kinds: Sequence[str], *, fresh: bool = False) -
     return faults
 
 
-def refuse_faults(recipe: Recipe, kinds: Sequence[str], *, fresh: bool = False) -> None:
-    """Refuse a study that could not come to its end.
-
-    Raises:
-        InputError: the first fault, and how many more there are.
-    """
-    faults = study_faults(recipe, kinds, fresh=fresh)
-    if faults:
-        more = f"; and {len(faults) - 1} more, see `surrofe2 check`" if faults[1:] else ""
-        raise InputError(f"{faults[0]}{more}")
-
-
 def _check_files(part: Recipe) -> None:
     """Whether data set and surrogate, as far as they are there and whole, are of this recipe."""
     if part.range is None or part.samples.file is None or part.training_file is None:

@@ -29,6 +29,7 @@ from surrofe2.store.samples import (
     check_harvest,
     read_data_set,
     read_harvest,
+    rows_of,
     stored_count,
     writing_data_set,
 )
@@ -76,7 +77,6 @@ def wanted_count(recipe: Recipe, *, fresh: bool = False) -> int:
 
 def generate_data_set(
     recipe: Recipe,
-    law: StressLaw | None = None,
     *,
     count: int = 0,
     fresh: bool = False,
@@ -90,7 +90,6 @@ def generate_data_set(
     made by several processes, equals one made in one go, to the bit.
 
     Args:
-        law: used instead of the recipe's RVE; an executor must be able to send it.
         count: of samples in the end, or `wanted_count` if that is more.
 
     Raises:
@@ -99,7 +98,7 @@ def generate_data_set(
     path, settings, wanted = recipe.data_path(), recipe.samples, recipe.sampling_range()
     if settings.tangents and recipe.rve.solver == "iterated":
         raise InputError('samples.tangents: true; it needs rve.solver = "direct"')
-    law, count = law or laws.true_law(recipe), max(count, wanted_count(recipe, fresh=fresh))
+    law, count = laws.true_law(recipe), max(count, wanted_count(recipe, fresh=fresh))
     header = DataSetHeader(
         cell=recipe.cell,
         rve=asdict(recipe.rve),
@@ -109,7 +108,7 @@ def generate_data_set(
         chunk=chunk,
         version=version("surrofe2"),
         recipe=recipe.to_dict(),
-        rest_length=law.rest_length if isinstance(law, RveLaw) else None,
+        rest_length=law.rest_length,
         tangents=settings.tangents,
         is_open=settings.count is None,
     )
@@ -160,12 +159,7 @@ def sample_stress(
     parts, done = list[dict[str, Array]](), 0
     work = partial(_sampled, law, range, seed, tangents)
     for F, F_dot, answer in in_pieces(work, builtins.range(count), CHUNK, executor):
-        left = answer.left_bifurcation
-        part = {"F": F, "F_dot": F_dot, "stress": answer.stress, "status": answer.status}
-        part["left_bifurcation"] = np.zeros(len(F), np.bool_) if left is None else left
-        if answer.tangents is not None:
-            part |= {"P_by_F": answer.tangents.P_by_F, "P_by_F_dot": answer.tangents.P_by_F_dot}
-        parts.append(part)
+        parts.append(rows_of(F, F_dot, answer, tangents))
         done += len(F)
         report(done, "")
     return StressSamples(

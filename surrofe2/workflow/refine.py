@@ -301,8 +301,7 @@ def _write_samples(
             for first in range(0, len(all_F), CHUNK):
                 F, F_dot = (tensors[first : first + CHUNK] for tensors in (all_F, all_F_dot))
                 answer = law.respond(F, F_dot)
-                reasons = np.full(len(F), why, dtype=np.int8)
-                writer(F, F_dot, answer.stress, answer.status, reasons)
+                writer(F, F_dot, answer.stress, answer.status, np.full(len(F), why, np.int8))
                 done += len(F)
                 report(done, "")
     writer.flush(meter.seconds)

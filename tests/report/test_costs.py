@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from surrofe2.base.costs import Balance
-from surrofe2.report.comparison import compare_runs
+from surrofe2.report.comparison import Balance, compare_runs
 from surrofe2.store.hdf5 import read_seconds
 from surrofe2.store.run_folder import read_run
 from surrofe2.store.surrogates import content_fingerprint, read_surrogate, write_surrogate
