@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     )
     from surrofe2.base.errors import Surrofe2Error as Surrofe2Error
     from surrofe2.store.samples import read_data_set as read_data_set
+    from surrofe2.store.meshes import load_mesh as load_mesh
     from surrofe2.store.run_folder import read_run as read_run
     from surrofe2.store.surrogates import (
         read_surrogate as read_surrogate,
@@ -67,7 +68,6 @@ if TYPE_CHECKING:
     from surrofe2.macro.settings import MacroSettings as MacroSettings
     from surrofe2.macro.simulation import MacroRun as MacroRun, simulate as simulate
     from surrofe2.plant_cell.parameters import CellParameters as CellParameters
-    from surrofe2.recipe.recipe import load_mesh as load_mesh
     from surrofe2.recipe.recipe import load_recipe as load_recipe
     from surrofe2.law.regional_law import RegionalLaw as RegionalLaw
     from surrofe2.problem.rigid_bodies import (

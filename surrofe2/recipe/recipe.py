@@ -44,12 +44,12 @@ from surrofe2.macro.settings import MacroSettings, SurfaceSettings
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem.bar import LoadSettings
 from surrofe2.problem.conditions import FREE, BodyForce, Condition, Foundation, Pressure, Traction
-from surrofe2.problem.mesh import Part, boundary, check_mesh, nodes_on, rectangle, region
+from surrofe2.problem.mesh import Part, boundary, nodes_on, rectangle, region
 from surrofe2.problem.problem import Point, Problem, label, sections_of
 from surrofe2.problem.rigid_bodies import RigidBody
 from surrofe2.recipe.entries import with_changes
 from surrofe2.rve.settings import RveSettings
-from surrofe2.store.meshes import read_mesh
+from surrofe2.store.meshes import load_mesh
 from surrofe2.store.store import digest, plain, read_text
 from surrofe2.surrogate.settings import CalibrationSettings, TrainingSettings
 from surrofe2.tissue.settings import TissueSettings
@@ -236,20 +236,6 @@ class StatedProblem:
         acts = sections_of(self.conditions, self.bodies, self.watched)
         mesh = self.mesh.to_dict() | {"sha256": self.sha256}
         return {"mesh": mesh, **acts, "time": asdict(self.time)}
-
-
-def load_mesh(path: str | Path, length_unit: str = "µm") -> skfem.Mesh:
-    """The mesh of a file whose lengths are in µm ("µm", "um"), mm or m.
-
-    Raises:
-        FileError: it is not there, or meshio cannot read it.
-        InputError: it is no mesh of quadrilaterals or triangles in a plane, or has no such unit.
-    """
-    stored = read_mesh(Path(path), length_unit)
-    try:
-        return check_mesh(stored)
-    except InputError as error:
-        raise InputError(f"{Path(path).name}: {error}") from None
 
 
 def stated_problem(
@@ -463,28 +449,6 @@ def _settings(sections: Mapping[str, Mapping[str, Any]], where: str) -> dict[str
     return settings
 
 
-def points_of_cells(mesh: skfem.Mesh, types: Mapping[str, CellType]) -> dict[str, Index]:
-    """Numbers of the points that each cell fills; together the whole mesh.
-
-    Raises:
-        InputError: there is no such region, or an element is of no cell or of two.
-    """
-    known, filled = mesh.subdomains or {}, dict[str, Index]()
-    for name, each in types.items():
-        parts = [part for part in each.regions if part in known or part != REST]
-        inside = [region(mesh, part, f"cells.{name}.regions") for part in parts]
-        filled[name] = np.unique(np.concatenate([np.zeros(0, np.int64), *inside]))
-    others = np.setdiff1d(np.arange(mesh.nelements), np.concatenate([*filled.values()]))
-    for name, each in types.items():
-        if _takes_rest(each, known):
-            filled[name] = np.union1d(filled[name], others)
-        if not filled[name].size:
-            raise InputError(
-                f"cells.{name}.regions", f"{REST}; the other cells fill the whole mesh"
-            )
-    return points_by_region(mesh.with_subdomains(filled), tuple(filled), "cells")
-
-
 def _takes_rest(cell: CellType, known: Container[str]) -> bool:
     """Whether a cell fills what no other does."""
     return not cell.regions or (REST in cell.regions and REST not in known)
@@ -606,8 +570,25 @@ class Recipe:
         return " ".join(part.cell.fingerprint for part in self.parts().values())
 
     def points_of_cells(self, mesh: skfem.Mesh) -> dict[str, Index]:
-        """Numbers of the points of the mesh that each cell fills; raises as the function."""
-        return points_of_cells(mesh, self.cells)
+        """Numbers of the points of the mesh that each cell fills; together the whole mesh.
+
+        Raises:
+            InputError: there is no such region, or an element is of no cell or of two.
+        """
+        known, filled = mesh.subdomains or {}, dict[str, Index]()
+        for name, each in self.cells.items():
+            parts = [part for part in each.regions if part in known or part != REST]
+            inside = [region(mesh, part, f"cells.{name}.regions") for part in parts]
+            filled[name] = np.unique(np.concatenate([np.zeros(0, np.int64), *inside]))
+        others = np.setdiff1d(np.arange(mesh.nelements), np.concatenate([*filled.values()]))
+        for name, each in self.cells.items():
+            if _takes_rest(each, known):
+                filled[name] = np.union1d(filled[name], others)
+            if not filled[name].size:
+                raise InputError(
+                    f"cells.{name}.regions", f"{REST}; the other cells fill the whole mesh"
+                )
+        return points_by_region(mesh.with_subdomains(filled), tuple(filled), "cells")
 
     def sampling_range(self) -> SamplingRange:
         """The range of (F, Ḟ), for what cannot do without; an InputError where there is none."""

@@ -13,6 +13,7 @@ import numpy as np
 import skfem
 
 from surrofe2.base.errors import FileError, InputError, shortened
+from surrofe2.problem.mesh import check_mesh
 from surrofe2.store.store import read_bytes, reported
 
 UNITS = {"µm": 1.0, "um": 1.0, "mm": 1e3, "m": 1e6}
@@ -28,13 +29,14 @@ _MOST = 2**28
 """Bytes of a file."""
 
 
-def read_mesh(path: Path, length_unit: str = "µm") -> skfem.Mesh:
-    """Read a mesh whose coordinates are in `length_unit`, a key of `UNITS`.
+def load_mesh(path: str | Path, length_unit: str = "µm") -> skfem.Mesh:
+    """The mesh of a file whose lengths are in µm ("µm", "um"), mm or m.
 
     Raises:
         FileError: it is not there, or meshio cannot read it.
-        InputError: it is no mesh for us, see `mesh_reader`.
+        InputError: it is no mesh of quadrilaterals or triangles in a plane, or has no such unit.
     """
+    path = Path(path)
     if length_unit not in UNITS:
         raise InputError(f"length_unit: {length_unit!r}; it must be one of {', '.join(UNITS)}")
     kind = FORMATS.get(path.suffix.lower())
@@ -65,7 +67,10 @@ def read_mesh(path: Path, length_unit: str = "µm") -> skfem.Mesh:
     elif done.returncode == 2:
         raise InputError(f"{path.name}: {reason}")
     elif done.returncode == 0:
-        return _mesh(done.stdout, UNITS[length_unit])
+        try:
+            return check_mesh(_mesh(done.stdout, UNITS[length_unit]))
+        except InputError as error:
+            raise InputError(f"{path.name}: {error}") from None
     if "gmsh:physical" in reason:
         reason = (
             "some elements have physical groups and others none: export from Gmsh with "

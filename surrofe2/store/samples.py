@@ -61,27 +61,16 @@ REFERENCE = Kind("reference state", 2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Origin:
-    """Where the answers in a file come from: plant cells, settings of their RVEs, recipe."""
-
-    cell: CellParameters
-    rve: Mapping[str, Any]
-    recipe: Mapping[str, Any]
-
-    def entries(self) -> dict[str, Any]:
-        """Those of the header."""
-        how = str(self.rve["initialisation"])
-        return origin(self.cell, how, recipe=self.recipe, rve=self.rve)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DataSetHeader(Origin):
+class DataSetHeader:
     """What a data set is made from; two data sets with equal headers hold equal numbers.
 
     `tangents`: whether it holds ∂P/∂F and ∂P/∂Ḟ as well. `is_open`: whether it may get more than
     `count` samples later. `recipe` and `rest_length` are carried along and not compared.
     """
 
+    cell: CellParameters
+    rve: Mapping[str, Any]
+    recipe: Mapping[str, Any]
     range: SamplingRange
     count: int
     seed: int
@@ -109,7 +98,7 @@ class DataSetHeader(Origin):
 
     def entries(self) -> dict[str, Any]:
         return {
-            **Origin.entries(self),
+            **origin(self.cell, str(self.rve["initialisation"]), recipe=self.recipe, rve=self.rve),
             "compared": flat(self.compared()),
             "range": asdict(self.range),
             "count": self.count,
@@ -132,7 +121,9 @@ def rows_of(F: Array, F_dot: Array, answer: StressResponse, tangents: bool) -> d
 class SampleWriter:
     """A file of samples in the making: rows are taken in parts, each whole or not at all."""
 
-    def __init__(self, path: Path, kind: Kind, header: Origin, rows: Arrays | None = None) -> None:
+    def __init__(
+        self, path: Path, kind: Kind, header: Mapping[str, Any], rows: Arrays | None = None
+    ) -> None:
         self.path, self.kind, self.header = path, kind, header
         self._parts = [rows] if rows else []
         self._is_stored = bool(rows)
@@ -161,25 +152,24 @@ class SampleWriter:
     def write(self, **entries: Any) -> None:
         """Write all rows so far, and these entries of the header, if it is due."""
         if not self._is_stored:
-            write(self.path, self.kind, self.header.entries() | entries, self.to_arrays())
+            write(self.path, self.kind, {**self.header, **entries}, self.to_arrays())
             self._is_stored = True
 
 
 class DataSetWriter(SampleWriter):
     """A data set in the making: rows are appended in order, then it is finished."""
 
-    header: DataSetHeader
-
     def __init__(
         self, path: Path, header: DataSetHeader, rows: Arrays, is_finished: bool, before: float
     ) -> None:
-        super().__init__(path, DATA_SET, header, rows)
+        super().__init__(path, DATA_SET, header.entries(), rows)
+        self._has_tangents = header.tangents
         self.is_finished, self.meter = is_finished, Meter(before)
         self._clock = CheckpointClock(INTERVAL)
 
     def append(self, F: Array, F_dot: Array, answer: StressResponse) -> None:
         """Take the next n rows, F and Ḟ (n, 2, 2); with tangents if the data set holds them."""
-        self.take(**rows_of(F, F_dot, answer, self.header.tangents))
+        self.take(**rows_of(F, F_dot, answer, self._has_tangents))
         if self._clock.is_due():
             self._clock.write(self.store)
 
@@ -305,8 +295,8 @@ class Harvest(NamedTuple):
 class HarvestWriter(SampleWriter):
     """Takes answers as `CachedLaw(on_true_answer=…)` gives them; `flush` writes the file again."""
 
-    def __init__(self, path: Path, origin: Origin) -> None:
-        super().__init__(path, HARVEST, origin)
+    def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
+        super().__init__(path, HARVEST, header)
         self._is_stored = True  # there is no file without answers
 
     def __call__(

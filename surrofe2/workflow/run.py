@@ -55,7 +55,7 @@ from surrofe2.store.fields import (
     write_fields,
     write_point_fields,
 )
-from surrofe2.store.hdf5 import read_seconds
+from surrofe2.store.hdf5 import origin, read_seconds
 from surrofe2.store.run_folder import (
     CHECKPOINT_INTERVAL,
     RunFolder,
@@ -66,7 +66,7 @@ from surrofe2.store.run_folder import (
     write_curves,
     write_events,
 )
-from surrofe2.store.samples import HarvestWriter, Origin
+from surrofe2.store.samples import HarvestWriter
 from surrofe2.store.store import plain
 from surrofe2.store.tables import write_table
 from surrofe2.surrogate import SurrogateLaw
@@ -222,9 +222,10 @@ def _write_decisions(folder: Path, law: StressLaw) -> None:
         write_events(folder, decisions)
 
 
-def origin_of(recipe: Recipe) -> Origin:
-    """Where answers for a recipe come from."""
-    return Origin(cell=recipe.cell, rve=asdict(recipe.rve), recipe=recipe.to_dict())
+def origin_of(recipe: Recipe) -> dict[str, Any]:
+    """Where answers for a recipe come from, as entries of a header."""
+    rve = recipe.rve
+    return origin(recipe.cell, rve.initialisation, rve=asdict(rve), recipe=recipe.to_dict())
 
 
 def new_record(recipe: Recipe, law: str, surrogate: Mapping[str, Any] | None = None) -> RunRecord:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +10,9 @@ import pytest
 from surrofe2.base.sampling import sample
 from surrofe2.law.samples import StressSamples
 from surrofe2.recipe.recipe import Recipe, load_recipe
-from surrofe2.store.samples import HarvestWriter, Origin
+from surrofe2.store.samples import HarvestWriter
 from surrofe2.workflow.generate import with_harvests
+from surrofe2.workflow.run import origin_of
 from tests.laws import SquareLaw, square_stress
 
 KNOWN, HARVESTED, FAILED, OTHERWISE = 40, 30, 3, 2
@@ -49,7 +50,7 @@ def harvest(recipe, tmp_path):
     stress[:FAILED], status[:FAILED] = np.nan, 1
     stress[FAILED : FAILED + OTHERWISE] += 0.1
     path = tmp_path / "harvest.h5"
-    writer = HarvestWriter(path, Origin(cell=recipe.cell, rve=asdict(recipe.rve), recipe={}))
+    writer = HarvestWriter(path, origin_of(recipe))
     writer(F, F_dot, stress, status, np.zeros(HARVESTED, dtype=np.int8))
     writer.flush()
     return path

@@ -16,8 +16,9 @@ import pytest
 from hypothesis import given
 
 from surrofe2.base.errors import FileError
-from surrofe2.recipe.recipe import load_mesh, load_recipe
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.report.comparison import compare
+from surrofe2.store.meshes import load_mesh
 from surrofe2.store.run_folder import read_run, write_curves, write_record
 from surrofe2.store.samples import read_data_set
 from surrofe2.store.store import plain

@@ -31,7 +31,8 @@ from surrofe2.problem import (
 )
 from surrofe2.problem.amplitude import Constant, Pulse, Ramp, Sine, Table
 from surrofe2.problem.mesh import check_mesh, nodes_on
-from surrofe2.recipe.recipe import load_mesh, load_recipe, make_recipe
+from surrofe2.recipe.recipe import load_recipe, make_recipe
+from surrofe2.store.meshes import load_mesh
 from tests.laws import KelvinVoigt
 from tests.store.gmsh_files import QUADS
 

@@ -106,7 +106,7 @@ def test_an_interruption_waits_while_hdf5_is_at_work(tmp_path):
 
 
 def test_answers_are_harvested_whole_or_not_at_all(tmp_path):
-    writer = HarvestWriter(tmp_path / "harvest.h5", HEADER)
+    writer = HarvestWriter(tmp_path / "harvest.h5", HEADER.entries())
     F, F_dot = sample(RANGE, 8, 3)
     codes = np.zeros(8, np.int8)
     writer(F, F_dot, F, codes, codes)

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from surrofe2.base.errors import FileError, InputError
-from surrofe2.problem.mesh import check_mesh, element_nodes
-from surrofe2.recipe.recipe import load_mesh
-from surrofe2.store.meshes import read_mesh
+from surrofe2.problem.mesh import element_nodes
+from surrofe2.store.meshes import load_mesh
 from tests.macro.meshes import sides_of
 from tests.store.gmsh_files import QUADS, TRIANGLES
 
@@ -47,7 +46,7 @@ def names(mesh):
 
 
 def test_quadrilaterals_of_gmsh(written):
-    mesh = check_mesh(read_mesh(written(QUADS), "mm"))
+    mesh = load_mesh(written(QUADS), "mm")
     np.testing.assert_array_equal(
         mesh.p.T, 1e3 * np.array([[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1]])
     )
@@ -59,7 +58,7 @@ def test_quadrilaterals_of_gmsh(written):
 
 
 def test_triangles_of_three_nodes_get_middles(written):
-    mesh = check_mesh(read_mesh(written(TRIANGLES)))
+    mesh = load_mesh(written(TRIANGLES))
     assert mesh.p.shape == (2, 13)  # 5 corners, 8 sides
     nodes, elements = mesh.p.T, element_nodes(mesh)
     for a, b, middle in ((0, 1, 3), (1, 2, 4), (0, 2, 5)):
@@ -73,7 +72,7 @@ def test_triangles_of_three_nodes_get_middles(written):
 
 def test_curved_lines_of_three_nodes_are_sides_of_triangles_of_six(tmp_path, written):
     """Middles come first in the file, corners after them."""
-    straight = check_mesh(read_mesh(written(TRIANGLES)))
+    straight = load_mesh(written(TRIANGLES))
     (side,) = sides_of(straight, "base")
     number = np.arange(13)[::-1]
     made = meshio.Mesh(
@@ -85,7 +84,7 @@ def test_curved_lines_of_three_nodes_are_sides_of_triangles_of_six(tmp_path, wri
     )  # fmt: skip
     path = tmp_path / "curved.msh"
     made.write(path, file_format="gmsh22")
-    back = check_mesh(read_mesh(path))
+    back = load_mesh(path)
     np.testing.assert_array_equal(back.p.T[sides_of(back, "base")], [straight.p.T[side]])
     np.testing.assert_array_equal(back.subdomains["leaf"], [0, 1, 2, 3])
     for nodes in (back.p.T[element_nodes(back)], straight.p.T[element_nodes(straight)]):
@@ -94,13 +93,13 @@ def test_curved_lines_of_three_nodes_are_sides_of_triangles_of_six(tmp_path, wri
 
 @pytest.mark.parametrize("kind", ["msh", "vtk", "vtu", "inp"])
 def test_triangles_of_six_nodes_from_any_format(tmp_path, written, kind):
-    mesh = check_mesh(read_mesh(written(TRIANGLES)))
+    mesh = load_mesh(written(TRIANGLES))
     gmsh_order = element_nodes(mesh)
     points = np.pad(mesh.p.T, ((0, 0), (0, 1)), constant_values=3.0)
     path = tmp_path / f"six.{kind}"
     made = meshio.Mesh(points, [("triangle6", gmsh_order)])
     made.write(path, file_format="gmsh" if kind == "msh" else None)
-    back = check_mesh(read_mesh(path, "m"))
+    back = load_mesh(path, "m")
     np.testing.assert_allclose(
         back.p.T[element_nodes(back)], 1e6 * mesh.p.T[gmsh_order], rtol=1e-12
     )
@@ -113,7 +112,7 @@ def test_groups_of_gmsh_2_by_their_numbers(tmp_path, written):
     stored.cell_sets = {}
     stored.write(path, file_format="gmsh22", binary=False)
     assert "2.2 0 8" in path.read_text()
-    assert names(read_mesh(path)) == names(read_mesh(written(QUADS)))
+    assert names(load_mesh(path)) == names(load_mesh(written(QUADS)))
 
 
 MIXED = changed(QUADS, ("5 5 1 5", "5 6 1 6"), ("2 2 3 1\n", "2 2 2 1\n6 2 6 3\n2 2 3 1\n"))

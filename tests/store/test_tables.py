@@ -11,17 +11,13 @@ import pytest
 
 from surrofe2.base.errors import FileError, MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.store.hdf5 import ANY, writing
-from surrofe2.store.samples import HarvestWriter, Origin, read_harvest
+from surrofe2.store.hdf5 import ANY, origin, writing
+from surrofe2.store.samples import HarvestWriter, read_harvest
 from surrofe2.store.tables import check_table, read_table, write_table
 from tests.cache.tables import make, states, taught
 
 CELL = CellParameters()
-HEADER = Origin(
-    cell=CELL,
-    rve={"initialisation": "constrained-runs", "tolerance": 1e-8},
-    recipe={"recipe": "recipe.toml"},
-)
+HEADER = origin(CELL, "constrained-runs", rve={}, recipe={"recipe": "recipe.toml"})
 
 
 @pytest.fixture
