@@ -5,35 +5,27 @@ import pytest
 
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.system import make_system
-from surrofe2.problem import (
-    InitialVelocity,
-    Plane,
-    Problem,
-    RigidBody,
-    Symmetry,
-    rectangle,
-)
+from surrofe2.problem import InitialVelocity, Plane, Problem, RigidBody, Symmetry, rectangle
 from tests.laws import KelvinVoigt, LinearFirstPiola
 from tests.macro.meshes import HEIGHT, WIDTH, plate
 
 LENGTH, DEPTH, SPEED = 100.0, 2.0, 0.5
 LAW = LinearFirstPiola(shear_modulus=50.0, lame=0.0, density=0.1)
 """Without lateral contraction: E = 100 µN/µm, c = √(E/ρ) = 31.6 µm/µs."""
+WALL = RigidBody(name="plate", shape=Plane(normal=(1.0, 0.0)), on="left", position=(-1.0, 0.0))
 
 
 @pytest.fixture(scope="module")
 def impact():
     """A bar between mirrors flies at a plate 1 µm away."""
-    mesh = rectangle(LENGTH, DEPTH, (100, 1))
-    wall = RigidBody(name="plate", shape=Plane(normal=(1.0, 0.0)), on="left", position=(-1.0, 0.0))
     problem = Problem(
-        mesh=mesh,
+        mesh=rectangle(LENGTH, DEPTH, (100, 1)),
         conditions=(
             InitialVelocity(velocity=(-SPEED, 0.0)),
             Symmetry(on="bottom"),
             Symmetry(on="top"),
         ),
-        bodies=(wall,),
+        bodies=(WALL,),
         duration=11.0,
         output_interval=0.02,
         watched={"tip": (LENGTH, 0.0)},
@@ -100,11 +92,10 @@ def test_the_dashpot_takes_what_the_outermost_nodes_bring(impact):
 @pytest.mark.parametrize("integrator", ["explicit", "implicit"])
 def test_few_elements_and_the_default_tolerance_keep_energy_too(integrator):
     """The stiff contact is damped at the explicit steps' stability limit: the step sees that."""
-    wall = RigidBody(name="plate", shape=Plane(normal=(1.0, 0.0)), on="left", position=(-1.0, 0.0))
     problem = Problem(
         mesh=rectangle(LENGTH, LENGTH, (8, 8)),
         conditions=(InitialVelocity(velocity=(-SPEED, 0.0)),),
-        bodies=(wall,),
+        bodies=(WALL,),
         duration=12.0,
     )
     settings = MacroSettings(frames=2, record_dissipation=False, integrator=integrator)

@@ -101,20 +101,6 @@ def test_velocities_are_those_of_the_moving_equilibrium_and_forces_vanish_with_t
         np.testing.assert_allclose(z @ F_dot[point].T + beyond, expected, rtol=0, atol=1e-6)
 
 
-def test_warm_start_cold_start_and_mixed_batches_agree():
-    this = law("printed", "slow-manifold")
-    F, F_dot = deformations("printed")
-    cold = this.respond(F, F_dot)
-    near = this.respond(F * 1.002, F_dot * 0.9)
-    warm = this.respond(F, F_dot, near.state)
-    assert warm.effort["newton_solves"] == 0
-    np.testing.assert_allclose(warm.stress, cold.stress, rtol=0, atol=1e-8)
-    mixed = near.state.put(np.array([3, 17]), this.rest_state(2))
-    mixed = this.respond(F, F_dot, mixed)
-    assert 0 < mixed.effort["newton_solves"] <= 2
-    np.testing.assert_allclose(mixed.stress, cold.stress, rtol=0, atol=1e-8)
-
-
 def test_micro_integration_is_of_fourth_order_where_no_pair_crosses_the_cut_off():
     """A jump of the strain, then free motion; steps of 2, 1 and ½ ns."""
 

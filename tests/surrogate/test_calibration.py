@@ -98,21 +98,19 @@ def test_what_is_recorded(calibrated, samples):
     assert record.data_fingerprint == samples.fingerprint
 
 
-def test_through_its_file(calibrated, tmp_path):
+@pytest.mark.parametrize("quantile", [None, np.inf])
+def test_through_its_file(calibrated, tmp_path, quantile):
+    """Be it infinite, too."""
+    if quantile is not None:
+        kinds = {"walks": {"paths": 9, "states": 90, "quantile": quantile}}
+        record = replace(calibrated.calibration, quantile=quantile, kinds=kinds)
+        calibrated = replace(calibrated, calibration=record)
     write_surrogate(calibrated, tmp_path / "a-surrogate.h5")
     loaded = read_surrogate(tmp_path / "a-surrogate.h5")
     F, F_dot = sample(RANGE, 1000, seed=3)
     assert np.array_equal(loaded.error_bound(F, F_dot), calibrated.error_bound(F, F_dot))
     assert loaded.is_calibrated
     assert plain(loaded.calibration) == plain(calibrated.calibration)
-
-
-def test_a_bound_of_infinity_through_its_file(calibrated, tmp_path):
-    kinds = {"walks": {"paths": 9, "states": 90, "quantile": np.inf}}
-    unknown = replace(calibrated.calibration, quantile=np.inf, kinds=kinds)
-    write_surrogate(replace(calibrated, calibration=unknown), tmp_path / "a-surrogate.h5")
-    loaded = read_surrogate(tmp_path / "a-surrogate.h5").calibration
-    assert loaded.quantile == loaded.kinds["walks"]["quantile"] == np.inf
 
 
 def corrupted(law, factor=1.001):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from surrofe2.base.sampling import contains, sample
+from surrofe2.base.sampling import sample
 from surrofe2.base.simd import TILE, fill_tanh
 from surrofe2.base.square_symmetry import parity
 from surrofe2.base.tensors import INPUTS, to_inputs
@@ -95,20 +95,6 @@ def test_the_bits_of_an_answer_do_not_depend_on_its_place():
     for k in range(1, BLOCK + 1):
         part = look_up(F[k:].copy(), F_dot[k:].copy(), arrays)[0]
         assert np.array_equal(part, whole[k:], equal_nan=True), k
-
-
-def test_range_test_is_that_of_the_range():
-    arrays = make_arrays(make_network((4,), 1))
-    rng = np.random.default_rng(5)
-    F = np.eye(2) + rng.uniform(-0.12, 0.12, (4000, 2, 2))
-    F_dot = rng.uniform(-0.012, 0.012, (4000, 2, 2))
-    F[:100] *= -1.0
-    F[100:200, 0] *= -1.0
-    inside = contains(RANGE, F, F_dot)
-    assert 100 < inside.sum() < 2000
-    stress, status = look_up(F, F_dot, arrays)
-    assert np.array_equal(status, np.where(inside, Status.OK, Status.OUT_OF_RANGE))
-    assert np.array_equal(np.isfinite(stress).all(axis=(1, 2)), inside)
 
 
 @pytest.mark.parametrize(("layer", "value"), [(0, np.nan), (1, np.nan), (2, np.nan), (2, np.inf)])

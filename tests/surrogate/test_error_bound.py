@@ -24,10 +24,12 @@ def trusted(law):
 
 
 def turned(count, seed=1):
-    """States of the range and beyond it, in any orientation."""
+    """States of the range and beyond it, in any orientation; some inside out."""
     F, F_dot = sample(replace(RANGE, stretch=(0.9, 1.1), rate=0.011), count, seed)
     R = turn(np.random.default_rng(seed).uniform(-np.pi, np.pi, count))
-    return R @ F, R @ F_dot
+    F = R @ F
+    F[5::40, 0] *= -1.0
+    return F, R @ F_dot
 
 
 @pytest.mark.parametrize("count", [1, 41, 3001])
@@ -193,4 +195,5 @@ def test_why_there_is_no_stress_is_told(law):
     ):
         answer = trusted.respond(F[None], F_dot)
         assert answer.status[0] == Status.OUT_OF_RANGE
+        assert np.isnan(answer.stress).all()
         assert why in answer.reasons[0], answer.reasons

@@ -10,7 +10,6 @@ import pytest
 from surrofe2.base.errors import FileError
 from surrofe2.base.sampling import sample
 from surrofe2.cache import CachedLaw, CacheSettings
-from surrofe2.law.stress_law import Status
 from surrofe2.store import surrogates
 from surrofe2.store.surrogates import read_surrogate, write_surrogate
 from surrofe2.surrogate import TrainingSettings, train
@@ -44,19 +43,6 @@ def test_answers_like_a_stress_law(law):
     scale = np.abs(first.stress).max()
     assert np.abs(torch_stress(law, F, F_dot) - first.stress).max() < 1e-12 * scale
     assert np.abs(law.extrapolate(F, F_dot) - first.stress).max() < 1e-12 * scale
-
-
-def test_out_of_range_has_a_status_and_no_stress(law):
-    F = np.stack([np.eye(2), 1.2 * np.eye(2), np.eye(2)])
-    F_dot = np.zeros((3, 2, 2))
-    F_dot[2, 0, 1] = 0.02
-    answer = law.respond(F, F_dot)
-    assert answer.status.tolist() == [Status.OK, Status.OUT_OF_RANGE, Status.OUT_OF_RANGE]
-    assert np.isnan(answer.stress[1:]).all()
-    assert not answer.stress[0].any()
-    assert law.in_range(F, F_dot).tolist() == [True, False, False]
-    F[0, 0, 0] = np.nan
-    assert not law.in_range(F, F_dot).any()
 
 
 def test_file_gives_the_same_surrogate(tmp_path):

@@ -13,6 +13,7 @@ from surrofe2.base.errors import MismatchError
 from surrofe2.tissue import TissueDynamics, TissueSettings, relax, simulate_tissue
 from surrofe2.tissue.simulation import held_and_loaded, make_conditions
 from tests.macro.bars import with_load
+from tests.numerics import assert_near
 from tests.tissue.twin import TissueTwin
 
 LOAD_CASE = LoadCase(
@@ -100,9 +101,7 @@ def test_pair_that_comes_close_later_is_seen(tissue_of, reference):
     there = np.empty_like(start), np.empty_like(start)
     there[0][order], there[1][order] = dynamics.x, dynamics.v
     expected, *_ = twin.evaluate(*there)
-    np.testing.assert_allclose(
-        dynamics.forces(), expected[order], rtol=0, atol=1e-9 * abs(expected).max()
-    )
+    assert_near(dynamics.forces(), expected[order], 1e-9)
     i, j, *_ = twin.pairs["contact"]
     before, after = (np.hypot(*(at[j] - at[i]).T) for at in (twin.start, there[0]))
     late = before > cell.repulsion_cutoff + 2 * 0.5

@@ -11,6 +11,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.tissue import TissueSettings, simulate_tissue
 from surrofe2.tissue.relaxation import rounded_step, stable_step
+from tests.numerics import assert_near
 
 
 def run(cell, **settings):
@@ -39,21 +40,18 @@ def test_without_damping_the_limit_is_two_over_the_largest_frequency():
     assert 0.8 * chain < found < 1.02 * chain
 
 
-@pytest.mark.parametrize("stiffness", [4400.0, 6000.0])
-def test_stiff_walls_get_a_step_that_they_bear(stiffness):
-    cell = CellParameters.preset("printed", wall_stiffness=stiffness)
+@pytest.mark.parametrize(
+    "cell",
+    [CellParameters.preset("printed", wall_stiffness=stiffness) for stiffness in (4400.0, 6000.0)]
+    + [CellParameters.preset(name) for name in ("apple", "potato")],
+    ids=["stiff", "stiffer", "apple", "potato"],
+)
+def test_plant_cells_get_a_step_that_they_bear(cell):
     done = run(cell)
     energies = done.energies
     assert np.abs(energies["balance"]).max() < 1e-3 * np.abs(energies["load"]).max()
     half = run(cell, micro_step=0.5 * rounded_step(stable_step(cell, RveLaw(cell).reference)))
-    way = np.abs(half.curve.displacement).max()
-    assert np.abs(done.curve.displacement - half.curve.displacement).max() < 1e-3 * way
-
-
-@pytest.mark.parametrize("preset", ["apple", "potato"])
-def test_living_cells_run(preset):
-    energies = run(CellParameters.preset(preset)).energies
-    assert np.abs(energies["balance"]).max() < 1e-3 * np.abs(energies["load"]).max()
+    assert_near(done.curve.displacement, half.curve.displacement, 1e-3)
 
 
 def test_a_step_near_the_limit_is_refused_and_the_limit_named():
@@ -68,5 +66,4 @@ def test_a_step_near_the_limit_is_refused_and_the_limit_named():
         assert f"the limit of stability at rest is {limit:.4g} µs" in message
         assert "leave it out or take 0.0016" in message
     within = run(cell, micro_step=0.86 * limit)
-    default = run(cell).curve.displacement
-    assert np.abs(within.curve.displacement - default).max() < 1e-3 * np.abs(default).max()
+    assert_near(within.curve.displacement, run(cell).curve.displacement, 1e-3)
