@@ -27,61 +27,6 @@ _WIDTHS = (1, 8)  # points in a loop: of a call for one point, and of a block of
 _UNUSED = ("bounds_kept", "bounds_at_rest")
 """Arrays that C does not read: its bound is in µN/µm."""
 
-_ABOUT = """\
-/* Stress of plant tissue at a point: a surrogate of surrofe2 {version} in C99, self-contained.
- *
- * Units: um, us, ng; so force is uN, stress in the plane uN/um, rates 1/us.
- * Cell parameters {cell}, initialisation {initialisation}, trained on data {data}.
- * Range: U11 and U22 from {low:g} to {high:g}, |U12| up to {shear:g}, |R'F_rate| up to {rate:g}.
- *
- * F, F_rate: deformation gradient and its rate, F11 F12 F21 F22.
- * tolerance: largest bound of the error of the stress that is accepted, uN/um; HUGE_VAL: any.
- * stress: Cauchy stress, xx xy yx yy, NaN unless 0 is returned. bound: of its error, in the
- *     Frobenius norm; HUGE_VAL outside the data.
- * P_by_F, P_by_F_rate: 16 numbers each, P_ab by F_cd at 8 a + 4 b + 2 c + d, P the first
- *     Piola-Kirchhoff stress; both NULL: not wanted.
- * {name}_stress returns SURROFE2_OK, or why there is no stress.
- * {name}_stress_of does the same at `count` points, one after the other in arrays, and returns
- *     how many have no stress. Neither has a state; threads may call them at once.
- */
-"""
-_HEADER = """
-#ifndef SURROFE2_{name}_H
-#define SURROFE2_{name}_H
-
-#include <stddef.h>
-
-{statuses}
-
-#ifdef __cplusplus
-extern "C" {{
-#endif
-
-int {name}_stress(const double *F, const double *F_rate, double tolerance, double *stress,
-                  double *bound, double *P_by_F, double *P_by_F_rate);
-size_t {name}_stress_of(size_t count, const double *F, const double *F_rate, double tolerance,
-                        double *stress, double *bound, double *P_by_F, double *P_by_F_rate,
-                        int *status);
-
-#ifdef __cplusplus
-}}
-#endif
-
-#endif
-"""
-_INCLUDES = """
-#include <math.h>
-#include <stddef.h>
-#include <stdint.h>
-#include <string.h>
-
-#ifdef __cplusplus
-#define RESTRICT
-#else
-#define RESTRICT restrict
-#endif
-"""
-
 
 def c_source(law: SurrogateLaw, name: str = "surrofe2") -> str:
     """A surrogate as C source: value, tangents, domain and bound as in its compiled pass.
@@ -93,23 +38,19 @@ def c_source(law: SurrogateLaw, name: str = "surrofe2") -> str:
         InputError: a text of the surrogate is no single word, and could be more than a comment; or
             the name is none of C.
     """
-    body = files("surrofe2.store").joinpath("surrogate_body.c").read_text(encoding="utf-8")
-    helpers, answers, calls = body.split("@SPLIT@\n")
-    about = [_about(law, name), _INCLUDES, _statuses(), "", *_constants(law), "", helpers]
+    about, _, includes, helpers, answers, calls = _template(law, name)
     widths = [answers.replace("@L@", str(width)) for width in _WIDTHS]
-    return "\n".join([*about, *widths, calls.replace("@NAME@", name)])
+    return "\n".join([about + includes, *_constants(law), "", helpers, *widths, calls])
 
 
 def c_header(law: SurrogateLaw, name: str = "surrofe2") -> str:
     """The header of `c_source`, for C and C++."""
-    return _about(law, name) + _HEADER.format(name=name, statuses=_statuses())
+    about, header, *_ = _template(law, name)
+    return about + header
 
 
-def _statuses() -> str:
-    return "\n".join(f"#define SURROFE2_{status.name} {int(status)}" for status in _STATUSES)
-
-
-def _about(law: SurrogateLaw, name: str) -> str:
+def _template(law: SurrogateLaw, name: str) -> list[str]:
+    """The parts of surrogate.c: head, header, includes, helpers, answers, calls."""
     texts = {
         "version": law.version,
         "cell": law.cell.fingerprint,
@@ -122,9 +63,14 @@ def _about(law: SurrogateLaw, name: str) -> str:
     if not NAME.fullmatch(name):
         raise InputError(f"name: {quoted(name)}; it must be a name in C, {NAME.pattern}")
     low, high = law.range.stretch
-    return _ABOUT.format(
-        **texts, name=name, low=low, high=high, shear=law.range.shear, rate=law.range.rate
-    )
+    bounds = {"low": low, "high": high, "shear": law.range.shear, "rate": law.range.rate}
+    texts |= {what: f"{value:g}" for what, value in bounds.items()}
+    codes = (f"#define SURROFE2_{status.name} {int(status)}" for status in _STATUSES)
+    texts |= {"name": name, "statuses": "\n".join(codes)}
+    template = files("surrofe2.store").joinpath("surrogate.c").read_text(encoding="utf-8")
+    for what, text in texts.items():
+        template = template.replace(f"@{what.upper()}@", text)
+    return template.split("@SPLIT@\n")
 
 
 def _constants(law: SurrogateLaw) -> Iterator[str]:

@@ -238,21 +238,21 @@ def _begun(path: Path, header: DataSetHeader, fresh: bool) -> DataSetWriter:
 
 
 class StoredCount(NamedTuple):
-    """How many samples a data set has; whether it is finished, and may get more later."""
+    """How many samples a data set has; whether it is finished, and may get more later; what its
+    numbers depend on, by dotted names."""
 
     rows: int
     is_finished: bool
     is_open: bool
+    settings: dict[str, Any]
 
 
 def stored_count(path: Path) -> StoredCount:
     """What a data set says of its samples."""
     with reading(path, DATA_SET) as stored:
-        return StoredCount(
-            rows=int(stored.number("completed")),
-            is_finished=stored.text("status") == "finished",
-            is_open=stored.table("compared").get("samples.count") is None,
-        )
+        rows, settings = int(stored.number("completed")), stored.table("compared")
+        is_finished = stored.text("status") == "finished"
+        return StoredCount(rows, is_finished, settings.get("samples.count") is None, settings)
 
 
 def read_data_set(path: str | Path) -> StressSamples:

@@ -255,7 +255,9 @@ def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return entries
 
 
-def check_same(place: Path, here: Mapping[str, Any], there: Mapping[str, Any]) -> None:
+def check_same(
+    place: Path, here: Mapping[str, Any], there: Mapping[str, Any], advice: str = START_OVER
+) -> None:
     """A MismatchError that names the first setting `here`, nested by section, that differs from
     those `there`, by which `place` was made; what only `there` has is ignored."""
     known = flat(there)
@@ -263,7 +265,7 @@ def check_same(place: Path, here: Mapping[str, Any], there: Mapping[str, Any]) -
         if known.get(name) != value:
             mine, theirs = ("nothing" if v is None else v for v in (value, known.get(name)))
             raise MismatchError(
-                f"{place}: {name}: this call has {mine}, what is there {theirs}; {START_OVER}"
+                f"{place}: {name}: this call has {mine}, what is there {theirs}; {advice}"
             )
 
 

@@ -27,7 +27,6 @@ from surrofe2.macro import MetRange, simulate
 from surrofe2.macro.history import NO_EXTREMES, widen_extremes
 from surrofe2.recipe.recipe import Recipe, load_recipe
 from surrofe2.run.loop import Report, no_report
-from surrofe2.store.samples import read_data_set
 from surrofe2.store.surrogates import check_surrogate, read_surrogate
 from surrofe2.surrogate.deformation_paths import WatchedLaw
 from surrofe2.workflow import laws
@@ -89,8 +88,7 @@ def _check_files(part: Recipe) -> None:
         return  # another check reports it
     data, trained = part.data_path(), part.training_path()
     if data.exists():
-        with suppress(InputError):  # it is not finished, and will be resumed
-            check_data(part, read_data_set(data), data)
+        check_data(part, data)
     if trained.exists():
         surrogate = read_surrogate(trained)
         check_surrogate(trained, surrogate, part.cell, part.rve.initialisation)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.errors import FileError, InputError, MismatchError
+from surrofe2.base.errors import FileError, InputError
 from surrofe2.base.sampling import SamplingRange, training_points
 from surrofe2.base.tensors import stress_error, stress_spread
 from surrofe2.law.samples import StressSamples
@@ -33,6 +33,7 @@ from surrofe2.store.samples import (
     stored_count,
     writing_data_set,
 )
+from surrofe2.store.store import check_same
 from surrofe2.workflow import laws
 from surrofe2.workflow.workers import in_pieces
 
@@ -212,26 +213,21 @@ def training_samples(
         with stage("generate", wanted, "samples") as report:
             generate_data_set(recipe, count=wanted, report=report)
     samples = read_data_set(path)
-    check_data(recipe, samples, path)
+    check_data(recipe, path)
     first = samples if len(samples.F) <= count else samples.at(np.arange(count))
     return with_harvests(first, harvests, recipe)
 
 
-def check_data(recipe: Recipe, samples: StressSamples, source: Path) -> None:
+def check_data(recipe: Recipe, source: Path) -> None:
     """Refuse a data set of another recipe by a MismatchError that names what differs."""
-    stored = stored_count(source)
-    for name, here, there in (
-        ("cell", recipe.cell, samples.cell),
-        ("rve.initialisation", recipe.rve.initialisation, samples.initialisation),
-        ("range", recipe.sampling_range(), samples.range),
-        ("samples.seed", recipe.samples.seed, samples.seed),
-        ("samples.count", recipe.samples.count, None if stored.is_open else stored.rows),
-    ):
-        if here != there:
-            raise MismatchError(
-                f"{source}: {name}: made by another recipe than {recipe.path.name}; generate it "
-                f"again with `surrofe2 generate {recipe.path} --fresh`"
-            )
+    here = {
+        "cell": recipe.cell.to_dict(),
+        "rve": {"initialisation": recipe.rve.initialisation},
+        "range": asdict(recipe.sampling_range()),
+        "samples": {"seed": recipe.samples.seed, "count": recipe.samples.count},
+    }
+    advice = f"generate it again with `surrofe2 generate {recipe.path} --fresh`"
+    check_same(source, here, stored_count(source).settings, advice)
 
 
 def with_harvests(

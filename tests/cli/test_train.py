@@ -109,12 +109,17 @@ def test_a_new_training_that_ends_at_once_goes_on(
 @pytest.mark.usefixtures("_data_set")
 @pytest.mark.parametrize(
     ("old", "new", "name"),
-    [('"printed"', '"water"', "cell"), ("count = 40", "count = 41", "samples.count")],
+    [
+        ('"printed"', '"water"', "cell.fluid_particle_mass"),
+        ("count = 40", "count = 41", "samples.count"),
+    ],
 )
 def test_data_set_of_another_recipe(invoke, recipe_path, changed_recipe, old, new, name):
     refused = invoke("train", changed_recipe(old, new))
     assert refused.exit_code == 1
-    assert refused.stderr.startswith(f"error: {recipe_path.parent / 'cells.h5'}: {name}: made by ")
+    assert refused.stderr.startswith(
+        f"error: {recipe_path.parent / 'cells.h5'}: {name}: this call "
+    )
     assert f"surrofe2 generate {recipe_path} --fresh" in refused.stderr
 
 

@@ -1,3 +1,58 @@
+/* Stress of plant tissue at a point: a surrogate of surrofe2 @VERSION@ in C99, self-contained.
+ *
+ * Units: um, us, ng; so force is uN, stress in the plane uN/um, rates 1/us.
+ * Cell parameters @CELL@, initialisation @INITIALISATION@, trained on data @DATA@.
+ * Range: U11 and U22 from @LOW@ to @HIGH@, |U12| up to @SHEAR@, |R'F_rate| up to @RATE@.
+ *
+ * F, F_rate: deformation gradient and its rate, F11 F12 F21 F22.
+ * tolerance: largest bound of the error of the stress that is accepted, uN/um; HUGE_VAL: any.
+ * stress: Cauchy stress, xx xy yx yy, NaN unless 0 is returned. bound: of its error, in the
+ *     Frobenius norm; HUGE_VAL outside the data.
+ * P_by_F, P_by_F_rate: 16 numbers each, P_ab by F_cd at 8 a + 4 b + 2 c + d, P the first
+ *     Piola-Kirchhoff stress; both NULL: not wanted.
+ * @NAME@_stress returns SURROFE2_OK, or why there is no stress.
+ * @NAME@_stress_of does the same at `count` points, one after the other in arrays, and returns
+ *     how many have no stress. Neither has a state; threads may call them at once.
+ */
+@SPLIT@
+
+#ifndef SURROFE2_@NAME@_H
+#define SURROFE2_@NAME@_H
+
+#include <stddef.h>
+
+@STATUSES@
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+int @NAME@_stress(const double *F, const double *F_rate, double tolerance, double *stress,
+                  double *bound, double *P_by_F, double *P_by_F_rate);
+size_t @NAME@_stress_of(size_t count, const double *F, const double *F_rate, double tolerance,
+                        double *stress, double *bound, double *P_by_F, double *P_by_F_rate,
+                        int *status);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
+@SPLIT@
+
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#ifdef __cplusplus
+#define RESTRICT
+#else
+#define RESTRICT restrict
+#endif
+
+@STATUSES@
+@SPLIT@
 /* The formulas. Each is a loop over 8 points, a quantity of which is a row of so many numbers; all
  * sizes are known here, so that compilers make vector instructions of the loops. What is called
  * ..._of_1 is the same for a point alone. Do not compile this with -ffast-math, which takes the
