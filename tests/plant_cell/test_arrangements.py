@@ -7,6 +7,7 @@ from surrofe2.plant_cell.arrangement import make_arrangement, start_positions
 from surrofe2.plant_cell.neighbours import FARTHEST, make_neighbours
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tiles import pack
+from tests.plant_cell.twin import Twin
 
 CASES = (("square", 4, 38, 64), ("hexagon", 1, 17, 19), ("voronoi", 9, None, 144))
 
@@ -66,27 +67,16 @@ def test_one_square_has_the_particles_in_the_order_that_tissues_repeat():
 
 
 def test_pairs_of_one_square_are_those_found_by_looking_at_every_image():
+    """By the twin, of which walls and fluid within 14 µm of each other may touch."""
     cell = CellParameters()
     position, lattice = start_positions(cell), 25.0 * np.eye(2)
     every = make_neighbours(cell, position, lattice)
     listed = every.near(pack(np.eye(2)[None]), pack(position.T[None]), 4.0).topology
-    images = 25.0 * np.array([(a, b) for a in range(-2, 3) for b in range(-2, 3)])
-    r = position[:, None, None] - position[None, :, None] - images
-    apart = np.sqrt((r**2).sum(axis=-1))  # (i, j, image)
-    walls, bonds = apart[:19, :19].ravel(), np.full(20, 2.5)
-    near = np.sort(walls[(walls > 0.0) & (walls <= 14.0)])[::2]
-    is_bond = near < 2.5 + 1e-9  # besides the springs, corners' neighbours are farther
-    np.testing.assert_allclose(lengths(position, listed, listed.bonds), bonds, atol=1e-12)
-    assert is_bond.sum() == 20
-    rim = [(w + 25.0 * np.array(s)) for w in position[:19] for s in np.ndindex(2, 2)]
-    rim = np.array([p for p in rim if (p <= 25.0 + 1e-9).all()])
-    assert len(rim) == 40
-    fluid = np.linalg.norm(position[19:, None] - rim, axis=2).ravel()
-    expected = np.concatenate([near[~is_bond], fluid[fluid <= 14.0]])
-    np.testing.assert_allclose(
-        lengths(position, listed, listed.contacts), np.sort(expected), atol=1e-9
-    )
-    assert len(listed.fluid_pairs) == 16 * 15 // 2
+    found = {"bond": listed.bonds, "contact": listed.contacts, "fluid": listed.fluid_pairs}
+    for kind, (i, j, _, shift) in Twin(cell, 1.0).pairs.items():
+        expected = np.sort(np.linalg.norm(position[j] + 25.0 * shift - position[i], axis=1))
+        expected = expected[expected <= 14.0] if kind == "contact" else expected
+        np.testing.assert_allclose(lengths(position, listed, found[kind]), expected, atol=1e-9)
 
 
 def lengths(position, topology, pairs):

@@ -8,16 +8,12 @@ import pytest
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import ReferenceState, RveLaw
+from tests.rve.rves import deformations
 
 
 @pytest.fixture(scope="module")
 def law():
     return RveLaw(CellParameters.preset("water"))
-
-
-def deformations():
-    rng = np.random.default_rng(3)
-    return np.eye(2) + 0.03 * rng.uniform(-1, 1, (9, 2, 2)), 0.01 * rng.uniform(-1, 1, (9, 2, 2))
 
 
 @pytest.mark.parametrize(
@@ -30,7 +26,7 @@ def deformations():
     ids=lambda cell: f"{cell.cells} {cell.arrangement}",
 )
 def test_law_from_a_kept_reference_answers_with_the_same_bits(cell):
-    F, F_dot = deformations()
+    F, F_dot = deformations("water", 9, corners=False)
     settled = RveLaw(cell)
     kept = ReferenceState.from_arrays(settled.reference.to_arrays())
     law = RveLaw(cell, reference=kept)
