@@ -84,7 +84,6 @@ if TYPE_CHECKING:
     from surrofe2.rve.settings import RveSettings as RveSettings
     from surrofe2.base.sampling import SamplingRange as SamplingRange, sample as sample
     from surrofe2.law.stress_law import (
-        Acceptance as Acceptance,
         Status as Status,
         StressLaw as StressLaw,
         StressResponse as StressResponse,

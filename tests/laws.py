@@ -17,7 +17,6 @@ from surrofe2.base.sampling import SamplingRange, sample
 from surrofe2.base.tensors import det, from_components, rotation, to_inputs, transpose
 from surrofe2.law.samples import StressSamples
 from surrofe2.law.stress_law import (
-    Acceptance,
     Status,
     StressResponse,
     Tangents,
@@ -104,9 +103,9 @@ class Memoryless:
         slopes = Tangents(*self.slopes(F, F_dot)) if tangents else None
         return StressResponse(stress, status.astype(np.int8), None, {self.effort: len(F)}, slopes)
 
-    def accept(self, F, F_dot, response) -> Acceptance:
+    def accept(self, F, F_dot, response) -> StressResponse:
         status = np.where(self.refuses(F, F_dot), self.code, response.status)
-        return Acceptance(status.astype(np.int8), response.state)
+        return replace(response, status=status.astype(np.int8))
 
 
 def failing(law, **how):
@@ -227,9 +226,9 @@ class DryFriction:
         stress = P @ F.transpose(0, 2, 1) / det(F)[:, None, None]
         return StressResponse(stress, np.zeros(len(F), np.int8), (F[:, 0, 0].copy(), friction))
 
-    def accept(self, F, F_dot, response) -> Acceptance:
+    def accept(self, F, F_dot, response) -> StressResponse:
         self.committed.append(response.state)
-        return Acceptance(np.zeros(len(F), np.int8), response.state)
+        return response
 
 
 class SoftLaw(Memoryless):

@@ -13,7 +13,7 @@ from surrofe2.base.errors import InputError
 from surrofe2.base.tensors import to_inputs
 from surrofe2.cache.protocols import Fallback, Surrogate
 from surrofe2.cache.trust import RETURN, STAY
-from surrofe2.law.stress_law import Acceptance, Status, StressResponse, Tangents
+from surrofe2.law.stress_law import Status, StressResponse, Tangents
 from surrofe2.run.journal import part_of, within
 
 Array = NDArray[np.float64]
@@ -272,25 +272,22 @@ def answer_both(
     )
 
 
-def accept_known(
-    law: Fallback, F: Array, F_dot: Array, response: StressResponse
-) -> tuple[CachedState, Acceptance]:
-    """The state after the fallback has accepted its points, and what it said, for all points."""
+def accept_known(law: Fallback, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
+    """The response after the fallback has accepted its points."""
     state: CachedState = response.state
     points = state.on_fallback.points
     if not len(points):
-        return state, Acceptance(response.status)
+        return response
     warm = state.on_fallback.state
     answer = StressResponse(response.stress[points], response.status[points], warm)
     accepted = law.accept(F[points], F_dot[points], answer)
-    status = response.status.copy()
+    status, stress, left = response.status.copy(), response.stress, None
     status[points] = accepted.status
-    said = Acceptance(status)
-    if accepted.stress is not None and accepted.left_bifurcation is not None:
-        stress, left = response.stress.copy(), np.zeros(len(status), dtype=np.bool_)
+    if accepted.left_bifurcation is not None:
+        stress, left = stress.copy(), np.zeros(len(status), dtype=np.bool_)
         stress[points], left[points] = accepted.stress, accepted.left_bifurcation
-        said = Acceptance(status, None, stress, left)
-    return replace(state, on_fallback=replace(state.on_fallback, state=accepted.state)), said
+    state = replace(state, on_fallback=replace(state.on_fallback, state=accepted.state))
+    return replace(response, stress=stress, status=status, state=state, left_bifurcation=left)
 
 
 def joined_tangents(first: Tangents | None, second: Tangents | None) -> Tangents | None:

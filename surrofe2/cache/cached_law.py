@@ -41,7 +41,6 @@ from surrofe2.cache.trust import Trust, Window
 from surrofe2.law.stress_law import (
     SURROGATE,
     TABLE,
-    Acceptance,
     Sources,
     Status,
     StressResponse,
@@ -320,40 +319,24 @@ class CachedLaw(Viewed):
         source[known.points], risk[known.points] = known.why, 0.0
         return Sources(source, risk)
 
-    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
+    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         """Let the fallback check what it answered; then count, audit, learn, and choose who is
         answered by which part in the next step."""
         return self.prepare(F, F_dot, response)[1]()
 
     def prepare(
         self, F: Array, F_dot: Array, response: StressResponse
-    ) -> tuple[NDArray[np.int8], Callable[[], Acceptance]]:
+    ) -> tuple[NDArray[np.int8], Callable[[], StressResponse]]:
         """As of `LearningLaw`: the fallback's check, and the rest."""
-        state, accepted = accept_known(self.fallback, F, F_dot, response)
+        accepted = accept_known(self.fallback, F, F_dot, response)
         if accepted.status.any():
-            return accepted.status, lambda: Acceptance(accepted.status, state)
-        return accepted.status, partial(self._learn, F, F_dot, response, state, accepted)
+            return accepted.status, lambda: accepted
+        return accepted.status, partial(self._learn, F, F_dot, accepted)
 
-    def _learn(
-        self,
-        F: Array,
-        F_dot: Array,
-        response: StressResponse,
-        state: CachedState,
-        accepted: Acceptance,
-    ) -> Acceptance:
-        """What follows on the fallback having `accepted`, which left `state`."""
-        if accepted.stress is not None:
-            response = replace(response, stress=accepted.stress)
-        self._note(F, F_dot, response.stress, state)
-        chosen = self._choose_branches(F, F_dot, response, state)
-        if accepted.stress is None:
-            return chosen
-        return replace(
-            chosen,
-            stress=response.stress if chosen.stress is None else chosen.stress,
-            left_bifurcation=accepted.left_bifurcation,
-        )
+    def _learn(self, F: Array, F_dot: Array, accepted: StressResponse) -> StressResponse:
+        """What follows on what the fallback has accepted."""
+        self._note(F, F_dot, accepted.stress, accepted.state)
+        return self._choose_branches(F, F_dot, accepted)
 
     def _note(self, F: Array, F_dot: Array, stress: Array, state: CachedState) -> None:
         """Everything that changes at a kept step but the branches."""
@@ -428,7 +411,7 @@ class CachedLaw(Viewed):
 
     def restart_step(
         self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
-    ) -> Acceptance:
+    ) -> StressResponse:
         """The start of a step with the points `switched` on the fallback; see `SwitchingLaw`."""
         state: CachedState = response.state
         new = (state.free() & (switched != 0)).nonzero()[0]
@@ -436,12 +419,12 @@ class CachedLaw(Viewed):
         stress, status = response.stress.copy(), response.status.copy()
         stress[new], status[new] = answer.stress, answer.status
         known = state.on_fallback.and_also(new, switched[new], answer.state)
-        return Acceptance(status, replace(state, on_fallback=known), stress)
+        state = replace(state, on_fallback=known)
+        return replace(response, stress=stress, status=status, state=state)
 
-    def _choose_branches(
-        self, F: Array, F_dot: Array, response: StressResponse, state: CachedState
-    ) -> Acceptance:
+    def _choose_branches(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         """Choose the branches of the next step, looking ahead to where it will end."""
+        state: CachedState = response.state
         limit, known, stress = self._trust.limit, state.on_fallback, response.stress
         if self._trust.is_off:
             leaving = np.where(state.free(), np.int8(Status.NOT_TRUSTED), np.int8(0))
@@ -466,16 +449,10 @@ class CachedLaw(Viewed):
             if len(fresh):
                 self._distribute(F, F_dot, stress, fresh)
                 after = after.and_also(fresh.points, fresh.why, fresh.state)
-        return Acceptance(
-            response.status,
-            CachedState(state.count, after, limit, self._trust.reaches, None, (F, F_dot)),
-            None if stress is response.stress else stress,
-        )
+        state = CachedState(state.count, after, limit, self._trust.reaches, None, (F, F_dot))
+        return replace(response, stress=stress, state=state)
 
     def _solve_cold(self, F: Array, F_dot: Array, points: Indices) -> StressResponse:
         """The fallback's checked answer at points it does not know yet."""
-        at = F[points], F_dot[points]
         answer = answer_both(self.fallback, F, F_dot, NO_POINTS, points)
-        accepted = self.fallback.accept(*at, answer)
-        stress = answer.stress if accepted.stress is None else accepted.stress
-        return replace(answer, stress=stress, status=accepted.status, state=accepted.state)
+        return self.fallback.accept(F[points], F_dot[points], answer)

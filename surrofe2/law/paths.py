@@ -138,7 +138,7 @@ def follow_path(
         if accepted.status.any():
             raise SimulationError(f"t = {t[n]:.6g} µs: {describe(accepted.status[0])}")
         state = accepted.state
-        stress[n] = answer.stress[0] if accepted.stress is None else accepted.stress[0]
+        stress[n] = accepted.stress[0]
     return StressPath(t, F, F_dot, stress, np.asarray(stress @ cofactor(F)))
 
 

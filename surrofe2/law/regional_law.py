@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import (
-    Acceptance,
     AuditedLaw,
     LearningLaw,
     Sources,
@@ -106,33 +105,33 @@ class RegionalLaw(Viewed):
             **{name: whole(name) for name in _ARRAYS},
         )
 
-    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
+    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         parts = self._parts_of(response)
         prepared = [
             law.prepare(F[own], F_dot[own], part) if isinstance(law, LearningLaw) else None
             for (law, own), part in zip(self._parts, parts, strict=True)
         ]
         answers = [
-            law.accept(F[own], F_dot[own], part) if ready is None else Acceptance(ready[0])
+            replace(part, status=ready[0]) if ready else law.accept(F[own], F_dot[own], part)
             for (law, own), part, ready in zip(self._parts, parts, prepared, strict=True)
         ]
         if not any(answer.status.any() for answer in answers):
             pairs = zip(answers, prepared, strict=True)
             answers = [answer if ready is None else ready[1]() for answer, ready in pairs]
-        return self._together(answers, parts)
+        return self._together(response, answers, parts)
 
     def restart_step(
         self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
-    ) -> Acceptance:
+    ) -> StressResponse:
         """As of `SwitchingLaw`; a law none of whose points switched stays as it is."""
-        parts, answers = self._parts_of(response), list[Acceptance]()
+        parts, answers = self._parts_of(response), list[StressResponse]()
         for (law, own), part in zip(self._parts, parts, strict=True):
             if switched[own].any():
                 law = cast(SwitchingLaw, law)
                 answers.append(law.restart_step(F[own], F_dot[own], part, switched[own]))
             else:
-                answers.append(Acceptance(part.status, part.state))
-        return self._together(answers, parts)
+                answers.append(part)
+        return self._together(response, answers, parts)
 
     @property
     def is_audited(self) -> bool:
@@ -206,18 +205,19 @@ class RegionalLaw(Viewed):
         ]
 
     def _together(
-        self, answers: Sequence[Acceptance], parts: Sequence[StressResponse]
-    ) -> Acceptance:
-        """What all laws say of their `parts` of a response."""
-        stresses = None
-        if any(answer.stress is not None for answer in answers):
-            pairs = zip(answers, parts, strict=True)
-            stresses = [part.stress if a.stress is None else a.stress for a, part in pairs]
-        return Acceptance(
-            status=self._whole([answer.status for answer in answers]),
-            state=tuple(answer.state for answer in answers),
-            stress=None if stresses is None else self._whole(stresses),
-            left_bifurcation=self._whole([answer.left_bifurcation for answer in answers]),
+        self,
+        response: StressResponse,
+        answers: Sequence[StressResponse],
+        parts: Sequence[StressResponse],
+    ) -> StressResponse:
+        """What all laws make of their `parts` of a response."""
+        changed = any(a.stress is not part.stress for a, part in zip(answers, parts, strict=True))
+        return replace(
+            response,
+            stress=self._whole([each.stress for each in answers]) if changed else response.stress,
+            status=self._whole([each.status for each in answers]),
+            state=tuple(each.state for each in answers),
+            left_bifurcation=self._whole([each.left_bifurcation for each in answers]),
         )
 
     def _whole(self, values: Sequence[Any]) -> Any:

@@ -154,25 +154,6 @@ class StressResponse:
         return f"<StressResponse: {count} point{'s' * (count != 1)}{more}>"
 
 
-@dataclass(frozen=True, slots=True)
-class Acceptance:
-    """What a stress law says of an accepted time step.
-
-    Attributes:
-        status: (n,) int8 codes; a law may check here what is too expensive for every trial.
-        state: the state to carry into the next step.
-        stress: (n, 2, 2) by which the next step begins at the same (F, Ḟ), where the law answers
-            by another branch from there on; None from most laws: the stress that was accepted.
-        left_bifurcation: (n,) whether the point lost stability in this step and was moved to
-            another equilibrium, whose stress is in `stress`. None: nowhere.
-    """
-
-    status: NDArray[np.int8]
-    state: Any = None
-    stress: Array | None = None
-    left_bifurcation: NDArray[np.bool_] | None = None
-
-
 class StressLaw(Protocol):
     """A constitutive law σ(F, Ḟ) for tissue.
 
@@ -203,10 +184,16 @@ class StressLaw(Protocol):
             InputError: wrong shape, not finite, det F ≤ 0, or tangents of a law without.
         """
 
-    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
-        """Commit the answer `response` that was given at (F, F_dot), the end of a kept step.
+    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
+        """Commit `response`, which was given at (F, F_dot), the end of a kept step.
 
-        A law that objects at a point changes nothing: the step is not kept.
+        Returns:
+            The response by which the next step begins: `response` itself, from most laws. Its
+            `status` may object where a check is too expensive for every trial: a law that objects
+            at a point changes nothing, and the step is not kept. Its `state` is carried into the
+            next step. Its `stress` is another array where the law answers by another branch from
+            there on; `left_bifurcation` then marks points that lost stability in this step and were
+            moved to another equilibrium.
         """
 
 
@@ -216,7 +203,7 @@ class LearningLaw(StressLaw, Protocol):
 
     def prepare(
         self, F: Array, F_dot: Array, response: StressResponse
-    ) -> tuple[NDArray[np.int8], Callable[[], Acceptance]]:
+    ) -> tuple[NDArray[np.int8], Callable[[], StressResponse]]:
         """`accept` in two parts: what it objects to, (n,) codes, without a change; and the rest."""
 
 
@@ -230,7 +217,7 @@ class SwitchingLaw(StressLaw, Protocol):
 
     def restart_step(
         self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
-    ) -> Acceptance:
+    ) -> StressResponse:
         """The start of the step once more, with the points `switched` (n,) on their new branch.
 
         Args:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from surrofe2.base.compilation import clock
 from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import (
-    Acceptance,
     Status,
     StressLaw,
     StressResponse,
@@ -176,9 +175,9 @@ class EquationsOfMotion:
         """
         self.is_committing = True
         started = clock()
-        acceptance = self.law.accept(now.F, now.F_dot, now.response)
+        accepted = self.law.accept(now.F, now.F_dot, now.response)
         self.tally.law_seconds += clock() - started
-        return self._begin(now, acceptance)
+        return self._begin(now, accepted)
 
     def begin(self, t: float, y: Array) -> Evaluation:
         """The evaluation by which the first step begins, accepted by the law; raises as both."""
@@ -220,10 +219,10 @@ class EquationsOfMotion:
         start, law = self._start, cast(SwitchingLaw, self.law)
         response = replace(start.response, state=self.law_state)
         started = clock()
-        acceptance = law.restart_step(start.F, start.F_dot, response, points)
+        restarted = law.restart_step(start.F, start.F_dot, response, points)
         self.tally.law_seconds += clock() - started
         self.tally.counts["repeated_steps"] += 1
-        return self._begin(start, acceptance)
+        return self._begin(start, restarted)
 
     def dissipation_rates(self, now: Evaluation) -> Array | None:
         """(n_el,) ∫ J (σ(F, Ḟ) − σ(F, 0)) : L dV of each element, pJ/µs; None without σ(F, 0).
@@ -315,17 +314,17 @@ class EquationsOfMotion:
         point = self.discretisation.point_near(node) if node < len(self.discretisation.nodes) else 0
         return self.no_stress(now.t, point, now.F, reason)
 
-    def _begin(self, at: Evaluation, acceptance: Acceptance) -> Evaluation:
+    def _begin(self, at: Evaluation, accepted: StressResponse) -> Evaluation:
         """The evaluation by which a step begins, after what the law committed there."""
-        if acceptance.status.any():
-            raise self._failed(at.t, at.F, acceptance.status)
-        self.law_state = acceptance.state
-        left = acceptance.left_bifurcation
-        if left is not None:
-            self.tally.effort["left_bifurcation"] += int(left.sum())
-        if acceptance.stress is not None:
+        if accepted.status.any():
+            raise self._failed(at.t, at.F, accepted.status)
+        self.law_state = accepted.state
+        if accepted.stress is not at.response.stress:
+            left = accepted.left_bifurcation
+            if left is not None:
+                self.tally.effort["left_bifurcation"] += int(left.sum())
             response = replace(
-                at.response, stress=acceptance.stress, switched=None, tangents=None,
+                at.response, stress=accepted.stress, switched=None, tangents=None,
                 left_bifurcation=left,
             )  # fmt: skip
             at = self._evaluation(at.t, at.y, (at.u, at.v), at.F, at.F_dot, response)

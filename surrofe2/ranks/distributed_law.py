@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,6 @@ from numpy.typing import NDArray
 from surrofe2.base.errors import InputError
 from surrofe2.base.simd import TILE
 from surrofe2.law.stress_law import (
-    Acceptance,
     StressResponse,
     Tangents,
     check_deformation,
@@ -142,17 +142,19 @@ class DistributedLaw:
             left_bifurcation=left if left.any() else None,
         )
 
-    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
+    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         if not len(F):
-            return Acceptance(response.status, response.state)
+            return response
         F, F_dot = check_deformation(F, F_dot)
         before = self._checked(response.state, len(F))
         after = RankState(self, before.owner, before.left_points)
         answered = F, F_dot, response.stress, response.status
         found, _ = self._done(_accept, (before.number, after.number), after, answered)
         after.left_points, new = found["left"], found["newly_left"]
-        stress, newly_left = (found["stress"], new) if new.any() else (None, None)
-        return Acceptance(found["status"], after, stress, newly_left)
+        stress, left = (found["stress"], new) if new.any() else (response.stress, None)
+        return replace(
+            response, stress=stress, status=found["status"], state=after, left_bifurcation=left
+        )
 
     def _done(
         self, work: Any, given: tuple[Any, ...], state: RankState, arrays: Iterable[NDArray]
@@ -226,14 +228,13 @@ def _respond(
 def _accept(
     worker: Worker, law: int, before: int, after: int, *answered: Any
 ) -> tuple[dict[str, NDArray], Mapping[str, int]]:
-    """As of `_respond`, with stress and marks of a bifurcation filled in where there are none."""
+    """As of `_respond`, with marks of a bifurcation filled in where there are none."""
     F, F_dot, stress, status = answered
     said = worker.laws[law].accept(F, F_dot, StressResponse(stress, status, worker.states[before]))
     worker.states[after] = said.state
     new = np.zeros(len(F), np.bool_) if said.left_bifurcation is None else said.left_bifurcation
-    stress = stress if said.stress is None else said.stress
     left = said.state.left_points
-    return {"status": said.status, "stress": stress, "left": left, "newly_left": new}, {}
+    return {"status": said.status, "stress": said.stress, "left": left, "newly_left": new}, {}
 
 
 def _to_arrays(worker: Worker, number: int, begin: int, points: int) -> dict[str, NDArray]:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from surrofe2.base.errors import InputError
 from surrofe2.base.simd import TILE
 from surrofe2.law.stress_law import (
-    Acceptance,
     Status,
     StressResponse,
     check_deformation,
@@ -201,7 +200,7 @@ class RveLaw(Viewed):
             left_bifurcation=left if left.any() else None,
         )
 
-    def accept(self, F: Any, F_dot: Any, response: StressResponse) -> Acceptance:
+    def accept(self, F: Any, F_dot: Any, response: StressResponse) -> StressResponse:
         """Check stability (elastic Hessian, dashpots off) and renew stale factorisations.
 
         Points that lost stability go to a stable state, from which the next step begins; where
@@ -210,14 +209,14 @@ class RveLaw(Viewed):
         """
         state = response.state
         unchecked = self.initialisation == "cauchy-born" or not self.has_tangents
+        response = replace(response, left_bifurcation=None)
         if unchecked or state.is_checked:
-            return Acceptance(response.status, state)
+            return response
         limit = _RENEW_AFTER.get(self.initialisation, _RENEW_AFTER_ELSE)
         state, stable = self._renewed(state, (state.iterations > limit).any(axis=1))
         lost = ~unpack(stable, state.points) & (response.status == Status.OK)
-        if not lost.any():
-            return Acceptance(response.status, state)
-        return self._leave(replace(response, state=state), np.flatnonzero(lost))
+        response = replace(response, state=state)
+        return self._leave(response, np.flatnonzero(lost)) if lost.any() else response
 
     def _renewed(
         self, state: RveState, tiles: NDArray[np.bool_]
@@ -235,7 +234,7 @@ class RveLaw(Viewed):
             stable = renew(drive, state.z, factors, tiles, *law)
         return replace(state, factors=factors, near=near), stable
 
-    def _leave(self, response: StressResponse, index: NDArray[np.intp]) -> Acceptance:
+    def _leave(self, response: StressResponse, index: NDArray[np.intp]) -> StressResponse:
         """The answer with the points `index` in stable states, where there are any.
 
         They stay where they are if the elastic equilibrium beside them is stable all the same.
@@ -252,8 +251,8 @@ class RveLaw(Viewed):
         left[index] = (status[index] == Status.OK) & (way > _SAME)
         state = response.state.put(index, found.state)
         if not left.any():
-            return Acceptance(status, state)
-        return Acceptance(status, state, stress, left)
+            return replace(response, status=status, state=state)
+        return replace(response, status=status, state=state, stress=stress, left_bifurcation=left)
 
 
 def _same_law(cell: CellParameters, settings: RveSettings, reference: ReferenceState) -> RveLaw:

@@ -16,7 +16,7 @@ from scipy.interpolate import PchipInterpolator
 
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.base.tensors import INPUTS, stress_error
-from surrofe2.law.stress_law import Acceptance, Status, StressLaw, StressResponse
+from surrofe2.law.stress_law import Status, StressLaw, StressResponse
 from surrofe2.surrogate.settings import CORNERS, SMALL
 
 Array = NDArray[np.float64]
@@ -120,7 +120,7 @@ class WatchedLaw:
     ) -> StressResponse:
         return self.law.respond(F, F_dot, state, tangents=tangents)
 
-    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
+    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         self.note(F, F_dot)
         return self.law.accept(F, F_dot, response)
 
@@ -164,10 +164,10 @@ def true_stress(
         for k in np.arange(length):
             F, F_dot = (np.ascontiguousarray(T[k, part]) for T in (paths.F, paths.F_dot))
             answer = law.respond(F, F_dot, state)
-            acceptance = law.accept(F, F_dot, answer)
-            state = acceptance.state
-            stress[k, part], status[k, part] = answer.stress, acceptance.status
-            doubtful = np.flatnonzero((acceptance.status != 0) | _left(answer) | _left(acceptance))
+            accepted = law.accept(F, F_dot, answer)
+            state = accepted.state
+            stress[k, part], status[k, part] = answer.stress, accepted.status
+            doubtful = np.flatnonzero((accepted.status != 0) | _left(answer) | _left(accepted))
             if len(doubtful):
                 again = law.respond(F[doubtful], F_dot[doubtful])
                 points = first + doubtful
@@ -180,7 +180,7 @@ def true_stress(
     return stress.reshape(-1, 2, 2), status.reshape(-1)
 
 
-def _left(answer: StressResponse | Acceptance) -> NDArray[np.bool_]:
+def _left(answer: StressResponse) -> NDArray[np.bool_]:
     """(n,) whether points are beyond a bifurcation."""
     left = answer.left_bifurcation
     return np.zeros(len(answer.status), dtype=np.bool_) if left is None else left

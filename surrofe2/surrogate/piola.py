@@ -26,7 +26,6 @@ from surrofe2.base.tensors import (
     transpose,
 )
 from surrofe2.law.stress_law import (
-    Acceptance,
     StressLaw,
     StressResponse,
     Tangents,
@@ -157,5 +156,5 @@ class QuadraticLaw:
         status = np.zeros(len(F), dtype=np.int8)
         return StressResponse(to_cauchy(F, P), status, state, {}, slopes)
 
-    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
-        return Acceptance(response.status, response.state)
+    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
+        return response

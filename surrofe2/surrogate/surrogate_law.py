@@ -15,7 +15,6 @@ from surrofe2.base.square_symmetry import COMPONENTS
 from surrofe2.base.tensors import INPUTS, rotation, to_components, transpose
 from surrofe2.law.samples import StressSamples
 from surrofe2.law.stress_law import (
-    Acceptance,
     Status,
     StressResponse,
     Tangents,
@@ -151,9 +150,9 @@ class SurrogateLaw(Viewed):
         """
         return to_tangents(F, F_dot, *evaluate_slopes(F, F_dot, self.arrays))
 
-    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
+    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         """Nothing is left to check or to commit."""
-        return Acceptance(response.status, response.state)
+        return response
 
     def in_range(self, F: Array, F_dot: Array) -> NDArray[np.bool_]:
         """(n,) whether U and RᵀḞ are where the data are; False where not a number."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from surrofe2 import Problem
 from surrofe2.adapters.felupe import FelupeMaterial
 from surrofe2.base.errors import SimulationError
-from surrofe2.law.stress_law import Acceptance, Status
+from surrofe2.law.stress_law import Status
 from surrofe2.macro.elements import reference_shapes
 from surrofe2.macro.rest import find_rest
 from surrofe2.plant_cell.parameters import CellParameters
@@ -120,8 +121,8 @@ class Counted(KelvinVoigt):
     def accept(self, F, F_dot, response):
         self.accepted.append(F)
         left = F[:, 0, 0] > self.limit
-        state = len(self.accepted)
-        return Acceptance(response.status, state, response.stress, left if left.any() else None)
+        found = left if left.any() else None
+        return replace(response, state=len(self.accepted), left_bifurcation=found)
 
 
 def stretched(material, substeps, plugins, along=0.1, n=4):

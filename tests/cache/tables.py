@@ -55,10 +55,10 @@ class Kept(CachedLaw):
         super().__init__(*args)
         self.open, self.standing = [], []
 
-    def _learn(self, F, F_dot, response, state, accepted):
-        free = response.state.free()
-        self.open.append((F[free], F_dot[free], response.stress[free]))
-        return super()._learn(F, F_dot, response, state, accepted)
+    def _learn(self, F, F_dot, accepted):
+        free = accepted.state.free()
+        self.open.append((F[free], F_dot[free], accepted.stress[free]))
+        return super()._learn(F, F_dot, accepted)
 
     def mark(self, t, state):
         super().mark(t, state)

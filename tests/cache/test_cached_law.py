@@ -9,7 +9,7 @@ from surrofe2 import LoadCase
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.cache import CachedLaw, CacheSettings
-from surrofe2.law.stress_law import SURROGATE, Acceptance, Status, StressResponse
+from surrofe2.law.stress_law import SURROGATE, Status, StressResponse
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.plant_cell.parameters import CellParameters
 from tests.cache.tables import observed
@@ -194,7 +194,7 @@ def test_a_fallback_without_state_is_enough():
             return StressResponse(exact(F, F_dot), np.zeros(len(F), dtype=np.int8))
 
         def accept(self, F, F_dot, response):
-            return Acceptance(response.status, response.state)
+            return response
 
     cached = CachedLaw(Surrogate(), Stateless())
     F, F_dot = stretched(1.6, 1.0)
@@ -239,7 +239,7 @@ class Leaving(TrueLaw):
     def accept(self, F, F_dot, response):
         left = response.state.left_points
         stress = np.where(left[:, None, None], 7.0, response.stress)
-        return Acceptance(response.status, response.state, stress, left)
+        return replace(response, stress=stress, left_bifurcation=left)
 
 
 def test_stress_beyond_a_bifurcation_is_passed_on_but_neither_kept_nor_learnt():

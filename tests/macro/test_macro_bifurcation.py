@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surrofe2 import LoadCase
-from surrofe2.law.stress_law import Acceptance, Tangents
+from surrofe2.law.stress_law import Tangents
 from surrofe2.macro import MacroSettings, find_rest, simulate
 from surrofe2.macro.elements import internal_force
 from tests.laws import KelvinVoigt
@@ -35,9 +35,9 @@ class Softens(KelvinVoigt):
         left = response.state
         new = (abs(F[:, 1, 0]) > self.limit) & ~left
         if not new.any():
-            return Acceptance(response.status, left)
+            return response
         stress = np.where(new[:, None, None], self.share, 1.0) * response.stress
-        return Acceptance(response.status, left | new, stress, new)
+        return replace(response, state=left | new, stress=stress, left_bifurcation=new)
 
 
 def test_rest_is_that_of_the_branches_reached():

@@ -171,8 +171,7 @@ class StressTable:
         answer = self.law.respond(F, F_dot)
         accepted = self.law.accept(F, F_dot, answer)
         if not accepted.status.any():
-            stress = answer.stress if accepted.stress is None else accepted.stress
-            self.learn(F, F_dot, stress, accepted.state)
+            self.learn(F, F_dot, accepted.stress, accepted.state)
 
     def restore(self, records: Records) -> None:
         """Know these records and no others."""
