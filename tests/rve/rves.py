@@ -8,7 +8,7 @@ import numpy as np
 
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw, RveSettings
-from tests.plant_cell.twin import IMAGES
+from tests.plant_cell.twin import IMAGES, Twin
 
 SPREAD = {"printed": 0.08, "water": 0.04}
 PRESETS = tuple(SPREAD)
@@ -49,3 +49,18 @@ def clear_of_the_cut_off(answer, F, wide=1e-3):
 
 def piola(this, F, F_dot):
     return this.respond(F, F_dot).first_piola(F)
+
+
+def assert_balanced(this, answer, F, F_dot, points, felt=None, beyond=None):
+    """Over all images, forces at F and `felt`, F_dot by default, vanish; the stress is the twin's.
+
+    beyond: (points, n, 2) velocities beyond affine ones.
+    """
+    twin = Twin(this.cell, this.rest_length)
+    felt, beyond = F_dot if felt is None else felt, np.zeros(len(F)) if beyond is None else beyond
+    for point in points:
+        z = particles(answer.state, point)
+        f, *_ = twin.evaluate(z, F[point], felt[point], beyond[point])
+        assert np.linalg.norm(f, axis=1).mean() < 1e-8
+        stress = twin.evaluate(z, F[point], F_dot[point], beyond[point])[2]
+        np.testing.assert_allclose(answer.stress[point], stress, rtol=0, atol=1e-9)

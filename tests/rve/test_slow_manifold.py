@@ -8,11 +8,12 @@ import pytest
 
 from surrofe2.base.errors import SimulationError
 from surrofe2.law.stress_law import Status
+from surrofe2.plant_cell.tiles import unpack
 from surrofe2.rve.micro_integration import integrate_rve
 from surrofe2.rve.parameter_gradients import parameter_gradients
 from tests.laws import tangents_by_differences
-from tests.plant_cell.twin import Twin
-from tests.rve.rves import PRESETS, deformations, law, particles
+from tests.numerics import slope_along
+from tests.rve.rves import PRESETS, assert_balanced, deformations, law
 
 
 def shear(t):
@@ -84,21 +85,18 @@ def test_velocities_are_those_of_the_moving_equilibrium_and_forces_vanish_with_t
     F, F_dot = deformations(preset, n=6)
     answer = law(preset, "slow-manifold").respond(F, F_dot)
     assert (answer.status == Status.OK).all()
-    twin = Twin(law(preset).cell, law(preset).rest_length)
-    step = 1e-3
-    still = np.zeros_like(F)
-    up, down = (law(preset, "elastic").respond(F + s * F_dot, still) for s in (step, -step))
-    for point in range(6):
-        z, beyond = particles(answer.state, point), answer.state.fluctuation[0, :, :, point].T
-        f, _, stress = twin.evaluate(z, F[point], F_dot[point], beyond)
-        assert np.linalg.norm(f, axis=1).mean() < 1.1e-8
-        np.testing.assert_allclose(answer.stress[point], stress, rtol=0, atol=1e-9)
-        moving = [
-            particles(a.state, point) @ (F[point] + s * F_dot[point]).T
-            for a, s in ((up, step), (down, -step))
-        ]
-        expected = (moving[0] - moving[1]) / (2 * step)
-        np.testing.assert_allclose(z @ F_dot[point].T + beyond, expected, rtol=0, atol=1e-6)
+    beyond = unpack(answer.state.fluctuation, 6).transpose(0, 2, 1)
+    assert_balanced(law(preset), answer, F, F_dot, range(6), beyond=beyond)
+
+    def moving(t):
+        at = F + t * F_dot
+        z = unpack(law(preset, "elastic").respond(at, 0.0 * F).state.z, 6).transpose(0, 2, 1)
+        return z @ at.transpose(0, 2, 1)
+
+    z = unpack(answer.state.z, 6).transpose(0, 2, 1)
+    velocities = z @ F_dot.transpose(0, 2, 1) + beyond
+    expected = slope_along(moving, 0.0, 1.0, 1e-3)
+    np.testing.assert_allclose(velocities, expected, rtol=0, atol=1e-6)
 
 
 def test_micro_integration_is_of_fourth_order_where_no_pair_crosses_the_cut_off():

@@ -22,6 +22,12 @@ def shaken(tissue, seed=0, amount=0.1):
     )
 
 
+def placed(tissue, x, v):
+    dynamics = TissueDynamics(tissue)
+    dynamics.place(x, v)
+    return dynamics
+
+
 @pytest.fixture(params=[((2, 2), "printed"), ((3, 2), "water"), ((1, 1), "water")])
 def case(request, tissue_of, reference):
     cells, preset = request.param
@@ -37,8 +43,7 @@ def case(request, tissue_of, reference):
 def test_forces_energy_and_dissipation_are_those_of_the_twin(case):
     tissue, twin, order = case
     x, v = shaken(tissue)
-    dynamics = TissueDynamics(tissue)
-    dynamics.place(x, v)
+    dynamics = placed(tissue, x, v)
     there = np.empty_like(x), np.empty_like(v)
     there[0][order], there[1][order] = x, v
     f, energy, lost = twin.evaluate(*there)
@@ -68,22 +73,19 @@ def test_paper_s_bar_has_its_particles(tissue_of):
 
 
 def test_forces_sum_to_zero(any_tissue):
-    dynamics = TissueDynamics(any_tissue)
-    dynamics.place(*shaken(any_tissue))
-    f = dynamics.forces()
+    f = placed(any_tissue, *shaken(any_tissue)).forces()
     assert abs(f.sum(axis=0)).max() < 1e-12 * abs(f).max() * len(f)
 
 
 def test_force_is_minus_the_gradient_of_the_energy(any_tissue):
-    dynamics = TissueDynamics(any_tissue)
-    x, _ = shaken(any_tissue)
+    x, v = shaken(any_tissue)
+    dynamics = placed(any_tissue, x, 0.0 * v)
+    f = dynamics.forces()
 
     def energy(x):
         dynamics.place(x)
         return dynamics.elastic_energy()
 
-    energy(x)
-    f = dynamics.forces()
     for seed in range(3):
         direction = np.random.default_rng(seed).normal(size=x.shape)
         slope = slope_along(energy, x, direction, 1e-4)
@@ -98,9 +100,8 @@ def test_inside_under_affine_deformation_is_an_rve(preset, tissue_of, reference)
     F = np.array([[1.05, 0.06], [-0.03, 0.96]])
     F_dot = np.array([[0.01, -0.004], [0.006, 0.008]])
     tissue = tissue_of((5, 5), preset)
-    dynamics = TissueDynamics(tissue)
     X = tissue.to_particles(tissue.start)
-    dynamics.place(X @ F.T, X @ F_dot.T)
+    dynamics = placed(tissue, X @ F.T, X @ F_dot.T)
     tile, lane = np.divmod(tissue.place[2, 2], TILE)
     middle = np.flatnonzero(
         (tissue.where // TILE // tissue.own == tile) & (tissue.where % TILE == lane)
