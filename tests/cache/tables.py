@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from surrofe2 import LoadCase
 from surrofe2.base.sampling import SamplingRange, sample
 from surrofe2.base.tensors import stress_error
 from surrofe2.cache import CachedLaw, CacheSettings, StressTable
+from surrofe2.macro import MacroState, simulate
 from tests.laws import Learnt, SquareLaw, Surrogate, Truth, square_stress
 from tests.numerics import turn
 
@@ -46,6 +49,18 @@ def observed(truth, surrogate=None, **settings):
     surrogate.learn = lambda *answers: learnt.append(answers)
     settings = CacheSettings(**settings)
     return CachedLaw(surrogate, truth, settings, lambda *answer: kept.append(answer)), kept, learnt
+
+
+def keeping(law, kept):
+    """A checkpoint that keeps arrays: of each state, and of what the law makes of it."""
+    return lambda state: kept.append((state.to_arrays(), law.state_to_arrays(state.law_state)))
+
+
+def resumed(problem, law, settings, kept):
+    """The run by a new law from what was kept."""
+    arrays, of_law = kept
+    state = replace(MacroState.from_arrays(arrays), law_state=law.state_from_arrays(of_law))
+    return simulate(problem, law, settings, resume=state)
 
 
 class Kept(CachedLaw):

@@ -1,14 +1,12 @@
 """A cached run that is interrupted and resumes equals one that was not, to the bit."""
 
-from dataclasses import replace
-
 import pytest
 
 from surrofe2 import LoadCase
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.cache import CachedLaw, CacheSettings, StressTable
-from surrofe2.macro import MacroSettings, MacroState, simulate
-from tests.cache.tables import cached
+from surrofe2.macro import MacroSettings, simulate
+from tests.cache.tables import cached, keeping, resumed
 from tests.folders import assert_equal
 from tests.laws import Truth, shear_error
 from tests.macro.bars import assert_same_run
@@ -54,11 +52,9 @@ def interrupted(make, steps):
         if left[0] == 0:
             raise Stop
 
-    def keep(state):
-        kept.append((state.to_arrays(), law.state_to_arrays(state.law_state)))
-
+    checkpoints = {"checkpoint": keeping(law, kept), "checkpoint_interval": 1e9}
     with pytest.raises(Stop):
-        simulate(LOAD_CASE, law, SETTINGS, progress=stop, checkpoint=keep, checkpoint_interval=1e9)
+        simulate(LOAD_CASE, law, SETTINGS, progress=stop, **checkpoints)
     return kept[-1]
 
 
@@ -78,15 +74,12 @@ def test_a_resumed_run_is_the_uninterrupted_one(make):
     assert law.counts["hits"] > 0
     waited = remembered = False
     for stop in (1, steps // 3, steps // 2, steps - 3):
-        arrays, of_law = interrupted(make, stop)
-        waited |= any(name.startswith("audit.waiting") for name in of_law)
-        remembered |= any(name.startswith("audit.spare") for name in of_law)
-        again = make()
-        state = MacroState.from_arrays(arrays)
-        state = replace(state, law_state=again.state_from_arrays(of_law))
-        resumed = simulate(LOAD_CASE, again, SETTINGS, resume=state)
-        assert_same_run(resumed, whole)
-        assert_equal(resumed.effort, whole.effort, exact=True)
+        again, kept = make(), interrupted(make, stop)
+        waited |= any(name.startswith("audit.waiting") for name in kept[1])
+        remembered |= any(name.startswith("audit.spare") for name in kept[1])
+        run = resumed(LOAD_CASE, again, SETTINGS, kept)
+        assert_same_run(run, whole)
+        assert_equal(run.effort, whole.effort, exact=True)
         assert_equal(told(again), told(law), exact=True)
     assert waited
     assert remembered or make is untrustworthy

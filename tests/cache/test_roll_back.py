@@ -11,10 +11,10 @@ from surrofe2.cache.cached_law import AUDIT
 from surrofe2.cache.trust import AUDITS, VIOLATIONS
 from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.macro import MacroSettings, simulate
-from surrofe2.macro.history import MacroState
 from surrofe2.run.displacement_curve import difference
-from tests.cache.tables import LOAD_CASE, Kept, cached
+from tests.cache.tables import LOAD_CASE, Kept, cached, keeping, resumed
 from tests.laws import Learnt, Truth, shear_error
+from tests.macro.bars import assert_same_run
 
 SETTINGS = MacroSettings(frames=5)
 ALLOWED = 0.1
@@ -65,33 +65,24 @@ class Counted(CachedLaw):
 def test_counts_are_of_what_stands_and_what_was_rolled_back_is_apart():
     """Of a run that was resumed after a roll-back too."""
     law, states = Counted(), []
-    run = simulate(
-        LOAD_CASE,
-        law,
-        SETTINGS,
-        checkpoint=lambda state: states.append((state, law.state_to_arrays(state.law_state))),
-        checkpoint_interval=0.0,
-    )
+    checkpoints = {"checkpoint": keeping(law, states), "checkpoint_interval": 0.0}
+    run = simulate(LOAD_CASE, law, SETTINGS, **checkpoints)
     for counts in (Counter({**run.counts, **run.effort}), Counter(run.rolled_back)):
         asked = counts["stress_points"] + counts["dissipation_points"]
         assert 0 < asked == counts["hits"] + counts["fallbacks"]
         law.points -= asked
     assert law.points == 0
     assert law.counts["steps"] == run.counts["steps"] + 1
-    samples = states[-1][0].journal["samples"]
+    samples = states[-1][0]["samples"]
     assert run.counts["dissipation_points"] == 60 * (len(samples) - 1)  # none at rest
     audit = law.report()["audit"]
     assert 0 < audit["audited"] == sum(law.audits) - audit["rolled_back"] < sum(law.audits)
-    back = next(k for k, (state, _) in enumerate(states) if state.rolled_back)
-    state, arrays = states[back]
+    back = next(kept for kept in states if "rolled_back.steps" in kept[0])
     again = Counted()
-    state = replace(
-        MacroState.from_arrays(state.to_arrays()), law_state=again.state_from_arrays(arrays)
-    )
-    resumed = simulate(LOAD_CASE, again, SETTINGS, resume=state)
-    assert resumed.counts == run.counts
-    assert resumed.effort == run.effort
-    assert resumed.rolled_back == run.rolled_back
+    rerun = resumed(LOAD_CASE, again, SETTINGS, back)
+    assert_same_run(rerun, run)
+    assert rerun.effort == run.effort
+    assert rerun.rolled_back == run.rolled_back
     assert again.report()["audit"]["rolled_back"] == audit["rolled_back"]
 
 

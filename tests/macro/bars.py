@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -33,7 +33,7 @@ def resumed(problem, law, settings, state):
 
 def assert_same_run(found, whole, atol=0.0):
     """Curves, energies, histories and frames of two runs, to the bit by default; and counts."""
-    series = [(each.energies | each.history, vars_of(each.frames)) for each in (found, whole)]
+    series = [(each.energies | each.history, asdict(each.frames)) for each in (found, whole)]
     for own, other in zip(*series, strict=True):
         assert own.keys() == other.keys()
         for name, values in other.items():
@@ -43,10 +43,6 @@ def assert_same_run(found, whole, atol=0.0):
         own = found.curves[name].displacement
         np.testing.assert_allclose(own, curve.displacement, rtol=0.0, atol=atol, err_msg=name)
     assert found.counts == whole.counts
-
-
-def vars_of(data):
-    return {item.name: getattr(data, item.name) for item in fields(data)}
 
 
 def equations_of_bar(problem, law):

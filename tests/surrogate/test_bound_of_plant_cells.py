@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surrofe2 import RveLaw, simulate
-from surrofe2.base.sampling import SamplingRange, contains, sample, training_points
+from surrofe2 import RveLaw, sample_stress, simulate
+from surrofe2.base.sampling import SamplingRange, contains, sample
 from surrofe2.base.tensors import stress_error
-from surrofe2.law.samples import StressSamples
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.surrogate import train
 from surrofe2.surrogate.calibration import Truth, errors_along
@@ -53,14 +52,7 @@ class Study:
             training=replace(recipe.training, iterations=iterations),
         )
         self.rve = RveLaw(recipe.cell, recipe.rve)
-        F, F_dot = training_points(recipe.range, samples, seed=1)
-        answer = self.rve.respond(F, F_dot, tangents=True)
-        self.samples = StressSamples(
-            F=F, F_dot=F_dot, stress=answer.stress, status=answer.status, cell=recipe.cell,
-            initialisation=initialisation, range=recipe.range, seed=1,
-            P_by_F=answer.tangents.P_by_F, P_by_F_dot=answer.tangents.P_by_F_dot,
-            left_bifurcation=answer.left_bifurcation,
-        )  # fmt: skip
+        self.samples = sample_stress(self.rve, recipe.range, samples, seed=1)
         surrogate = train(self.samples, recipe.training)
         shaping = shaping_truths(self.samples, self.rve, calibration)
         self.surrogate = calibrate_surrogate(

@@ -76,14 +76,10 @@ def test_monomials_change_sign_as_their_parity_says(group_element):
 
 def generated_by(covariants):
     """Monomials up to degree 4 that are covariants times products of invariants."""
-    found, frontier = set(), list(covariants)
-    while frontier:
-        product = frontier.pop()
-        found.add(product)
-        for invariant in INVARIANTS:
-            bigger = tuple(sorted(product + invariant))
-            if len(bigger) <= 4 and bigger not in found:
-                frontier.append(bigger)
+    found = set(covariants)
+    for _ in range(4):
+        found |= {tuple(sorted(each + invariant)) for each in found for invariant in INVARIANTS}
+        found = {each for each in found if len(each) <= 4}
     return found
 
 

@@ -27,6 +27,11 @@ def few():
     return lattice_samples(600)
 
 
+def stress_of(law):
+    """At a few points."""
+    return law.extrapolate(*sample(WELL_INSIDE, 20, seed=0))
+
+
 def test_held_out_errors_are_those_on_fresh_data(law):
     """0.05 % of the spread; the polynomial alone misses by 0.1 to 0.7 %."""
     F, F_dot = sample(RANGE, 2000, seed=99)
@@ -77,8 +82,7 @@ def test_the_tangents_at_rest_are_exact_where_a_sample_is_at_rest(degree):
 
 
 def test_seed_decides(few):
-    F, F_dot = sample(WELL_INSIDE, 20, seed=0)
-    answers = [train(few, replace(SMALL, seed=seed)).respond(F, F_dot).stress for seed in (1, 1, 2)]
+    answers = [stress_of(train(few, replace(SMALL, seed=seed))) for seed in (1, 1, 2)]
     assert np.array_equal(answers[0], answers[1])
     assert not np.array_equal(answers[0], answers[2])
 
@@ -100,9 +104,8 @@ def test_interrupted_training_carries_on_as_if_it_had_not_been(few, tmp_path):
     path = tmp_path / "unfinished.h5"
     write_training(path, states[-1].identity, states[-1].iterations, states[-1].arrays)
     state = TrainingState(*read_training(path))
-    F, F_dot = sample(WELL_INSIDE, 20, seed=0)
-    resumed = train(few, SMALL, resume=state).respond(F, F_dot).stress
-    assert np.array_equal(resumed, train(few, SMALL).respond(F, F_dot).stress)
+    resumed, whole = train(few, SMALL, resume=state), train(few, SMALL)
+    assert np.array_equal(stress_of(resumed), stress_of(whole))
 
 
 @pytest.mark.parametrize("good", [1, 2, 5])
@@ -127,16 +130,10 @@ def test_rounds_that_were_interrupted_continue_as_if_they_had_not_been(few, monk
     settings = replace(SMALL, checkpoint_interval=10)
     states, asked = [], []
     whole = train(few, settings, should_stop=lambda _: False, checkpoint=states.append)
-    F, F_dot = sample(WELL_INSIDE, 20, seed=0)
     for state in states[:3]:
-
-        def should_stop(surrogate):
-            asked.append(surrogate)
-            return False
-
         asked.clear()
-        resumed = train(few, settings, should_stop=should_stop, resume=state)
-        assert np.array_equal(resumed.respond(F, F_dot).stress, whole.respond(F, F_dot).stress)
+        resumed = train(few, settings, should_stop=asked.append, resume=state)
+        assert np.array_equal(stress_of(resumed), stress_of(whole))
         assert len(asked) == (2 if state.iterations <= 20 else 1)
 
 
@@ -147,9 +144,7 @@ def test_held_out_samples_decide_nothing(few, monkeypatch):
     stress[held_out] *= 1.01
     settings = replace(SMALL, iterations=20)
     laws = [train(replace(few, stress=each), settings) for each in (few.stress, stress)]
-    F, F_dot = sample(WELL_INSIDE, 20, seed=0)
-    first, second = (law.extrapolate(F, F_dot) for law in laws)
-    assert np.array_equal(first, second)
+    assert np.array_equal(*map(stress_of, laws))
     assert laws[1].errors["rms"]["xx"] > laws[0].errors["rms"]["xx"]
 
 
