@@ -89,21 +89,7 @@ class RegionalLaw(Viewed):
             for (law, own), part in zip(self._parts, states, strict=True)
         ]
 
-        def whole(name: str) -> Any:
-            return self._whole([getattr(answer, name) for answer in answers])
-
-        effort, reasons = Counter[str](), dict[int, str]()
-        for answer, (_, own) in zip(answers, self._parts, strict=True):
-            reasons |= {int(own[k]): reason for k, reason in answer.reasons.items()}
-            effort.update(answer.effort)
-        sources: list[Any] = [answer.sources for answer in answers]
-        return StressResponse(
-            state=tuple(answer.state for answer in answers),
-            effort=effort,
-            reasons=reasons,
-            sources=None if None in sources else lambda: self._whole([tell() for tell in sources]),
-            **{name: whole(name) for name in _ARRAYS},
-        )
+        return self._joined(answers)
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         parts = self._parts_of(response)
@@ -189,18 +175,9 @@ class RegionalLaw(Viewed):
         return sorted(found, key=lambda line: float(line["t"]))
 
     def _parts_of(self, response: StressResponse) -> list[StressResponse]:
-        """What each law answered, without tangents."""
-        left = response.left_bifurcation
+        """Stress, status and state of each law's points."""
         return [
-            replace(
-                response,
-                stress=response.stress[own],
-                status=response.status[own],
-                state=state,
-                tangents=None,
-                switched=None,
-                left_bifurcation=None if left is None else left[own],
-            )
+            StressResponse(response.stress[own], response.status[own], state)
             for (_, own), state in zip(self._parts, response.state, strict=True)
         ]
 
@@ -210,14 +187,24 @@ class RegionalLaw(Viewed):
         answers: Sequence[StressResponse],
         parts: Sequence[StressResponse],
     ) -> StressResponse:
-        """What all laws make of their `parts` of a response."""
+        """What all laws make of their `parts` of a response; its own stress if none changed."""
+        joined = self._joined(answers)
         changed = any(a.stress is not part.stress for a, part in zip(answers, parts, strict=True))
-        return replace(
-            response,
-            stress=self._whole([each.stress for each in answers]) if changed else response.stress,
-            status=self._whole([each.status for each in answers]),
-            state=tuple(each.state for each in answers),
-            left_bifurcation=self._whole([each.left_bifurcation for each in answers]),
+        return joined if changed else replace(joined, stress=response.stress)
+
+    def _joined(self, answers: Sequence[StressResponse]) -> StressResponse:
+        """The responses of all laws as one."""
+        effort, reasons = Counter[str](), dict[int, str]()
+        for answer, (_, own) in zip(answers, self._parts, strict=True):
+            reasons |= {int(own[k]): reason for k, reason in answer.reasons.items()}
+            effort.update(answer.effort)
+        sources: list[Any] = [answer.sources for answer in answers]
+        return StressResponse(
+            state=tuple(answer.state for answer in answers),
+            effort=effort,
+            reasons=reasons,
+            sources=None if None in sources else lambda: self._whole([tell() for tell in sources]),
+            **{name: self._whole([getattr(each, name) for each in answers]) for name in _ARRAYS},
         )
 
     def _whole(self, values: Sequence[Any]) -> Any:
