@@ -1,6 +1,5 @@
 """Each safeguard sees its planted fault, and only that."""
 
-import logging
 from contextlib import nullcontext
 from dataclasses import replace
 
@@ -47,8 +46,7 @@ def run(error=SMALL, bound=sound_bound, audit=0.05):
 
 
 def test_a_sound_cache_is_left_alone(caplog):
-    with caplog.at_level(logging.WARNING, logger="surrofe2.cache"):
-        law, report, _ = run()
+    law, report, _ = run()
     assert report["trust"] == {"factor": 1.0, "reach": [], "off": False, "events": []}
     assert not caplog.records
     assert report["audit"]["audited"] > 50
@@ -58,8 +56,7 @@ def test_a_sound_cache_is_left_alone(caplog):
 def test_a_biased_surrogate_is_tightened_until_it_keeps_its_word(caplog):
     """Errors three times the bound: the bound comes to count as often, and then holds."""
     biased = lambda F, F_dot: 3.0 * sound_bound(F, F_dot)  # noqa: E731
-    with caplog.at_level(logging.WARNING, logger="surrofe2.cache"):
-        law, report, _ = run(error=biased, audit=0.2)
+    law, report, _ = run(error=biased, audit=0.2)
     trust = report["trust"]
     assert not trust["off"]
     assert trust["factor"] == pytest.approx(3.3, rel=0.01)
@@ -76,8 +73,7 @@ def test_a_biased_surrogate_is_tightened_until_it_keeps_its_word(caplog):
 
 
 def test_a_surrogate_that_lies_grossly_is_switched_off_and_the_run_is_the_true_one(caplog):
-    with caplog.at_level(logging.WARNING, logger="surrofe2.cache"):
-        law, report, done = run(LIE, lambda F, F_dot: 5e-4 + 0.4 * abs(F[:, 1, 0]))
+    law, report, done = run(LIE, lambda F, F_dot: 5e-4 + 0.4 * abs(F[:, 1, 0]))
     assert law.history()["trust"]["off"]
     assert report["trust"]["events"][-1]["action"] == "off"
     assert "the cache is off from here on" in caplog.text

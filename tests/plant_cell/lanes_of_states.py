@@ -61,6 +61,14 @@ class Patch:
             forces.fold_images(work.f, self.topology)
         return np.moveaxis(work.f[:, : self.topology.particles], -1, 0).swapaxes(1, 2)
 
+    def elastic_rates(self, x, v):
+        """f and its rate (2, local, TILE), elastic, of local particles."""
+        work, rate = self.workspace(x, v), np.empty_like(x)
+        derivatives.elastic_forces_and_rates(
+            work, rate, np.empty_like(work.volume), self.topology, self.constants
+        )
+        return work.f, rate
+
     def energy(self, z, F):
         energy = np.empty((1, TILE))
         forces.elastic_energy(self.local(z, F), self.topology, self.constants, energy)

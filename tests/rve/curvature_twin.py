@@ -18,12 +18,8 @@ def spline_bend(r, h):
     return sigma * np.where(s < 1.0, inner, np.where(s < 2.0, outer, 0.0))
 
 
-class Curvatures:
+class Curvatures(Twin):
     """Of `cell` at material positions z (m, n, 2) under F (m, 2, 2), at rest."""
-
-    def __init__(self, cell, rest_length):
-        self.twin = Twin(cell, rest_length)
-        self.cell, self.walls = cell, self.twin.walls
 
     def at(self, z, F):
         """Forces (m, n, 2), Cauchy stress (m, 2, 2), Hessian (m, 2n − 2, 2n − 2), corner held."""
@@ -31,26 +27,22 @@ class Curvatures:
         x, f, virial = z @ F.transpose(0, 2, 1), np.zeros_like(z), np.zeros((m, 2, 2))
         H = np.zeros((m, n, n, 2, 2))
         density, gradient = self._densities(x)
-        for kind, (i, j, _, shift) in self.twin.pairs.items():
+        for kind, (i, j, _, shift) in self.pairs.items():
             offset = self.cell.cell_side * shift @ F.transpose(0, 2, 1)
             r = x[:, j] + offset - x[:, i]
             length = np.linalg.norm(r, axis=2)
             slope, bend = getattr(self, f"_{kind}")(length, density, i, j)
-            near = np.flatnonzero((slope != 0.0).any(axis=0) | (bend != 0.0).any(axis=0))
-            for p in near:
-                a, b, direction = i[p], j[p], r[:, p] / length[:, p, None]
+            for p in np.flatnonzero((slope != 0.0).any(axis=0) | (bend != 0.0).any(axis=0)):
+                direction = r[:, p] / length[:, p, None]
                 force = slope[:, p, None] * direction
-                f[:, a] += force
-                f[:, b] -= force
                 virial += force[:, :, None] * r[:, p, None, :]
                 nn = direction[:, :, None] * direction[:, None, :]
-                straight = bend[:, p, None, None] * nn
                 across = (slope[:, p] / length[:, p])[:, None, None] * (np.eye(2) - nn)
-                K = straight + across
-                H[:, a, a] += K
-                H[:, b, b] += K
-                H[:, a, b] -= K
-                H[:, b, a] -= K
+                K = bend[:, p, None, None] * nn + across
+                for a, b, sign in ((i[p], j[p], 1.0), (j[p], i[p], -1.0)):
+                    f[:, a] += sign * force
+                    H[:, a, a] += K
+                    H[:, a, b] -= K
         H = H.transpose(0, 1, 3, 2, 4).reshape(m, 2 * n, 2 * n)
         scale = self.cell.fluid_particle_mass * self.cell.sound_speed**2
         weighted = gradient / density[:, :, None]
@@ -76,7 +68,7 @@ class Curvatures:
 
     def _bond(self, length, *_):
         k = self.cell.wall_stiffness
-        return k * (length - self.twin.rest_length), np.full_like(length, k)
+        return k * (length - self.rest_length), np.full_like(length, k)
 
     def _contact(self, length, *_):
         strength, cutoff = self.cell.repulsion_strength, self.cell.repulsion_cutoff

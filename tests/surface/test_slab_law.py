@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.plant_cell.arrangement import make_slab_arrangement
@@ -219,14 +220,8 @@ def test_a_strip_pulled_between_grips_has_the_force_of_slab_and_surface(preset, 
 
 def test_outer_rows_of_a_relaxed_tissue_shrink_as_those_of_the_slab():
     law, n, m = slab(rows=4), 14, 4
-    stretch = np.array([0.98, 1.0])
-    low, high = law.point(stretch, 0.0 * stretch).resultant
-    for _ in range(40):  # at rest: the resultant vanishes, by bisection
-        middle = stretch.mean()
-        force = law.point(np.array([middle]), np.zeros(1)).resultant[0]
-        stretch[int(force > 0.0)] = middle
-    assert low < 0.0 < high
-    x, start = moving(law, stretch[0], 0.0)[0], starts(law)
+    at_rest = brentq(lambda at: law.point(np.array([at]), np.zeros(1)).resultant[0], 0.98, 1.0)
+    x, start = moving(law, at_rest, 0.0)[0], starts(law)
     side = law.cell.cell_side
     along = np.abs((start[:, 0] + 1.0) % side - 1.0)  # corners may lie in the next column
     rows = [np.abs(along + np.abs(start[:, 1] - k * side)).argmin() for k in (0, 1)]
