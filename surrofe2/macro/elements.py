@@ -307,22 +307,6 @@ def for_components(matrix: Matrix) -> Matrix:
     return scipy.sparse.kron(matrix, np.eye(2), "csr")
 
 
-def times(S: Matrix, x: Array) -> Array:
-    """(p, 2) S x, S (p, n) sparse by rows and x (n, 2); scipy takes longer where they are small."""
-    product = np.zeros((S.shape[0], 2))
-    add_product(S.indptr, S.indices, S.data, x, product)
-    return product
-
-
-@kernel
-def add_product(indptr: Any, indices: Any, values: Any, x: Any, product: Any) -> None:
-    """Add S x to `product`."""
-    for p in range(product.shape[0]):
-        for k in range(indptr[p], indptr[p + 1]):
-            product[p, 0] += values[k] * x[indices[k], 0]
-            product[p, 1] += values[k] * x[indices[k], 1]
-
-
 def with_transpose(S: Matrix) -> tuple[Matrix, Matrix]:
     """S and Sᵀ, both by rows."""
     return S.tocsr(), S.T.tocsr()

@@ -255,20 +255,11 @@ class EquationsOfMotion:
 
         f is the internal force and l all others. Neither need be symmetric.
         """
-        tangents, P = _tangents(now.response), now.response.first_piola(now.F)
-        K = self._summed(now, P, tangents.P_by_F)
-        C = self._summed(now, 0.0 * P, tangents.P_by_F_dot)
-        for k_force, c_force in self._slopes_of_forces(now):
-            K, C = K + self._free(k_force), C + self._free(c_force)
-        return K, C
+        return self._slope(now, 1.0, 0.0), self._slope(now, 0.0, 1.0)
 
     def tangents_over_step(self, now: Evaluation, dt: float) -> Matrix:
         """K + C/dt of `tangents`, at about half the cost."""
-        slope = _tangents(now.response).over_step(dt)
-        total = self._summed(now, now.response.first_piola(now.F), slope)
-        for k_force, c_force in self._slopes_of_forces(now):
-            total = total + self._free(k_force + c_force / dt)
-        return total
+        return self._slope(now, 1.0, 1.0 / dt)
 
     def stiffness_times(self, now: Evaluation, w: Array) -> Array:
         """(m,) ∂(f − l)/∂u w for a displacement w (n, 2) of all rows, those of supports as well."""
@@ -288,8 +279,15 @@ class EquationsOfMotion:
     def _free_gradients(self) -> tuple[Matrix, Matrix]:
         return with_transpose(self._gradients[:, self.system.free])
 
-    def _summed(self, now: Evaluation, P: Array, slope: Array) -> Matrix:
-        return summed(self._free_gradients, point_tangents(self.discretisation, now.F, P, slope))
+    def _slope(self, now: Evaluation, of_u: float, of_v: float) -> Matrix:
+        """K and C of `tangents` in these parts, summed."""
+        slopes, P = _tangents(now.response), of_u * now.response.first_piola(now.F)
+        slope = of_u * slopes.P_by_F + of_v * slopes.P_by_F_dot
+        blocks = point_tangents(self.discretisation, now.F, P, slope)
+        total = summed(self._free_gradients, blocks)
+        for K, C in self._slopes_of_forces(now):
+            total = total + self._free(of_u * K + of_v * C)
+        return total
 
     def _slopes_of_forces(self, now: Evaluation) -> list[Slopes]:
         slopes = (f.slopes(now.t, now.within, now.u, now.v) for f in self.system.forces)

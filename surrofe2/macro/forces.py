@@ -25,7 +25,6 @@ from surrofe2.macro.elements import (
     for_components,
     sparse_rows,
     summed,
-    times,
     with_transpose,
 )
 from surrofe2.problem import contact_law
@@ -221,7 +220,7 @@ class Contact:
         gap, normal, _ = self._gaps(u)
         if not (gap < 0.0).any():
             return np.zeros(u.shape)
-        pressure, *_ = self._pressure(-gap, -_dot(times(self.relative, v), normal))
+        pressure, *_ = self._pressure(-gap, -_dot(self.relative @ v, normal))
         traction = pressure[:, None] * normal
         if self.friction:
             tangent = _turned(normal)
@@ -235,7 +234,7 @@ class Contact:
         touching = gap < 0.0
         if not touching.any():
             return None
-        tangent, relative = _turned(normal), times(self.relative, v)
+        tangent, relative = _turned(normal), self.relative @ v
         sliding = _dot(relative, tangent)
         pressure, by_depth, by_closing = self._pressure(-gap, -_dot(relative, normal))
         # ∂g/∂x = n; the frame turns with the point: ∂n/∂x = κ τ τᵀ, ∂τ/∂x = −κ n τᵀ.
@@ -290,7 +289,7 @@ class Contact:
         return float(density @ self.lengths)
 
     def _gaps(self, u: Array) -> tuple[Array, Array, Array]:
-        return self.shape.gap(self.points + times(self.relative, u) - self.position)
+        return self.shape.gap(self.points + self.relative @ u - self.position)
 
     def _pressure(self, depth: Array, closing: Array) -> tuple[Array, Array, Array]:
         """Pressure and its slopes by the depth and by the speed of closing."""
@@ -299,7 +298,7 @@ class Contact:
 
     def _slid(self, u: Array, v: Array) -> Array:
         """(p, 2) velocity relative to the body, or displacement since the grip."""
-        return times(self.relative, v if self.grip is None else u - self.grip.u)
+        return np.asarray(self.relative @ (v if self.grip is None else u - self.grip.u))
 
     def _drag(self, pressure: Array, sliding: Array) -> tuple[Array, Array, Array]:
         """Friction per length against sliding, and its slopes by pressure and by sliding."""

@@ -23,7 +23,6 @@ from surrofe2.macro.elements import (
     Matrix,
     for_components,
     summed,
-    times,
     with_transpose,
 )
 from surrofe2.macro.forces import Slopes
@@ -176,7 +175,7 @@ class SurfaceForce:
         """As of `Force`; NaN where a law has no answer."""
         g, stretch, rate = self._stretches(u, v)
         pull = self.lengths * self.share * self._ask(stretch, rate).tension / stretch
-        return times(self.D_T, -pull[:, None] * g)
+        return self.D_T @ (-pull[:, None] * g)
 
     def slopes(self, t: float, within: float, u: Array, v: Array) -> Slopes:
         g, stretch, rate = self._stretches(u, v)
@@ -186,9 +185,7 @@ class SurfaceForce:
         n = g / stretch[:, None]
         along = np.einsum("pi,pj->pij", n, n)
         across = np.eye(2) - along
-        turning = np.einsum(
-            "pi,pj->pij", n, (times(self.D, v) - rate[:, None] * n) / stretch[:, None]
-        )
+        turning = np.einsum("pi,pj->pij", n, (self.D @ v - rate[:, None] * n) / stretch[:, None])
         by_g = answer.tangent[:, None, None] * along + answer.rate_tangent[:, None, None] * turning
         by_g += (answer.tension / stretch)[:, None, None] * across
         by_g_dot = answer.rate_tangent[:, None, None] * along
@@ -205,7 +202,7 @@ class SurfaceForce:
 
     def from_rest(self, u: Array) -> SurfaceForce:
         """The same with unknowns that count from the displacement u (n, 2)."""
-        return replace(self, directions=self.directions + times(self.D, u))
+        return replace(self, directions=self.directions + self.D @ u)
 
     def mass(self, mesh: skfem.Mesh, inside: Array) -> Matrix:
         """(2 n_nodes, 2 n_nodes) mass excess, ng.
@@ -231,9 +228,9 @@ class SurfaceForce:
 
     def _stretches(self, u: Array, v: Array) -> tuple[Array, Array, Array]:
         """(m, 2) g, (m,) λ and λ̇."""
-        g = self.directions + times(self.D, u)
+        g = self.directions + self.D @ u
         stretch = np.hypot(g[:, 0], g[:, 1])
-        return g, stretch, np.einsum("mi,mi->m", g, times(self.D, v)) / stretch
+        return g, stretch, np.einsum("mi,mi->m", g, self.D @ v) / stretch
 
     def _ask(self, stretch: Array, rate: Array, *, tangents: bool = False) -> SurfaceResponse:
         laws = self.sides.laws
