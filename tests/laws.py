@@ -498,10 +498,8 @@ class Skin:
     def respond(self, stretch, stretch_rate, *, tangents=False):
         e = stretch - 1.0
         tension = self.a + self.b * e + self.c * e**2 + self.eta * (1.0 + self.d * e) * stretch_rate
-        valid = stretch <= self.largest
         return SurfaceResponse(
-            np.where(valid, tension, np.nan),
-            valid,
+            np.where(stretch <= self.largest, tension, np.nan),
             self.b + 2.0 * self.c * e + self.eta * self.d * stretch_rate if tangents else None,
             self.eta * (1.0 + self.d * e) if tangents else None,
         )

@@ -8,8 +8,7 @@ macro scale knows nothing else of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,22 +16,24 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class SurfaceResponse:
+class SurfaceResponse(NamedTuple):
     """What a surface law answers for n points.
 
     Attributes:
         tension: (n,) nominal tension P_s, µN: its power is P_s λ̇ per undeformed length; NaN where
-            the answer is not valid.
-        valid: (n,) whether there is an answer.
+            there is no answer.
         tangent: (n,) ∂P_s/∂λ, µN; None unless asked for.
         rate_tangent: (n,) ∂P_s/∂λ̇, µN µs; None unless asked for.
     """
 
     tension: Array
-    valid: NDArray[np.bool_]
     tangent: Array | None = None
     rate_tangent: Array | None = None
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(n,) whether there is an answer."""
+        return ~np.isnan(self.tension)
 
 
 class SurfaceLaw(Protocol):

@@ -236,15 +236,12 @@ class SurfaceForce:
         laws = self.sides.laws
         if len(laws) == 1:
             return laws[0].respond(stretch, rate, tangents=tangents)
-        tension, by_stretch, by_rate = np.zeros((3, stretch.size))
-        valid = np.zeros(stretch.size, dtype=bool)
+        values = np.empty((3 if tangents else 1, stretch.size))
         for k, law in enumerate(laws):
             own = np.flatnonzero(self.sides.law == k)
             answer = law.respond(stretch[own], rate[own], tangents=tangents)
-            tension[own], valid[own] = answer.tension, answer.valid
-            if answer.tangent is not None and answer.rate_tangent is not None:
-                by_stretch[own], by_rate[own] = answer.tangent, answer.rate_tangent
-        return SurfaceResponse(tension, valid, by_stretch, by_rate)
+            values[:, own] = answer[: len(values)]
+        return SurfaceResponse(*values)
 
 
 def make_surface(problem: Problem, space: Discretisation, n: int) -> SurfaceForce:

@@ -234,14 +234,14 @@ class SlabLaw:
         tension = 0.5 * (at.resultant - self.thickness * at.bulk.P)
         tension[~at.valid] = np.nan
         if not tangents:
-            return SurfaceResponse(tension, at.valid)
+            return SurfaceResponse(tension)
         bulk, height = at.bulk, self.unit.reference.lattice[1, 1]
         slopes = bulk.follow.slopes(at.solution.tangents(), 0, 0)
         by_stretch, by_rate = (
             0.5 * (height * slab - self.thickness * beside)
             for slab, beside in zip(slopes, (bulk.by_stretch, bulk.by_rate), strict=True)
         )
-        return SurfaceResponse(tension, at.valid, by_stretch, by_rate)
+        return SurfaceResponse(tension, by_stretch, by_rate)
 
     def point(self, stretch: Array, rate: Array) -> SlabPoint:
         """Slab and bulk at stretches and rates (n,)."""

@@ -71,20 +71,16 @@ class TabulatedSurface:
         valid = np.maximum(abs(x), abs(y)) <= 1.0 + _SLACK
         by_x = chebvander(np.clip(x, -1.0, 1.0), len(C) - 1)
         by_y = chebvander(np.clip(y, -1.0, 1.0), C.shape[1] - 1)
-        values = [_series(C, by_x, by_y)]
+        parts: list[NDArray] = [C]
         if tangents:
-            slopes = chebder(C, scl=2.0 / (high - low)), chebder(C, scl=1.0 / self.rate, axis=1)
-            values += [_series(each, by_x, by_y) for each in slopes]
-        for each in values:
-            each[~valid] = np.nan
+            parts += chebder(C, scl=2.0 / (high - low)), chebder(C, scl=1.0 / self.rate, axis=1)
+        values = np.array([_series(each, by_x, by_y) for each in parts])
+        values[:, ~valid] = np.nan
         outside = np.flatnonzero(~valid)
         if outside.size and self.beyond is not None:
             answer = self.beyond().respond(stretch[outside], rate[outside], tangents=tangents)
-            valid[outside] = answer.valid
-            found = answer.tension, answer.tangent, answer.rate_tangent
-            for each, there in zip(values, found, strict=False):
-                each[outside] = there
-        return SurfaceResponse(values[0], valid, *values[1:])
+            values[:, outside] = answer[: len(values)]
+        return SurfaceResponse(*values)
 
 
 def _series(C: NDArray, by_x: NDArray, by_y: NDArray) -> Array:

@@ -97,4 +97,4 @@ class Torn:
     """A slab that bears no compression."""
 
     def respond(self, stretch, rate):
-        return SurfaceResponse(0.0 * stretch, stretch > 1.0)
+        return SurfaceResponse(np.where(stretch > 1.0, 0.0, np.nan))
