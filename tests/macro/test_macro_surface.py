@@ -28,7 +28,7 @@ from surrofe2.problem.mesh import element_nodes
 from tests.laws import KelvinVoigt, LinearFirstPiola, Skin
 from tests.macro.bars import assert_same_run, resumed
 from tests.macro.meshes import HEIGHT, KINDS, WIDTH, plate, sides_of, triangles
-from tests.macro.test_macro_force_tangents import assert_slopes
+from tests.macro.test_macro_tangents import assert_slopes
 
 LAW = KelvinVoigt()
 RADIUS = 10.0

@@ -1,12 +1,13 @@
-"""What must hold of the RVE's stress: fixed point, symmetries, hyperelasticity, failures."""
+"""What must hold of the RVE's stress: fixed points, symmetries, energy, failures, kept factors."""
 
 import numpy as np
 import pytest
 
 from surrofe2.base.errors import InputError
+from surrofe2.base.simd import TILE
 from surrofe2.law.stress_law import Status
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.rve import INITIALISATIONS, RveLaw
+from surrofe2.rve import INITIALISATIONS, RveLaw, RveSettings
 from tests.numerics import assert_near, differences, turn
 from tests.plant_cell.twin import Twin
 from tests.rve.rves import PRESETS, assert_balanced, deformations, law, particles
@@ -197,3 +198,89 @@ def test_cold_answers_are_checked_and_warm_ones_at_accept():
     assert not warm.state.is_checked
     assert law("water").accept(*at, warm).state is not warm.state
     assert not cold.state.put(index, warm.state.take(index)).is_checked
+
+
+CORNERS = np.array([[0.0, 25.0, 0.0], [0.0, 0.0, 25.0]])  # X₁, X₂, X₃ as columns
+
+
+def step_of_the_paper(twin, masses, F, F_dot, x, v, dt):
+    """One constrained-runs iteration; corners 2 and 3 are images of corner 1, particle 0."""
+    z = np.linalg.solve(F, x.T).T
+    forces, *_ = twin.evaluate(z, F, F_dot, v - z @ F_dot.T)
+    x_hat, v_hat = x + dt * v, v + dt * forces / masses[:, None]  # (69)
+    lattice, drift = F @ CORNERS, F_dot @ CORNERS
+    x_corner = x_hat[0][:, None] + lattice + dt * drift
+    v_corner = v_hat[0][:, None] + drift
+    spanned = (x_corner - x_corner[:, :1])[:, 1:]
+    P = lattice[:, 1:] @ np.linalg.inv(spanned)  # (70)
+    Q = (drift[:, 1:] - (v_corner - v_corner[:, :1])[:, 1:]) @ np.linalg.inv(spanned)  # (71)
+    shifted = x_hat - x_hat[0]
+    return shifted @ P.T, shifted @ Q.T + v_hat - v_hat[0]  # (72)
+
+
+@pytest.mark.parametrize("preset", ["printed", "water"])
+def test_a_few_steps_are_those_of_the_paper(preset):
+    cell = CellParameters.preset(preset)
+    steps, dt = 20, 1e-4
+    law = RveLaw(cell, RveSettings(solver="iterated", stop=1e-12, max_iterations=steps))
+    F = np.eye(2) + np.array([[0.03, 0.05], [-0.02, -0.04]])
+    F_dot = np.array([[0.004, 0.01], [-0.006, 0.003]])
+    state = law.respond(F[None], F_dot[None]).state
+    twin = Twin(cell, law.rest_length)
+    masses = np.where(np.arange(35) < 19, cell.wall_particle_mass, cell.fluid_particle_mass)
+    x, v = law.unit_cell.position @ F.T, law.unit_cell.position @ F_dot.T
+    for _ in range(steps):
+        x, v = step_of_the_paper(twin, masses, F, F_dot, x, v, dt)
+    z = state.z[0, :, :, 0].T
+    np.testing.assert_allclose(z @ F.T, x, rtol=0, atol=1e-10)
+    beyond = state.fluctuation[0, :, :, 0].T
+    assert np.abs(beyond).max() > 1e-4
+    np.testing.assert_allclose(z @ F_dot.T + beyond, v, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("initialisation", ["constrained-runs", "slow-manifold"])
+def test_an_old_state_answers_to_the_bit_as_it_did_before_accept_renewed_tiles(
+    preset, initialisation
+):
+    """Two of three tiles move so far that their factors tire; the third keeps its block."""
+    this = law(preset, initialisation)
+    F, F_dot = deformations(preset, n=3 * TILE, corners=False)
+    F = np.eye(2) + 0.3 * (F - np.eye(2))
+    old = this.respond(F, F_dot).state
+    moved = F.copy()
+    moved[: 2 * TILE] += {"printed": 0.1, "water": 0.3}[preset] * (F[: 2 * TILE] - np.eye(2))[::-1]
+    answer = this.respond(moved, F_dot, old)
+    assert (answer.status == Status.OK).all()
+    assert answer.effort["newton_solves"] == 0
+    new = this.accept(moved, F_dot, answer).state
+    shared = [a is b for a, b in zip(new.factors.blocks, old.factors.blocks, strict=True)]
+    assert shared == [False, False, True]
+    later = this.respond(moved * 1.001, F_dot, new)
+    assert (this.accept(moved * 1.001, F_dot, later).status == Status.OK).all()
+    for state in (old, answer.state):
+        first = this.respond(moved, F_dot, state)
+        again = this.respond(moved, F_dot, state)
+        np.testing.assert_array_equal(first.stress, again.stress)
+    np.testing.assert_array_equal(this.respond(moved, F_dot, old).stress, answer.stress)
+    # what was renewed serves better: fewer force evaluations from the same place
+    stale = this.respond(moved * 1.001, F_dot, answer.state)
+    assert later.effort["force_evaluations"] < stale.effort["force_evaluations"]
+    np.testing.assert_allclose(later.stress, stale.stress, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("initialisation", ["constrained-runs", "slow-manifold"])
+def test_a_stored_state_has_no_factors_and_answers_within_the_tolerance(initialisation):
+    """They are made again where the state is, as the law would renew them there."""
+    this = law("printed", initialisation)
+    F, F_dot = deformations("printed", 19)
+    state = this.respond(0.5 * (F + np.eye(2)), F_dot).state
+    arrays = state.to_arrays()
+    assert {len(each) for each in arrays.values()} == {19}
+    assert sum(each.nbytes for each in arrays.values()) < 0.1 * state.factors.nbytes
+    again = this.state_from_arrays(arrays)
+    assert len({id(block) for block in again.factors.blocks}) == 3
+    found, wanted = this.respond(F, F_dot, again), this.respond(F, F_dot, state)
+    spread = abs(wanted.stress).max()
+    assert abs(found.stress - wanted.stress).max() < 1e-6 * spread
+    assert found.effort["force_evaluations"] < 1.2 * wanted.effort["force_evaluations"]

@@ -1,18 +1,22 @@
-"""Leapfrog steps: order, momentum, neighbour lists that follow, threads that do not matter."""
+"""Leapfrog steps of a tissue: order, momentum, lists, threads, stable lengths, checkpoints."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numba
 import numpy as np
 import pytest
 
 from surrofe2 import LoadCase, Table
-from surrofe2.base.errors import MismatchError
-from surrofe2.tissue import TissueDynamics, TissueSettings, relax, simulate_tissue
+from surrofe2.base.errors import InputError, MismatchError
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.rve import RveLaw
+from surrofe2.tissue import TissueDynamics, TissueSettings, TissueState, relax, simulate_tissue
+from surrofe2.tissue.relaxation import rounded_step, stable_step
 from surrofe2.tissue.simulation import held_and_loaded, make_conditions
-from tests.macro.bars import with_load
+from tests.macro.bars import assert_same_run, with_load
 from tests.numerics import assert_near
 from tests.tissue.twin import TissueTwin
 
@@ -161,3 +165,109 @@ def test_reference_of_another_cell_is_refused(reference):
     cell, at_rest = reference("printed")
     with pytest.raises(MismatchError, match=r"^reference: it belongs to plant cells"):
         simulate_tissue(LOAD_CASE, replace(cell, viscosity=0.2), reference=at_rest)
+
+
+def run(cell, **settings):
+    """Two by two plant cells pulled down for 2 µs."""
+    side = cell.cell_side
+    load = LoadCase(
+        width=2.0 * side, height=2.0 * side, watched=(2.0 * side, side), duration=2.0,
+        body_force=(0.0, -12.5 / side), output_interval=0.5,
+    )  # fmt: skip
+    return simulate_tissue(load, cell, TissueSettings(**settings), reference=RveLaw(cell).reference)
+
+
+@pytest.mark.parametrize("preset", ["printed", "water", "apple", "potato"])
+def test_presets_keep_the_step_of_two_nanoseconds(preset):
+    cell = CellParameters.preset(preset)
+    assert rounded_step(stable_step(cell, RveLaw(cell).reference)) == 2e-3
+
+
+def test_without_damping_the_limit_is_two_over_the_largest_frequency():
+    """Nearly that of the walls: a chain's largest is 2 √(k/m), so the limit is √(m/k)."""
+    cell = CellParameters.preset("printed")
+    undamped = replace(cell, wall_damping_ratio=0.0, contact_damping_ratio=0.0, viscosity=0.0)
+    reference = replace(RveLaw(cell).reference, fingerprint=undamped.fingerprint)
+    found = stable_step(undamped, reference)
+    chain = (cell.wall_particle_mass / cell.wall_stiffness) ** 0.5
+    assert 0.8 * chain < found < 1.02 * chain
+
+
+@pytest.mark.parametrize(
+    "cell",
+    [CellParameters.preset("printed", wall_stiffness=stiffness) for stiffness in (4400.0, 6000.0)]
+    + [CellParameters.preset(name) for name in ("apple", "potato")],
+    ids=["stiff", "stiffer", "apple", "potato"],
+)
+def test_plant_cells_get_a_step_that_they_bear(cell):
+    done = run(cell)
+    energies = done.energies
+    assert np.abs(energies["balance"]).max() < 1e-3 * np.abs(energies["load"]).max()
+    half = run(cell, micro_step=0.5 * rounded_step(stable_step(cell, RveLaw(cell).reference)))
+    assert_near(done.curve.displacement, half.curve.displacement, 1e-3)
+
+
+def test_a_step_near_the_limit_is_refused_and_the_limit_named():
+    """At 0.95 of the limit at rest this run grew to 270,000 µm without an error."""
+    cell = CellParameters.preset("printed", wall_stiffness=6000.0)
+    limit = stable_step(cell, RveLaw(cell).reference)
+    for share in (0.95, 1.02, 2.0):
+        with pytest.raises(InputError) as caught:
+            run(cell, micro_step=share * limit)
+        message = str(caught.value)
+        assert message.startswith(f"tissue.micro_step: {share * limit:.4g} µs; at most")
+        assert f"the limit of stability at rest is {limit:.4g} µs" in message
+        assert "leave it out or take 0.0016" in message
+    within = run(cell, micro_step=0.86 * limit)
+    assert_near(within.curve.displacement, run(cell).curve.displacement, 1e-3)
+
+
+RAMPED = LoadCase(
+    width=50.0, height=50.0, watched=(50.0, 25.0), body_force=(0.5, -2.0), duration=3.0,
+    output_interval=0.25, amplitude=((0.0, 0.0), (0.5, 1.0)),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def simulate(run_tissue):
+    return partial(run_tissue, RAMPED, "printed", skin=0.4, frames=5)
+
+
+@pytest.fixture(scope="module")
+def checkpointed(simulate):
+    """A run, and its state at each output time."""
+    states = []
+    return simulate(checkpoint=states.append, checkpoint_interval=0.0), states
+
+
+def test_results_belong_together(checkpointed):
+    whole, _ = checkpointed
+    assert whole.finished
+    frames = whole.frames
+    assert frames.t.tolist() == [0.0, 0.75, 1.5, 2.25, 3.0]
+    watched = abs(frames.displacement[-1] - whole.curve.displacement[-1]).sum(axis=1).argmin()
+    assert whole.position[watched] == pytest.approx([50.0, 25.0], abs=6.0)
+    assert whole.position[watched, 0] > 40.0
+    assert whole.counts["particle_steps"] == whole.counts["steps"] * len(whole.position)
+    lengths = np.linalg.norm(np.diff(whole.position[whole.bonds], axis=1)[:, 0], axis=1)
+    assert len(whole.bonds) == 2 * 3 * 2 * 10
+    assert 1.5 < lengths.min() < lengths.max() < 4.0
+    assert whole.is_wall[whole.bonds].all()
+
+
+def test_a_run_carried_on_from_a_checkpoint_is_the_whole_one(checkpointed, simulate):
+    whole, states = checkpointed
+    assert [state.rows for state in states] == list(range(2, 14))
+    again = simulate(resume=TissueState.from_arrays(states[7].to_arrays()))
+    assert_same_run(again, whole)
+
+
+def test_checkpoint_of_another_run_is_refused(checkpointed, run_tissue):
+    state = checkpointed[1][0]
+    other = with_load(RAMPED, acceleration=(0.5, -1.0))
+    with pytest.raises(MismatchError, match=r"resume: .* are not those of the checkpoint"):
+        run_tissue(other, "printed", skin=0.4, frames=5, resume=state)
+    arrays = state.to_arrays()
+    del arrays["relaxed"]
+    with pytest.raises(InputError, match="relaxed"):
+        TissueState.from_arrays(arrays)
