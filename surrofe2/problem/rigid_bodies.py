@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.compilation import kernel
 from surrofe2.base.errors import InputError, quoted
 from surrofe2.base.settings import (
     Faults,
@@ -45,8 +46,17 @@ class Shape(ABC):
 
     def gap(self, p: Array) -> tuple[Array, Array, Array]:
         """(n,) gap in µm, (n, 2) outward normal, (n,) curvature in 1/µm at points p (n, 2)."""
-        distance, x, y, curvature = gap(p[:, 0], p[:, 1], self.outline)
-        return distance, np.stack([x, y], axis=1), curvature
+        found = np.empty(len(p)), np.empty((len(p), 2)), np.empty(len(p))
+        set_gaps(np.ascontiguousarray(p, dtype=np.float64), self.outline, found)
+        return found
+
+
+@kernel
+def set_gaps(p: Any, outline: Any, found: Any) -> None:
+    """Set what `Shape.gap` gives at points p (n, 2)."""
+    distance, normal, curvature = found
+    for k in range(p.shape[0]):
+        distance[k], normal[k, 0], normal[k, 1], curvature[k] = gap(p[k, 0], p[k, 1], outline)
 
 
 def _unit(where: str, vector: tuple[float, float]) -> tuple[float, float]:
