@@ -1,13 +1,26 @@
-"""Tangents against central differences of the stress, and the symmetries they must have."""
+"""Tangents and gradients by parameters against differences, and the identities that they obey."""
+
+from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from surrofe2 import (
+    CellParameters,
+    RveLaw,
+    follow_path,
+    parameter_gradients,
+    path_gradients,
+    ramp_and_hold,
+)
+from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import Status
 from surrofe2.rve import INITIALISATIONS
+from surrofe2.rve.parameter_gradients import DASHPOTS
+from surrofe2.rve.unit_cell import resettled
 from tests.laws import tangents_by_differences
 from tests.numerics import differences
-from tests.rve.rves import PRESETS, clear_of_the_cut_off, deformations, law
+from tests.rve.rves import PRESETS, clear_of_the_cut_off, deformations, law, piola
 
 STEP = 2e-6
 
@@ -75,3 +88,86 @@ def test_points_without_stress_have_no_tangents():
     assert np.isfinite(answer.tangents.P_by_F[0]).all()
     assert np.isnan(answer.tangents.P_by_F[1]).all()
     assert law("printed").respond(F, np.zeros_like(F)).tangents is None
+
+
+UNITS = {
+    "wall_stiffness": (1, 0, -2),
+    "wall_particle_mass": (1, 0, 0),
+    "fluid_particle_mass": (1, 0, 0),
+    "sound_speed": (0, 1, -1),
+    "viscosity": (1, 0, -1),
+    "repulsion_strength": (1, 7, -2),
+    "repulsion_cutoff": (0, 1, 0),
+    "smoothing_length": (0, 1, 0),
+    "cell_side": (0, 1, 0),
+}
+"""Powers of mass, length and time."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arrangement", ["square", "hexagon"])
+@pytest.mark.parametrize("initialisation", INITIALISATIONS)
+def test_other_units_change_no_physics(initialisation, arrangement):
+    """P has units ng/µs²: Euler's identity of each unit, whose sum is of P and of the rate."""
+    this = RveLaw(CellParameters(arrangement=arrangement), initialisation=initialisation)
+    F, F_dot = deformations("printed", n=24, corners=False)
+    F = np.eye(2) + (1.0 if arrangement == "square" else 0.1) * (F - np.eye(2))
+    found = parameter_gradients(this, F, F_dot)
+    P, given = piola(this, F, F_dot), this.cell.to_dict()
+    by_rate = np.einsum("nabcd,ncd->nab", found.answer.tangents.P_by_F_dot, F_dot)
+    for unit, expected in enumerate((P, 0.0 * P, by_rate - 2.0 * P)):
+        parts = [powers[unit] * given[k] * found.P_by[k] for k, powers in UNITS.items()]
+        error = abs(sum(parts) - expected).max(axis=(1, 2))
+        # a length may move a pair over the cut-off, where P has a kink
+        assert np.quantile(error, 0.9) < 1e-7 * np.abs(parts).max(), unit
+
+
+def test_dashpots_carry_what_comes_with_the_rate():
+    """Elastic particles lie where they lie: P is linear in the dashpots, from zero on."""
+    this, undamped = law("printed", "elastic"), CellParameters(**dict.fromkeys(DASHPOTS, 0.0))
+    reference = resettled(undamped, this.reference)
+    without = RveLaw(undamped, initialisation="elastic", reference=reference)
+    F, F_dot = deformations("printed", n=8, corners=False)
+    viscous = piola(this, F, F_dot) - piola(without, F, F_dot)
+    for at in (this, without):
+        found = parameter_gradients(at, F, F_dot, DASHPOTS).P_by
+        total = sum(this.cell.to_dict()[name] * found[name] for name in DASHPOTS)
+        np.testing.assert_allclose(total, viscous, atol=1e-7 * abs(viscous).max())
+
+
+def test_a_point_without_stress_has_no_gradient():
+    this, still = law("printed", "elastic"), np.zeros((2, 2, 2))
+    F = np.array([np.eye(2), np.diag([0.05, 1.0])])
+    found = parameter_gradients(this, F, still, ["cell_side"])
+    assert found.answer.status.tolist()[0] == 0 != found.answer.status.tolist()[1]
+    assert np.isnan(found.P_by["cell_side"]).all(axis=(1, 2)).tolist() == [False, True]
+
+
+@pytest.mark.slow
+def test_a_path_creeps_otherwise_with_other_parameters():
+    """A tensile test with free sides, against whole paths of other laws."""
+    cell = CellParameters.preset("water", viscosity=50.0)
+    motion = ramp_and_hold(np.diag([1.02, 1.0]), 1.0)
+    free = [(1, 1)]
+    path = follow_path(RveLaw(cell), motion, 1.5, 12, free=free)
+    found = path_gradients(RveLaw(cell), path, ("viscosity",), free=free)["viscosity"]
+
+    def stress(viscosity):
+        other = RveLaw(CellParameters.preset("water", viscosity=viscosity))
+        return follow_path(other, motion, 1.5, 12, free=free).first_piola
+
+    whole = (stress(50.1) - stress(49.9)) / 0.2
+    assert np.abs(found - whole).max() < 1e-5 * np.abs(whole).max()
+    held = path_gradients(RveLaw(cell), path, ("viscosity",))["viscosity"]
+    assert np.abs(held - whole).max() > 0.02 * np.abs(whole).max()
+
+
+def test_what_has_no_gradients_says_so():
+    F, F_dot = np.eye(2)[None], np.zeros((1, 2, 2))
+    with pytest.raises(InputError, match="names: 'wall'; it must be among wall_stiffness"):
+        parameter_gradients(law("printed"), F, F_dot, ["wall"])
+    with pytest.raises(InputError, match="parameter_gradients: RveLaw has no tangents"):
+        parameter_gradients(law("printed", solver="iterated"), F, F_dot)
+    irregular = CellParameters.preset("water", arrangement="voronoi", cells=4)
+    with pytest.raises(InputError, match="law: voronoi; gradients by parameters need squares"):
+        parameter_gradients(RveLaw(irregular), F, F_dot)
