@@ -13,7 +13,17 @@ from surrofe2.law.stress_law import SURROGATE, Status, StressResponse
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.plant_cell.parameters import CellParameters
 from tests.cache.tables import observed
-from tests.laws import CELL, Learnt, PointStates, Surrogate, TrueLaw, Truth, exact, stretched
+from tests.laws import (
+    CELL,
+    Learnt,
+    Memoryless,
+    PointStates,
+    Surrogate,
+    TrueLaw,
+    Truth,
+    exact,
+    stretched,
+)
 
 
 @pytest.fixture
@@ -188,13 +198,8 @@ def test_a_failure_of_the_fallback_is_passed_on(cached):
 
 
 def test_a_fallback_without_state_is_enough():
-    class Stateless(TrueLaw):
-        def respond(self, F, F_dot, state=None, *, tangents=False):
-            assert state is None
-            return StressResponse(exact(F, F_dot), np.zeros(len(F), dtype=np.int8))
-
-        def accept(self, F, F_dot, response):
-            return response
+    class Stateless(Memoryless):
+        cell, initialisation, stress = CELL, "elastic", staticmethod(exact)
 
     cached = CachedLaw(Surrogate(), Stateless())
     F, F_dot = stretched(1.6, 1.0)

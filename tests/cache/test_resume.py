@@ -8,7 +8,7 @@ from surrofe2.cache import CachedLaw, CacheSettings, StressTable
 from surrofe2.macro import MacroSettings, simulate
 from tests.cache.tables import cached, keeping, resumed
 from tests.folders import assert_equal
-from tests.laws import Truth, shear_error
+from tests.laws import Truth, failing, shear_error
 from tests.macro.bars import assert_same_run
 
 LOAD_CASE = LoadCase(
@@ -92,13 +92,12 @@ def test_a_resumed_run_is_the_uninterrupted_one(make):
 
 
 def test_an_interrupt_while_the_law_commits_leaves_no_checkpoint_of_half_a_step():
-    class Stopping(Truth):
+    def stop(F, F_dot):
         """Ctrl-C within the first audit."""
+        raise Stop
 
-        def accept(self, F, F_dot, response):
-            raise Stop
-
-    law, kept = cached(shear_error(0.02), bound, 1.0, truth=Stopping()), []
+    truth, kept = failing(Truth(), refuses=stop), []
+    law = cached(shear_error(0.02), bound, 1.0, truth=truth)
     with pytest.raises(Stop):
         simulate(LOAD_CASE, law, SETTINGS, checkpoint=kept.append, checkpoint_interval=1e9)
     assert not kept

@@ -1,11 +1,13 @@
 """Paths that calibration is done on: within the range, consistent in time, asked in order."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from surrofe2.base.sampling import SamplingRange, contains
-from surrofe2.base.tensors import rotation, transpose
-from surrofe2.law.stress_law import Status, StressResponse
+from surrofe2.base.tensors import unrotated
+from surrofe2.law.stress_law import Status
 from surrofe2.surrogate.deformation_paths import (
     CHUNK,
     random_walks,
@@ -19,8 +21,7 @@ RANGE = SamplingRange(stretch=(0.9, 1.05), shear=0.08, rate=0.01)
 
 def components(F, F_dot):
     """(n, 7) U₁₁, U₂₂, U₁₂ and the entries of RᵀḞ."""
-    R = transpose(rotation(F))
-    U, A = R @ F, R @ F_dot
+    U, A, _ = unrotated(F, F_dot)
     return np.hstack([U.reshape(-1, 4)[:, [0, 3, 1]], A.reshape(-1, 4)])
 
 
@@ -101,15 +102,11 @@ class ForgetfulLaw(SoftLaw):
 
     def respond(self, F, F_dot, state=None, *, tangents=False):
         answer = super().respond(F, F_dot)
-        status = answer.status.copy()
         if state is not None:
             assert len(state) == len(F)
-            status[1::2] = Status.NOT_CONVERGED
+            answer.status[1::2] = Status.NOT_CONVERGED
             answer.stress[1::2] = np.nan
-        return StressResponse(answer.stress, status, np.arange(len(F)))
-
-    def accept(self, F, F_dot, response):
-        return response
+        return replace(answer, state=np.arange(len(F)))
 
 
 @pytest.mark.parametrize("count", [3, CHUNK + 5])
@@ -142,10 +139,7 @@ class LawOfTwoBranches(SoftLaw):
         if state is not None:
             left |= state
         answer.stress[left & (F[:, 0, 0] > 1.0)] += 0.5
-        return StressResponse(answer.stress, answer.status, left, left_bifurcation=left)
-
-    def accept(self, F, F_dot, response):
-        return response
+        return replace(answer, state=left, left_bifurcation=left)
 
 
 def test_beyond_a_bifurcation_there_is_no_one_stress_but_back_on_the_branch_there_is():
