@@ -1,7 +1,7 @@
-"""Whole runs with an answer in closed form: one element of fibres along x is one oscillator.
+"""Whole runs with an answer in closed form: an oscillator, a bar that strikes a plate, a free body.
 
-Its two free nodes move alike by u, with mass m = ρ W H / 3 (consistent), stiffness k = E H / W,
-dashpot c = η H / W and load ρ g W H / 2.
+One element of fibres along x is one oscillator. Its two free nodes move alike by u, with mass
+m = ρ W H / 3 (consistent), stiffness k = E H / W, dashpot c = η H / W and load ρ g W H / 2.
 """
 
 from dataclasses import replace
@@ -12,8 +12,11 @@ from scipy.integrate import cumulative_trapezoid
 
 from surrofe2 import LoadCase
 from surrofe2.macro import MacroSettings, simulate
-from tests.laws import DryFriction, Fibres
+from surrofe2.macro.system import make_system
+from surrofe2.problem import InitialVelocity, Plane, Problem, RigidBody, Symmetry, rectangle
+from tests.laws import DryFriction, Fibres, KelvinVoigt, LinearFirstPiola
 from tests.macro.bars import with_load
+from tests.macro.meshes import HEIGHT, WIDTH, plate
 from tests.numerics import rates
 
 W, H, G = 30.0, 20.0, 0.05
@@ -109,3 +112,125 @@ def test_dry_friction_takes_its_energy_once():
     assert strain > 5.0 * law.limit / law.spring
     assert u.max() == pytest.approx(W * strain, rel=2e-3)
     assert len(law.committed) == run.counts["steps"] + 1
+
+
+LENGTH, DEPTH, SPEED = 100.0, 2.0, 0.5
+ELASTIC = LinearFirstPiola(shear_modulus=50.0, lame=0.0, density=0.1)
+"""Without lateral contraction: E = 100 µN/µm, c = √(E/ρ) = 31.6 µm/µs."""
+WALL = RigidBody(name="plate", shape=Plane(normal=(1.0, 0.0)), on="left", position=(-1.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def impact():
+    """A bar between mirrors flies at a plate 1 µm away."""
+    problem = Problem(
+        mesh=rectangle(LENGTH, DEPTH, (100, 1)),
+        conditions=(
+            InitialVelocity(velocity=(-SPEED, 0.0)),
+            Symmetry(on="bottom"),
+            Symmetry(on="top"),
+        ),
+        bodies=(WALL,),
+        duration=11.0,
+        output_interval=0.02,
+        watched={"tip": (LENGTH, 0.0)},
+    )
+    settings = MacroSettings(
+        relative_tolerance=1e-5, absolute_tolerance=1e-7, frames=2, record_dissipation=False
+    )
+    return simulate(problem, ELASTIC, settings)
+
+
+def test_contact_time_and_mean_force_are_those_of_the_wave(impact):
+    """The wave runs to the free end and back, 2 L/c; the force meanwhile is ρ c v₀ h."""
+    speed = np.sqrt(100.0 / ELASTIC.density)
+    t, force = impact.curve.t, impact.history["force plate x"]
+    touching = t[force > 0.01 * force.max()]
+    time = touching[-1] - touching[0]
+    assert touching[0] == pytest.approx(1.0 / SPEED, abs=0.05)
+    assert time == pytest.approx(2.0 * LENGTH / speed, rel=0.01)
+    mean = np.trapezoid(force, t) / time
+    assert mean == pytest.approx(ELASTIC.density * speed * SPEED * DEPTH, rel=0.01)
+    assert abs(impact.history["force plate y"]).max() < 1e-9
+
+
+def test_it_neither_sticks_nor_chatters(impact):
+    """One contact without a gap in it, no pull, and the bar leaves as fast as it came."""
+    t, force = impact.curve.t, impact.history["force plate x"]
+    on = force > 0.0
+    assert np.count_nonzero(np.diff(on.astype(int))) == 2
+    assert force.min() >= 0.0
+    # The mesh rings; the mean over the time in which the wave passes 20 elements is flat.
+    speed = np.sqrt(100.0 / ELASTIC.density)
+    level = ELASTIC.density * speed * SPEED * DEPTH
+    width = round(20.0 / speed / (t[1] - t[0]))
+    smooth = np.convolve(force, np.full(width, 1.0 / width), mode="same")
+    inner = (t > t[on][0] + 0.5) & (t < t[on][-1] - 0.5)
+    np.testing.assert_allclose(smooth[inner], level, rtol=0.05)
+    assert 0.4 * level < force[inner].min() < force[inner].max() < 1.7 * level
+    impulse = np.trapezoid(force, t)
+    assert impulse == pytest.approx(2.0 * ELASTIC.density * LENGTH * DEPTH * SPEED, rel=0.01)
+
+
+def test_energy_is_kept_with_that_of_contact_counted(impact):
+    energies = impact.energies
+    start = energies["kinetic"][0]
+    assert start == pytest.approx(0.5 * ELASTIC.density * LENGTH * DEPTH * SPEED**2, rel=1e-12)
+    assert abs(energies["balance"]).max() < 1e-4 * start
+    stored, lost = energies["contact"], energies["contact dissipated"]
+    kept = energies["kinetic"] + energies["internal"] + stored + lost
+    assert abs(kept / start - 1.0).max() < 1e-3
+    np.testing.assert_allclose(energies["plate"], -stored - lost, atol=1e-12 * start)
+    assert stored.max() > 1e-5 * start
+    assert stored[-1] == 0.0
+
+
+def test_the_dashpot_takes_what_the_outermost_nodes_bring(impact):
+    """They stop at once, as the true boundary does: ½ m v² of the mass m = ρ h/√12 a length that a
+    stiff contact moves; it is a share of 1/(√12 · 100), twice over for the rebound."""
+    lost = impact.energies["contact dissipated"] / impact.energies["kinetic"][0]
+    share = 1.0 / (np.sqrt(12.0) * 100.0)
+    assert np.diff(lost).min() > -2e-5  # interpolated within steps
+    assert share < lost[-1] < 1.5 * share
+
+
+@pytest.mark.parametrize("integrator", ["explicit", "implicit"])
+def test_few_elements_and_the_default_tolerance_keep_energy_too(integrator):
+    """The stiff contact is damped at the explicit steps' stability limit: the step sees that."""
+    problem = Problem(
+        mesh=rectangle(LENGTH, LENGTH, (8, 8)),
+        conditions=(InitialVelocity(velocity=(-SPEED, 0.0)),),
+        bodies=(WALL,),
+        duration=12.0,
+    )
+    settings = MacroSettings(frames=2, record_dissipation=False, integrator=integrator)
+    energies = simulate(problem, ELASTIC, settings).energies
+    assert abs(energies["balance"]).max() < 1e-3 * energies["kinetic"][0]
+    assert energies["contact"].max() > 0.0
+
+
+@pytest.mark.parametrize("integrator", ["explicit", "implicit"])
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_momentum_of_tissue_and_free_body_is_kept(friction, integrator, rng):
+    """A plate thrown at tissue in free flight, obliquely: to 1e-10 of what it gives away."""
+    law = KelvinVoigt(shear_viscosity=2.0, bulk_viscosity=3.0)
+    thrown = RigidBody(
+        name="plate", shape=Plane(normal=(0.1, -1.0)), on="top", mass=20.0, friction=friction,
+        position=(0.5 * WIDTH, HEIGHT + 1.7), velocity=(0.3, -0.8), slip_speed=0.02,
+    )  # fmt: skip
+    problem = Problem(
+        mesh=plate("triangles", rng, (3, 2)), conditions=(), bodies=(thrown,), duration=3.0
+    )
+    states = []
+    settings = MacroSettings(
+        integrator=integrator, frames=2, record_dissipation=False, newton_tolerance=1e-12
+    )
+    run = simulate(problem, law, settings, checkpoint=states.append, checkpoint_interval=0.0)
+    assert run.history["penetration plate"].max() > 1e-3
+    system = make_system(problem, law.density)
+    velocities = [system.spread(each.y, each.t, each.t)[1] for each in states]
+    momentum = np.array([system.inertia(v).sum(axis=0) for v in velocities])
+    start = 20.0 * np.array([0.3, -0.8])
+    given = 20.0 * abs(velocities[-1][-1] - [0.3, -0.8]).max()
+    assert given > 1.0
+    assert abs(momentum - start).max() < 1e-10 * abs(start).max()
