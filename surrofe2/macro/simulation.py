@@ -25,7 +25,6 @@ from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.system import System, system_of
 from surrofe2.macro.time_stepping import DormandPrince, Method, Stepper
 from surrofe2.problem.problem import Problem
-from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.journal import curves_of, history_of, named_columns
 from surrofe2.run.loop import carry_out
 from surrofe2.run.views import Facts, ViewedRun, course
@@ -33,7 +32,7 @@ from surrofe2.run.views import Facts, ViewedRun, course
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class MacroRun(ViewedRun):
     """A run, or with `finished` False the part of it that was computed.
 
@@ -69,10 +68,6 @@ class MacroRun(ViewedRun):
         threads: that numba could use. finished: whether the end of the problem was reached.
         problem, law, settings: as `simulate` was given them."""
 
-    curve: DisplacementCurve
-    energies: dict[str, Array]
-    curves: dict[str, DisplacementCurve]
-    history: dict[str, Array]
     nodes: Array
     elements: NDArray[np.int64]
     rest: Array

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from base64 import b64encode
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from html import escape
 from importlib import import_module
 from typing import Any, NamedTuple
@@ -51,6 +52,7 @@ class Series(NamedTuple):
     group: str
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class ViewedRun(Viewed):
     """A run, which is looked at over its time.
 
@@ -59,12 +61,10 @@ class ViewedRun(Viewed):
         energies, history: (m,) by name; energies in pJ, forces in µN, places in µm.
     """
 
-    __slots__ = ()
-
-    curve: Any
-    curves: Any
-    energies: Any
-    history: Any
+    curve: DisplacementCurve
+    curves: Mapping[str, DisplacementCurve] = field(default_factory=dict)
+    energies: Mapping[str, Array] = field(default_factory=dict)
+    history: Mapping[str, Array] = field(default_factory=dict)
 
     def fields_over_time(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """Whole fields and their coordinates, as `xarray.Dataset` takes them; here none."""
@@ -145,7 +145,8 @@ class ViewedRun(Viewed):
         return xarray.Dataset(fields, coordinates, {"source": repr(self)})
 
     def _repr_html_(self) -> str:
-        return super()._repr_html_().removesuffix("</div>") + f"{_picture(self)}</div>"
+        facts = super(ViewedRun, self)._repr_html_().removesuffix("</div>")
+        return f"{facts}{_picture(self)}</div>"
 
 
 def course(curve: DisplacementCurve, wall: Mapping[str, float], counts: Mapping[str, int]) -> Facts:

@@ -157,10 +157,6 @@ class StoredRun(ViewedRun):
 
     folder: Path
     record: RunRecord
-    curve: DisplacementCurve
-    history: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False)
-    curves: Mapping[str, DisplacementCurve] = field(default_factory=dict, repr=False)
-    energies: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False)
 
     @property
     def name(self) -> str:
@@ -507,7 +503,10 @@ def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:
         for name in ("history.csv", "energies.csv")
     )
     curves = _read_curves(folder, record.problem.get("watched", {}))
-    return StoredRun(folder, record, next(iter(curves.values())), history, curves, energies)
+    return StoredRun(
+        folder, record, curve=next(iter(curves.values())), history=history, curves=curves,
+        energies=energies,
+    )  # fmt: skip
 
 
 def write_events(folder: Path, decisions: Iterable[Mapping[str, Any]]) -> None:

@@ -27,7 +27,6 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.problem.mesh import extent
 from surrofe2.problem.problem import Problem, label
-from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.journal import (
     Journal,
     RunState,
@@ -100,7 +99,7 @@ class ParticleFrames:
     velocity: Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class TissueRun(ViewedRun):
     """A run, or with `finished` False the part of it that was computed.
 
@@ -122,10 +121,6 @@ class TissueRun(ViewedRun):
         counts: `steps`, `force_evaluations`, `particles`, `particle_steps`.
     """
 
-    curve: DisplacementCurve
-    curves: dict[str, DisplacementCurve]
-    energies: dict[str, Array]
-    history: dict[str, Array]
     position: Array
     bonds: NDArray[np.int64]
     is_wall: NDArray[np.bool_]

@@ -26,7 +26,7 @@ def make_run(recipe):
         counts = {"stress_points": points, "rve_solves": solves}
         record = finished_record(recipe, law, wall_time, counts)
         u = np.stack([0.0 * t, -2.0 * t + offset], axis=1)
-        return StoredRun(Path(name), record, DisplacementCurve(t, u))
+        return StoredRun(Path(name), record, curve=DisplacementCurve(t, u))
 
     return make
 
