@@ -238,21 +238,27 @@ def _begun(path: Path, header: DataSetHeader, fresh: bool) -> DataSetWriter:
 
 
 class StoredCount(NamedTuple):
-    """How many samples a data set has; whether it is finished, and may get more later; what its
-    numbers depend on, by dotted names."""
+    """How many samples a data set has; whether it is finished, and may get more later."""
 
     rows: int
     is_finished: bool
     is_open: bool
-    settings: dict[str, Any]
 
 
 def stored_count(path: Path) -> StoredCount:
     """What a data set says of its samples."""
     with reading(path, DATA_SET) as stored:
-        rows, settings = int(stored.number("completed")), stored.table("compared")
-        is_finished = stored.text("status") == "finished"
-        return StoredCount(rows, is_finished, settings.get("samples.count") is None, settings)
+        return StoredCount(
+            rows=int(stored.number("completed")),
+            is_finished=stored.text("status") == "finished",
+            is_open=stored.table("compared").get("samples.count") is None,
+        )
+
+
+def stored_settings(path: Path) -> dict[str, Any]:
+    """What the numbers of a data set depend on, by dotted names."""
+    with reading(path, DATA_SET) as stored:
+        return stored.table("compared")
 
 
 def read_data_set(path: str | Path) -> StressSamples:

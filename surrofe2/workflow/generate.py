@@ -31,6 +31,7 @@ from surrofe2.store.samples import (
     read_harvest,
     rows_of,
     stored_count,
+    stored_settings,
     writing_data_set,
 )
 from surrofe2.store.store import check_same
@@ -227,7 +228,7 @@ def check_data(recipe: Recipe, source: Path) -> None:
         "samples": {"seed": recipe.samples.seed, "count": recipe.samples.count},
     }
     advice = f"generate it again with `surrofe2 generate {recipe.path} --fresh`"
-    check_same(source, here, stored_count(source).settings, advice)
+    check_same(source, here, stored_settings(source), advice)
 
 
 def with_harvests(
