@@ -39,6 +39,10 @@ class Shape(ABC):
 
     __slots__ = ()
 
+    def __post_init__(self) -> None:
+        check_settings(self, type(self).__name__.lower())
+        _ = self.outline  # refuses a direction without length
+
     @property
     @abstractmethod
     def outline(self) -> Outline:
@@ -72,10 +76,6 @@ class Plane(Shape):
 
     normal: tuple[float, float] = setting(about="out of the body, of any length")
 
-    def __post_init__(self) -> None:
-        check_settings(self, "plane")
-        _unit("plane.normal", self.normal)
-
     @property
     def outline(self) -> Outline:
         x, y = _unit("plane.normal", self.normal)
@@ -87,9 +87,6 @@ class Circle(Shape):
     """A disc about the body's position."""
 
     radius: float = setting(about="of the disc", unit=LENGTH, above=0.0)
-
-    def __post_init__(self) -> None:
-        check_settings(self, "circle")
 
     @property
     def outline(self) -> Outline:
@@ -103,10 +100,6 @@ class Corner(Shape):
     axis: tuple[float, float] = setting(about="from the tip into the body, of any length")
     angle: float = setting(about="between its sides", unit="°", above=0.0, below=180.0)
     radius: float = setting(about="of the rounding", unit=LENGTH, above=0.0)
-
-    def __post_init__(self) -> None:
-        check_settings(self, "corner")
-        _unit("corner.axis", self.axis)
 
     @property
     def outline(self) -> Outline:
