@@ -33,8 +33,8 @@ def virials(cell):
         ("fluid", lambda i, j: i >= twin.walls),
     ):
         twin.pairs = {
-            kind: [each[wanted(i, j)] for each in (i, j, *others)]
-            for kind, (i, j, *others) in pairs.items()
+            kind: (i, j, share * wanted(i, j), shift)
+            for kind, (i, j, share, shift) in pairs.items()
         }
         stress = twin.evaluate(z, np.eye(2), still)[2]
         found[name] = -np.trace(stress) / 2.0 / cell.tissue_thickness
