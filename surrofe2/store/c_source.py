@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from surrofe2.store.store import WORD
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.domain import ALL_INPUTS, COMPRESSION, NEAR, NORM, REACH, SQUARES
 from surrofe2.surrogate.features import BEND, COMPONENTS
+from surrofe2.surrogate.lookup import BoundArrays, NetworkArrays
 from surrofe2.surrogate.products import ONE, STRETCH
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
@@ -24,8 +26,69 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
 _STATUSES = (Status.OK, Status.OUT_OF_RANGE, Status.NOT_FINITE, Status.NOT_TRUSTED)
 _PER_LINE = 6
 _WIDTHS = (1, 8)  # points in a loop: of a call for one point, and of a block of a batch
-_UNUSED = ("bounds_kept", "bounds_at_rest")
-"""Arrays that C does not read: its bound is in µN/µm."""
+_VARIABLE = re.compile(r"\b(?:[rdn]\d+|low|size)\b")
+_SUMS = "\n            ".join(
+    f"{name}[{i}] = "
+    + " + ".join(f"slopes[{4 * (first + j) + i} * @L@ + l] * {of}[{j}]" for j in range(count))
+    + ";"
+    for name, of, first, count in (("u", "d", 0, INPUTS), ("v", "e", 3, COMPONENTS))
+    for i in range(COMPONENTS)
+)
+
+_ABOUT = """\
+/* Stress of plant tissue at a point: a surrogate of surrofe2 {version} in C99, self-contained.
+ *
+ * Units: um, us, ng; so force is uN, stress in the plane uN/um, rates 1/us.
+ * Cell parameters {cell}, initialisation {initialisation}, trained on data {data}.
+ * Range: U11 and U22 from {low:g} to {high:g}, |U12| up to {shear:g}, |R'F_rate| up to {rate:g}.
+ *
+ * F, F_rate: deformation gradient and its rate, F11 F12 F21 F22.
+ * tolerance: largest bound of the error of the stress that is accepted, uN/um; HUGE_VAL: any.
+ * stress: Cauchy stress, xx xy yx yy, NaN unless 0 is returned. bound: of its error, in the
+ *     Frobenius norm; HUGE_VAL outside the data.
+ * P_by_F, P_by_F_rate: 16 numbers each, P_ab by F_cd at 8 a + 4 b + 2 c + d, P the first
+ *     Piola-Kirchhoff stress; both NULL: not wanted.
+ * {name}_stress returns SURROFE2_OK, or why there is no stress.
+ * {name}_stress_of does the same at `count` points, one after the other in arrays, and returns
+ *     how many have no stress. Neither has a state; threads may call them at once.
+ */
+"""
+_HEADER = """
+#ifndef SURROFE2_{name}_H
+#define SURROFE2_{name}_H
+
+#include <stddef.h>
+
+{statuses}
+
+#ifdef __cplusplus
+extern "C" {{
+#endif
+
+int {name}_stress(const double *F, const double *F_rate, double tolerance, double *stress,
+                  double *bound, double *P_by_F, double *P_by_F_rate);
+size_t {name}_stress_of(size_t count, const double *F, const double *F_rate, double tolerance,
+                        double *stress, double *bound, double *P_by_F, double *P_by_F_rate,
+                        int *status);
+
+#ifdef __cplusplus
+}}
+#endif
+
+#endif
+"""
+_INCLUDES = """
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#ifdef __cplusplus
+#define RESTRICT
+#else
+#define RESTRICT restrict
+#endif
+"""
 
 
 def c_source(law: SurrogateLaw, name: str = "surrofe2") -> str:
@@ -38,19 +101,25 @@ def c_source(law: SurrogateLaw, name: str = "surrofe2") -> str:
         InputError: a text of the surrogate is no single word, and could be more than a comment; or
             the name is none of C.
     """
-    about, _, includes, helpers, answers, calls = _template(law, name)
-    widths = [answers.replace("@L@", str(width)) for width in _WIDTHS]
-    return "\n".join([about + includes, *_constants(law), "", helpers, *widths, calls])
+    body = files("surrofe2.store").joinpath("surrogate_body.c").read_text(encoding="utf-8")
+    helpers, answers, calls = body.split("@SPLIT@\n")
+    lines = [_about(law, name), _INCLUDES, _statuses(), "", *_tables(law), "", helpers]
+    for width in _WIDTHS:
+        lines += [*_bound(law, width), *_network(law, width)]
+        lines += [answers.replace("@SUMS@", _SUMS).replace("@L@", str(width))]
+    return "\n".join([*lines, calls.replace("@NAME@", name)])
 
 
 def c_header(law: SurrogateLaw, name: str = "surrofe2") -> str:
     """The header of `c_source`, for C and C++."""
-    about, header, *_ = _template(law, name)
-    return about + header
+    return _about(law, name) + _HEADER.format(name=name, statuses=_statuses())
 
 
-def _template(law: SurrogateLaw, name: str) -> list[str]:
-    """The parts of surrogate.c: head, header, includes, helpers, answers, calls."""
+def _statuses() -> str:
+    return "\n".join(f"#define SURROFE2_{status.name} {int(status)}" for status in _STATUSES)
+
+
+def _about(law: SurrogateLaw, name: str) -> str:
     texts = {
         "version": law.version,
         "cell": law.cell.fingerprint,
@@ -63,61 +132,228 @@ def _template(law: SurrogateLaw, name: str) -> list[str]:
     if not NAME.fullmatch(name):
         raise InputError(f"name: {quoted(name)}; it must be a name in C, {NAME.pattern}")
     low, high = law.range.stretch
-    bounds = {"low": low, "high": high, "shear": law.range.shear, "rate": law.range.rate}
-    texts |= {what: f"{value:g}" for what, value in bounds.items()}
-    codes = (f"#define SURROFE2_{status.name} {int(status)}" for status in _STATUSES)
-    texts |= {"name": name, "statuses": "\n".join(codes)}
-    template = files("surrofe2.store").joinpath("surrogate.c").read_text(encoding="utf-8")
-    for what, text in texts.items():
-        template = template.replace(f"@{what.upper()}@", text)
-    return template.split("@SPLIT@\n")
-
-
-def _constants(law: SurrogateLaw) -> Iterator[str]:
-    """Sizes, and the arrays of a surrogate that its kernels read."""
-    network, bounds, terms = law.arrays, law.bound_arrays, len(law.arrays.components)
-    for name, value in {
-        "INPUTS": INPUTS,
-        "COMPONENTS": COMPONENTS,
-        "STRETCH": STRETCH,
-        "ONE": ONE,
-        "BEND": BEND,
-        "TERMS": terms,
-        "INVARIANTS": len(network.kept) - terms,
-        "LAYERS": len(network.sizes) - 1,
-        "UNITS": network.sizes.sum(),
-        "NETWORK_ROWS": ONE + 1 + len(network.products),
-        "COMPRESSION": COMPRESSION,
-        "NORM": NORM,
-        "NEAR": NEAR,
-        "SQUARES": SQUARES,
-        "REACH": REACH,
-        "BOUND_INPUTS": ALL_INPUTS,
-        "BOUND_ROWS": ALL_INPUTS + len(bounds.products),
-    }.items():
-        yield f"#define {name} {value}"
-    arrays = {f"network_{name}": values for name, values in network._asdict().items()}
-    arrays |= {f"bounds_{name}": values for name, values in bounds._asdict().items()}
-    # by columns, so that rows of one column lie together for the loops in C
-    begins = np.cumsum([0, *network.sizes[1:] * network.sizes[:-1]]).tolist()
-    arrays["network_weights"] = np.concatenate(
-        [
-            network.weights[first:last].reshape(-1, columns).T.ravel()
-            for first, last, columns in zip(begins, begins[1:], network.sizes, strict=False)
-        ]
+    return _ABOUT.format(
+        **texts, name=name, low=low, high=high, shear=law.range.shear, rate=law.range.rate
     )
+
+
+def _tables(law: SurrogateLaw) -> Iterator[str]:
+    """The arrays of a surrogate that loops read; its other numbers stand in formulas."""
+    yield f"#define INPUTS {INPUTS}"
+    yield f"#define COMPONENTS {COMPONENTS}"
+    yield ""
+    arrays = {"range": law.arrays.bounds, "input_factor": law.arrays.input_factor}
+    for k, (weight, bias) in enumerate(law.network.layers):
+        rows = np.zeros((weight.shape[1] + 1, _padded(len(bias))))
+        rows[:-1, : len(bias)], rows[-1, : len(bias)] = weight.T, bias
+        arrays |= {f"weight_{k}": rows[:-1], f"bias_{k}": rows[-1]}
+    arrays["no_bias"] = np.zeros(max(_padded(len(bias)) for _, bias in law.network.layers))
     for name, values in arrays.items():
-        if name not in _UNUSED:
-            yield from _array(name, values)
+        yield from _table(name, values)
 
 
-def _array(name: str, values: NDArray[Any]) -> Iterator[str]:
+def _padded(rows: int) -> int:
+    return 4 * -(-rows // 4)
+
+
+class _Formulas:
+    """Products and polynomials as formulas in C, or their slopes along an input.
+
+    Row k of a table is the variable rk and its slope dk, of which `by` has those that are not 0.
+
+    Args:
+        inputs: the variables of the rows before those of products, and what these need.
+        first: the row of the first product.
+    """
+
+    def __init__(
+        self,
+        table: NetworkArrays | BoundArrays,
+        inputs: Mapping[str, str],
+        first: int,
+        along: int | None = None,
+    ) -> None:
+        self.table, self.along = table, along
+        self.variables = dict(inputs)
+        self.rows = {k: f"r{k}" for k in range(first)} | {ONE: "1.0"}
+        self.by = {} if along is None else {along: "1.0"}
+        for row, (one, other) in enumerate(table.products.tolist(), first):
+            self.rows[row] = f"r{row}"
+            self.variables[f"r{row}"] = f"r{one} * r{other}"
+            parts = [_times(self.by[one], f"r{other}")] if one in self.by else []
+            parts += [f"r{one}"] if other == along else []
+            if parts:
+                self.by[row] = f"d{row}"
+                self.variables[f"d{row}"] = " + ".join(parts)
+
+    @property
+    def wanted(self) -> Mapping[int, str]:
+        """The rows, or their slopes along the input."""
+        return self.rows if self.along is None else self.by
+
+    def polynomial(self, number: int) -> str:
+        """One of the polynomials, or its slope."""
+        table, sums = self.table, []
+        for group in range(table.begins[number], table.begins[number + 1]):
+            head = int(table.heads[group])
+            factors = [(self.rows[head], self.wanted)]
+            factors += [("1.0", self.rows)] if head == self.along else []
+            for factor, rows in factors:
+                terms = [
+                    _times(rows[row], _number(table.coefficients[k]))
+                    for k in range(table.group_begins[group], table.group_begins[group + 1])
+                    if (row := int(table.rows[k])) in rows
+                ]
+                if terms:
+                    sums.append(_times(factor, f"({' + '.join(terms)})"))
+        return " + ".join(sums) or "0.0"
+
+    def loop(self, lines: Sequence[str], width: int) -> Iterator[str]:
+        """A loop over points, with the variables that its lines need."""
+        names = set(_VARIABLE.findall(" ".join(lines)))
+        declared = []
+        for name, value in reversed(self.variables.items()):
+            if name in names:
+                declared.append(f"const double {name} = {value};")
+                names.update(_VARIABLE.findall(value))
+        yield f"    for (int l = 0; l < {width}; l++) {{"
+        for line in [*reversed(declared), *lines]:
+            yield from wrap(
+                line, 100, initial_indent=" " * 8, subsequent_indent=" " * 12,
+                break_long_words=False, break_on_hyphens=False,
+            )  # fmt: skip
+        yield "    }"
+
+
+def _times(first: str, second: str) -> str:
+    return second if first == "1.0" else first if second == "1.0" else f"{first} * {second}"
+
+
+def _bound(law: SurrogateLaw, width: int) -> Iterator[str]:
+    """The function that gives failure boundary and bound from the inputs."""
+    bounds, squares = law.bound_arrays, [f"r{SQUARES + k}" for k in range(INPUTS)]
+    inputs = {f"r{k}": f"x[{k * width} + l] * {_number(bounds.factor[k])}" for k in range(INPUTS)}
+    inputs |= {square: f"r{k} * r{k}" for k, square in enumerate(squares)}
+    shares = [f"{_number(bounds.near[k])} * {square}" for k, square in enumerate(squares)]
+    inputs |= {
+        "low": "r0 < 0.0 ? r0 : 0.0",
+        f"r{COMPRESSION}": "low * low",
+        f"r{NORM}": f"({' + '.join(squares)}) * {1.0 / INPUTS!r}",
+        "size": " + ".join(shares),
+        f"r{NEAR}": f"size / (size + {REACH!r})",
+    }
+    formulas = _Formulas(bounds, inputs, ALL_INPUTS)
+    lines = [f"height[l] = {formulas.polynomial(0)};", f"bound[l] = {formulas.polynomial(1)};"]
+    yield f"static void bound_of_{width}(const double *RESTRICT x, double *RESTRICT height,"
+    yield "                       double *RESTRICT bound)"
+    yield "{"
+    yield "    (void)x; /* where there is no bound, nothing is read */"
+    yield from formulas.loop(lines, width)
+    yield "}"
+    yield ""
+
+
+def _baseline(law: SurrogateLaw, width: int, along: int | None) -> _Formulas:
+    """The baseline, and what the network reads and multiplies, or their slopes along an input."""
+    inputs = {f"r{k}": f"x[{k * width} + l]" for k in range(INPUTS)}
+    inputs |= {f"n{k}": f"inverse_root({BEND * BEND!r} + r{k} * r{k})" for k in range(STRETCH)}
+    return _Formulas(law.arrays, inputs, ONE + 1, along)
+
+
+def _read(law: SurrogateLaw, formulas: _Formulas) -> Iterator[str]:
+    """What the network reads: invariants, then x^p/√(δ² + x²) of the first inputs; or slopes."""
+    network = law.arrays
+    for row in network.kept[len(network.components) :].tolist():
+        yield formulas.wanted.get(row, "0.0")
+    for k, power in enumerate(network.powers.tolist()):
+        raised = f"r{k} * " * (power - 1)
+        if formulas.along is None:
+            yield f"{raised}r{k} * n{k}"
+        elif formulas.along == k:
+            yield f"{raised}{float(power)} * n{k} - {raised}r{k} * n{k} * r{k} * n{k} * n{k}"
+        else:
+            yield "0.0"
+
+
+def _network(law: SurrogateLaw, width: int) -> Iterator[str]:
+    """The function that gives the components of RᵀP from the scaled inputs, and their slopes."""
+    layers = [weight.shape for weight, _ in law.network.layers]
+    sizes = [layers[0][1], *(_padded(rows) for rows, _ in layers)]
+    yield f"static void network_of_{width}(const double *RESTRICT x, double *RESTRICT y,"
+    yield "                         int with_slopes, double *RESTRICT slopes)"
+    yield "{"
+    for name in ("u", "v"):
+        each = ", ".join(f"{name}{k}[{size * width}]" for k, size in enumerate(sizes))
+        yield f"    double {each};"
+    for along in (None, *range(INPUTS)):
+        formulas = _baseline(law, width, along)
+        y, units = ("y", "u") if along is None else ("slopes", "v")
+        first = 0 if along is None else along * COMPONENTS
+        lines = [
+            f"{y}[{(first + k) * width} + l] = {formulas.polynomial(k)};" for k in range(COMPONENTS)
+        ]
+        read = dict(enumerate(_read(law, formulas)))
+        used = [k for k, value in read.items() if value != "0.0" or width == 1]
+        lines += [f"{units}0[{k * width} + l] = {read[k]};" for k in used]
+        yield from formulas.loop(lines, width)
+        for k, shape in enumerate(layers):
+            columns = range(shape[1]) if k else used
+            yield _layer(k, shape, columns, units, width)
+            size = sizes[k + 1] * width
+            if k < len(layers) - 1 and along is None:
+                yield f"    FILL_TANH(u{k + 1}, {size});"
+            elif k < len(layers) - 1:
+                yield f"    TIMES_TANH_SLOPE(v{k + 1}, u{k + 1}, {size});"
+        yield from formulas.loop(list(_terms(law, width, formulas)), width)
+        if along is None:
+            yield "    if (!with_slopes)"
+            yield "        return;"
+    yield "}"
+    yield ""
+
+
+def _layer(k: int, shape: tuple[int, int], columns: Sequence[int], units: str, width: int) -> str:
+    """A layer of values u or of slopes v; the inputs of other columns than these are 0."""
+    names = f"weight_{k}, {f'bias_{k}' if units == 'u' else 'no_bias'}"
+    rows, source, target = _padded(shape[0]), f"{units}{k}", f"{units}{k + 1}"
+    if width == 1:
+        return f"    LAYER_OF_1({names}, {shape[1]}, {rows}, {source}, {target});"
+    each = "\n        ".join(f"TERM(weight_{k}, {j}, {source})" for j in columns)
+    return f"    LAYER_OF_8({names}, {rows}, {target},\n        {each});"
+
+
+def _terms(law: SurrogateLaw, width: int, formulas: _Formulas) -> Iterator[str]:
+    """Adds (factor − factor at rest) × product to the components, or its slope to theirs."""
+    network, last, along = law.arrays, len(law.network.layers), formulas.along
+    terms = zip(network.components.tolist(), network.kept.tolist(), strict=False)
+    for k, (component, row) in enumerate(terms):
+        at, scale = f"[{k * width} + l]", _number(network.output_factor[component])
+        factor = f"(u{last}{at} - {_number(network.at_rest[k])})"
+        product = formulas.rows[row]
+        if along is None:
+            yield f"y[{component * width} + l] += {scale} * {_times(factor, product)};"
+            continue
+        rise = _times(f"v{last}{at}", product)
+        if row in formulas.by:
+            rise += f" + {_times(factor, formulas.by[row])}"
+        yield f"slopes[{(along * COMPONENTS + component) * width} + l] += {scale} * ({rise});"
+
+
+def _table(name: str, values: NDArray[Any]) -> Iterator[str]:
     """An array in C, all digits; an empty one as a single zero that nothing reads."""
-    kind, number = ("int", str) if values.dtype.kind == "i" else ("double", _number)
-    flat = [number(value) for value in values.ravel().tolist()] or ["0"]
-    yield f"static const {kind} {name}[{len(flat)}] = {{"
-    for first in range(0, len(flat), _PER_LINE):
-        yield "    " + ", ".join(flat[first : first + _PER_LINE]) + ","
+    if not values.size:
+        values = np.zeros((1, *values.shape[1:]), dtype=values.dtype)
+    kind = "int" if values.dtype.kind == "i" else "double"
+    yield f"static const {kind} {name}{''.join(f'[{n}]' for n in values.shape)} = {{"
+    number = str if kind == "int" else _number
+    flat = [number(value) for value in values.ravel().tolist()]
+    if values.ndim == 1:
+        for first in range(0, len(flat), _PER_LINE):
+            yield "    " + ", ".join(flat[first : first + _PER_LINE]) + ","
+    else:
+        width = values.shape[1]
+        for first in range(0, len(flat), width):
+            yield "    {" + ", ".join(flat[first : first + width]) + "},"
     yield "};"
 
 
