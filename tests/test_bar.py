@@ -38,7 +38,7 @@ def test_bar_moves_as_the_model_reports(preset, initialisation):
     assert depth[0] == pytest.approx(first, abs=0.25)
     if period is not None:
         assert np.diff(t).mean() == pytest.approx(period, abs=0.4)
-    assert run.met.stretch[0] > 0.95 if preset == "printed" else 0.96
+    assert run.met.stretch[0] > (0.95 if preset == "printed" else 0.96)
     assert run.met.rate < 0.0085
 
     energies = run.energies

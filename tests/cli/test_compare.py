@@ -12,7 +12,8 @@ from tests.laws import SoftLaw
 def runs(invoke, recipe_path, tmp_path):
     folders = [tmp_path / "stiff", tmp_path / "soft"]
     for folder, stiffness in zip(folders, (50.0, 49.0), strict=True):
-        invoke("run", recipe_path, "--law", "rve", "--out", folder, law=SoftLaw(a=stiffness))
+        command = "run", recipe_path, "--law", "rve", "--out", folder
+        assert invoke(*command, law=SoftLaw(a=stiffness)).exit_code == 0
     return folders
 
 

@@ -67,12 +67,6 @@ def test_without_torch_runs_go_on_and_training_says_what_it_needs(changed_recipe
     )
 
 
-def test_comparing_runs_only_reads_files():
-    code = "import sys, surrofe2.cli.compare; print({'numba', 'skfem', 'torch'} & {*sys.modules})"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "set()\n"
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "told"),
     [
