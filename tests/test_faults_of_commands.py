@@ -1,6 +1,6 @@
 """After a fault of the disk at any operation of a command, going on gives what it would have given.
 
-`SURROFE2_FAULT_STRIDE` takes every so many operations in the long tests; default: 1, all.
+`SURROFE2_FAULT_STRIDE` takes every so many operations in the long tests; default: 3; 1: all.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tests import commands
 from tests.faults import KINDS, each_fault
 from tests.folders import assert_same, numbers
 
-STRIDE = int(os.environ.get("SURROFE2_FAULT_STRIDE", "1"))
+STRIDE = int(os.environ.get("SURROFE2_FAULT_STRIDE", "3"))
 
 
 def check(name, kind, folders, learnt, stride=1):
