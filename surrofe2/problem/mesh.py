@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from surrofe2.base.errors import InputError
+from surrofe2.base.errors import InputError, quoted
 from surrofe2.base.settings import build_only, check_settings, check_value, setting, with_kind
 from surrofe2.base.units import LENGTH
 
@@ -119,7 +119,7 @@ def rectangle(width: float, height: float, elements: tuple[int, int]) -> skfem.M
     nx, ny = elements
     if not (min(nx, ny) >= 1 and nx * ny <= MOST_ELEMENTS):
         raise InputError(
-            f"mesh.elements: [{nx}, {ny}]; there must be at least 1 each way and "
+            f"mesh.elements: {quoted([nx, ny])}; there must be at least 1 each way and "
             f"{MOST_ELEMENTS} in all at most"
         )
     if not (0.0 < width < np.inf and 0.0 < height < np.inf):

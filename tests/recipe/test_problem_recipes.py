@@ -341,6 +341,10 @@ def test_wrong_calls_get_a_sentence():
     mesh = rectangle(2.0, 1.0, (2, 1))
     with pytest.raises(InputError, match=r"mesh.width, mesh.height: -2.0, 1.0; they must be pos"):
         rectangle(-2.0, 1.0, (2, 1))
+    with pytest.raises(
+        InputError, match=r"mesh.elements: a very long list; there must be at least"
+    ):
+        rectangle(2.0, 1.0, (10**5000, 1))
     with pytest.raises(InputError, match=r"mesh: 2 elements of the same nodes at \(0.5, 0.5\) µm"):
         check_mesh(skfem.MeshQuad1(mesh.p, np.concatenate([mesh.t, mesh.t[:, :1]], axis=1)))
     with pytest.raises(InputError, match="left; the mesh has no boundary or region with a name"):
