@@ -154,6 +154,7 @@ def test_a_resumed_rest_is_the_uninterrupted_one(recipe_path, tmp_path, monkeypa
         with pytest.raises(Stop):
             rest_study(recipe, out, report=stop)
         assert read_record(out).status == "interrupted"
+        assert not (out / "fields.h5").exists()  # of thousands of load steps they take seconds
 
     whole, twice, here, killed = (tmp_path / name for name in ("whole", "twice", "here", "killed"))
     rest_study(recipe, whole)

@@ -317,7 +317,7 @@ class EquationsOfMotion:
         if accepted.status.any():
             raise self._failed(at.t, at.F, accepted.status)
         self.law_state = accepted.state
-        if accepted.stress is not at.response.stress:
+        if accepted.stress is not at.response.stress:  # a law that keeps it returns that very array
             left = accepted.left_bifurcation
             if left is not None:
                 self.tally.effort["left_bifurcation"] += int(left.sum())

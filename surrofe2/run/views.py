@@ -145,6 +145,7 @@ class ViewedRun(Viewed):
         return xarray.Dataset(fields, coordinates, {"source": repr(self)})
 
     def _repr_html_(self) -> str:
+        # a dataclass with slots is a second class, which super() without arguments does not know
         facts = super(ViewedRun, self)._repr_html_().removesuffix("</div>")
         return f"{facts}{_picture(self)}</div>"
 

@@ -278,7 +278,7 @@ def _follow_path(solved: Solved, z: Array, z_start: Array, index: Index) -> None
     if not len(there):
         return
     index = index[there]
-    solved.covered = (solved.covered & solved.near.covers(F, z)) | passed
+    solved.covered = (solved.covered & solved.near.covers(F, z, exactly=True)) | passed
     _put(z, index, points, path.z[there])
     solved.near = solved.unit.neighbours.near(F, z)
     found = relax(*solved.law, path.z[there], path.end[there], tolerance)

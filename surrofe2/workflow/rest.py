@@ -48,7 +48,8 @@ def rest_study(
 ) -> RunRecord:
     """Load the recipe's tissue in steps, to `factor` times all loads, and write the run folder.
 
-    What was found before a failure or an interrupt is written, and the same call resumes there.
+    What was found before a failure or an interrupt is written, and the same call resumes there;
+    after an interrupt without fields, which the checkpoint keeps.
 
     Raises:
         SimulationError: a load step finds no equilibrium.
@@ -67,9 +68,10 @@ def rest_study(
             for i, axis in enumerate("xy")
         }
         write_curves(folder, factors, {"": rest.path[:, 1:]}, by_name, rest.energies, is_rest=True)
-        cell = cell_of_elements(chosen.law, len(space.elements))
-        write_fields(folder, space.nodes, space.elements, frames, cell)
-        write_points(folder, space, frames)
+        if record.status != "interrupted":  # each load step is a frame: many take seconds
+            cell = cell_of_elements(chosen.law, len(space.elements))
+            write_fields(folder, space.nodes, space.elements, frames, cell)
+            write_points(folder, space, frames)
         wall = {"total": timer.seconds, "compilation": seconds_compiling() - before}
         met = {"watched": rest.watched.tolist(), **MetRange.of(rest.extremes).to_dict()}
         record = with_rest(record, rest.system.rest)
