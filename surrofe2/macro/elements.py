@@ -207,31 +207,6 @@ def _local_position(corners: Array, point: Array) -> Array:
     return local
 
 
-def deformation_gradient(space: Discretisation, u: Array, v: Array) -> tuple[Array, Array, Array]:
-    """F, Ḟ (n_points, 2, 2) and det F (n_points,) from u, v (n, 2), n at least the nodes."""
-    count = space.n_points
-    found = np.empty((count, 2, 2)), np.empty((count, 2, 2)), np.empty(count)
-    set_deformation(space, u, v, found)
-    return found
-
-
-def internal_force(space: Discretisation, F: Array, stress: Array, n: int | None = None) -> Array:
-    """Internal force on n rows, by default the nodes, (n, 2) in µN: the stress integral of (58).
-
-        f_a = ∫ dev σ ∇ₓN_a dv + ∫ tr(σ)/2 ∇ₓN_a dv,   ∇ₓN = F⁻ᵀ ∇N,   dv = det F dV,
-
-    the first integral over the Gauss points, the second at the last point of a quadrilateral, each
-    with gradient and volume at its own points (section 6.2); of a triangle both over the Gauss
-    points. Positions follow from the total displacement, so this is the updated Lagrangian form
-    without increments. The stress may be unsymmetric.
-
-    It enters (58) as M a = load − f; (58) is printed with both signs reversed.
-    """
-    total = np.zeros((len(space.nodes) if n is None else n, 2))
-    add_forces(space, F, stress, total)
-    return total
-
-
 def counted(space: Discretisation, stress: Array) -> Array:
     """(n_el, n_q, 2, 2) the part of a stress (n_points, 2, 2) that counts at each point: all of it
     in triangles; in quadrilaterals the pressure part at the last point, else the deviator.
@@ -341,16 +316,17 @@ def _effective_slope(F: Array, P: Array, slope: Array, points_per_element: int) 
 
 
 @kernel
-def set_deformation(space: Any, u: Any, v: Any, set_at: Any) -> None:
-    """Set F = I + Σ_a u_a ⊗ ∇N_a, Ḟ = Σ_a v_a ⊗ ∇N_a and J = det F of all points.
+def deformation_gradient(space: Any, u: Any, v: Any) -> tuple[Array, Array, Array]:
+    """F = I + Σ_a u_a ⊗ ∇N_a, Ḟ = Σ_a v_a ⊗ ∇N_a (n_points, 2, 2) and det F (n_points,).
 
     Args:
         space: `Discretisation`.
-        u, v: (n, 2).
-        set_at: F, Ḟ (n_q n_el, 2, 2) and J (n_q n_el,).
+        u, v: (n, 2), n at least the nodes.
     """
-    elements, gradients, (F, F_dot, J) = space.elements, space.gradients, set_at
+    elements, gradients = space.elements, space.gradients
     n_q, k = gradients.shape[1], gradients.shape[2]
+    count = n_q * elements.shape[0]
+    F, F_dot, J = np.empty((count, 2, 2)), np.empty((count, 2, 2)), np.empty(count)
     nodal = np.zeros((k, 4))
     for e in range(elements.shape[0]):
         for a in range(k):
@@ -375,14 +351,24 @@ def set_deformation(space: Any, u: Any, v: Any, set_at: Any) -> None:
             F[p, 0, 0], F[p, 0, 1], F[p, 1, 0], F[p, 1, 1] = xx, xy, yx, yy
             F_dot[p, 0, 0], F_dot[p, 0, 1], F_dot[p, 1, 0], F_dot[p, 1, 1] = vxx, vxy, vyx, vyy
             J[p] = xx * yy - xy * yx
+    return F, F_dot, J
 
 
 @kernel
-def add_forces(space: Any, F: Any, stress: Any, total: Any) -> None:
-    """Add Σ_Gauss J w dev(σ) F⁻ᵀ∇N_a + Σ_last J w tr(σ)/2 F⁻ᵀ∇N_a to `total` (n, 2), µN.
+def internal_force(space: Any, F: Any, stress: Any, n: Any = None) -> Array:
+    """Internal force on n rows, by default the nodes, (n, 2) in µN: the stress integral of (58).
 
-    Of triangles Σ_Gauss J w σ F⁻ᵀ∇N_a. J F⁻ᵀ is the cofactor of F, so nothing is divided.
+        f_a = ∫ dev σ ∇ₓN_a dv + ∫ tr(σ)/2 ∇ₓN_a dv,   ∇ₓN = F⁻ᵀ ∇N,   dv = det F dV,
+
+    the first integral over the Gauss points, the second at the last point of a quadrilateral, each
+    with gradient and volume at its own points (section 6.2); of a triangle both over the Gauss
+    points. Positions follow from the total displacement, so this is the updated Lagrangian form
+    without increments. The stress may be unsymmetric. det F F⁻ᵀ is the cofactor of F, so nothing is
+    divided.
+
+    It enters (58) as M a = load − f; (58) is printed with both signs reversed.
     """
+    total = np.zeros((space.nodes.shape[0] if n is None else n, 2))
     elements, gradients, weights = space.elements, space.gradients, space.weights
     n_q, k = gradients.shape[1], gradients.shape[2]
     forces = np.zeros((k, 2))
@@ -409,3 +395,4 @@ def add_forces(space: Any, F: Any, stress: Any, total: Any) -> None:
             row = elements[e, a]
             total[row, 0] += forces[a, 0]
             total[row, 1] += forces[a, 1]
+    return total

@@ -68,7 +68,10 @@ def free_sides(problem: Problem) -> FreeSides:
     assert surface is not None
     if surface.on == FREE:
         names: tuple[str, ...] = (FREE,)
-        parts = [_unnamed(problem)]
+        places = {*problem.places()}
+        named = [facets for name, facets in (mesh.boundaries or {}).items() if name in places]
+        outer = np.setdiff1d(mesh.boundary_facets(), np.concatenate([[], *named]))
+        parts = [outer.astype(np.int64)]
         if not len(parts[0]):
             raise InputError("surface.on: free; every outer side has a condition: leave it out")
     else:
@@ -84,13 +87,6 @@ def free_sides(problem: Problem) -> FreeSides:
     angle = np.degrees(np.arctan2(*np.sort(abs(along), axis=1).T))
     oblique = np.where(angle > _ALONG, angle, 0.0)
     return FreeSides(facets, nodes, elements, names, of_boundary, laws, law, oblique)
-
-
-def _unnamed(problem: Problem) -> Index:
-    """Outer facets that no condition and no body names."""
-    mesh, places = problem.mesh, {*problem.places()}
-    named = [facets for name, facets in (mesh.boundaries or {}).items() if name in places]
-    return np.setdiff1d(mesh.boundary_facets(), np.concatenate([[], *named])).astype(np.int64)
 
 
 def _laws(

@@ -198,7 +198,7 @@ class GeneralisedAlpha:
         unknown by what the tolerance allows, for a body at rest has no other.
         """
         w = self.weights
-        K = self._equations.tangents_over_step(now, h * w.beta / w.gamma)
+        K = self._equations.slope(now, 1.0, 1.0 / (h * w.beta / w.gamma))
         S = self._inertia + (1.0 - w.alpha_f) * h**2 * w.beta * K
         self._equations.tally.counts["factorisations"] += 1
         acceleration = self._settings.absolute_tolerance / (h**2 * w.beta)

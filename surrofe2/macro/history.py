@@ -300,7 +300,9 @@ class Recorder:
         """Record an accepted step, after which `stepper` stands at its end."""
         before, end = self._state, step.end
         journal, begin = before.journal, step.start.t
-        passed, due = journal.lengths["rows"], self._rows_due(end.t)
+        passed, due = journal.lengths["rows"], int(np.searchsorted(self._t, end.t, side="right"))
+        if end.t >= self.end:
+            due = self._t.size  # rounding may put the last one beyond the duration
         if due > passed:
             first, last = self._forces(step.start), self._forces(end)
             for t in self._t[passed:due]:
@@ -348,13 +350,18 @@ class Recorder:
                 samples = journal["samples"]
                 since = now.t - samples[-1, 0] if len(samples) else 0.0
                 energy, before = energy + 0.5 * since * (before + rates), rates
-                journal = journal.written({"samples": self._sample(now, rates)[None]})
+                surface, regions = self._system.surface, self._system.regions.values()
+                sides = () if surface is None else surface.dissipation_rates(now.u, now.v)
+                row = [now.t, *(rates[elements].sum() for elements in regions), *sides]
+                journal = journal.written({"samples": np.array([row])})
         if is_frame:
-            density, samples = NOTHING, journal["samples"]
+            density, samples, space = NOTHING, journal["samples"], self._system.discretisation
             if len(samples):
-                energy_now = energy + (now.t - samples[-1, 0]) * before
-                density = energy_now / self._system.discretisation.areas
-            journal = journal.written(self._frame(now, density))
+                density = (energy + (now.t - samples[-1, 0]) * before) / space.areas
+            sources = None if now.response.sources is None else now.response.sources()
+            kept = (self._frames_due(now.t) - 1) % POINTS_EVERY == 0 or now.t >= self.end
+            frame = Frames.of(space, now, sources, density, points=kept)
+            journal = journal.written(frame_series(frame))
         extremes = state.extremes.copy()
         widen_extremes(extremes, now.F, now.F_dot)
         dissipated = np.stack([energy, before])
@@ -439,19 +446,8 @@ class Recorder:
         cpu = cpu_clock() - self._cpu_started
         return {"total": total, "law": law, "macro": total - law, "cpu": cpu}
 
-    def _rows_due(self, t: float) -> int:
-        """Output times up to t; rounding may put the last one beyond the duration."""
-        return self._t.size if t >= self.end else int(np.searchsorted(self._t, t, side="right"))
-
     def _frames_due(self, t: float) -> int:
         return int(np.searchsorted(self._frame_fractions, t, side="right"))
-
-    def _sample(self, now: Evaluation, rates: Array) -> Array:
-        """Time and the rates of `System.dissipating`, of which (n_el,) are those of elements."""
-        surface = self._system.surface
-        sides = () if surface is None else surface.dissipation_rates(now.u, now.v)
-        regions = self._system.regions.values()
-        return np.array([now.t, *(rates[elements].sum() for elements in regions), *sides])
 
     def _forces(self, now: Evaluation) -> Array:
         """(k, 2) forces on the tissue by supports, surface loads and bodies, µN."""
@@ -468,9 +464,3 @@ class Recorder:
         stored = sum(contact.energy(u) for contact in system.contacts)
         flat = [part.ravel() for part in vectors]
         return np.concatenate([[t], *flat, depths, [stored, kinetic], work])
-
-    def _frame(self, now: Evaluation, density: Array) -> dict[str, Array]:
-        sources = None if now.response.sources is None else now.response.sources()
-        kept = (self._frames_due(now.t) - 1) % POINTS_EVERY == 0 or now.t >= self.end
-        space = self._system.discretisation
-        return frame_series(Frames.of(space, now, sources, density, points=kept))

@@ -80,7 +80,9 @@ def find_modes(rest: Rest, count: int = 6) -> Modes:
     if size <= DENSE_LIMIT:
         values, vectors = eig(A.toarray(), B.toarray())
     else:
-        values, vectors = _slowest(A, B, 2 * count + 4)
+        # The start vector is fixed, so the answer is as well.
+        start = np.ones(A.shape[0])
+        values, vectors = eigs(A, k=2 * count + 4, M=B, sigma=0.0, v0=start)
     oscillating = np.flatnonzero(values.imag > 1e-9 * abs(values))
     chosen = oscillating[np.argsort(values[oscillating].imag)][:count]
     if size > DENSE_LIMIT and chosen.size < count:
@@ -95,9 +97,3 @@ def find_modes(rest: Rest, count: int = 6) -> Modes:
     shapes = everywhere.reshape(len(shapes), rest.system.n_rows, 2)
     real = values[abs(values.imag) <= 1e-9 * abs(values)].real
     return Modes(values[chosen], shapes, np.sort(real)[::-1])
-
-
-def _slowest(A: csc_matrix, B: csc_matrix, number: int) -> tuple[Complex, Complex]:
-    """Eigenvalues of smallest modulus; the start vector is fixed, so the answer is as well."""
-    values, vectors = eigs(A, k=number, M=B, sigma=0.0, v0=np.ones(A.shape[0]))
-    return values, vectors

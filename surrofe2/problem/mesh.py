@@ -263,18 +263,15 @@ def check_mesh(mesh: skfem.Mesh) -> skfem.Mesh:
     _check_overlaps(mesh)
     if mesh.elem is skfem.ElementTriP1:
         _check_orphans(mesh.p.T, mesh.t)
-        mesh = _with_middles(mesh)
+        # Facets and elements keep their numbers, so boundaries and regions are the same, too.
+        boundaries, regions = mesh.boundaries or {}, mesh.subdomains or {}
+        mesh = skfem.MeshTri2.from_mesh(mesh)
+        mesh = mesh.with_boundaries(boundaries).with_subdomains(regions)
     _check_orphans(mesh.p.T, element_nodes(mesh))
     _check_shapes(mesh.p.T, element_nodes(mesh))
     _check_pieces(mesh)
     _check_boundaries(mesh)
     return mesh
-
-
-def _with_middles(mesh: skfem.MeshTri1) -> skfem.MeshTri2:
-    """Facets and elements have the same numbers, so boundaries and regions are the same too."""
-    lifted = skfem.MeshTri2.from_mesh(mesh)
-    return lifted.with_boundaries(mesh.boundaries or {}).with_subdomains(mesh.subdomains or {})
 
 
 def _check_overlaps(mesh: skfem.Mesh) -> None:

@@ -89,33 +89,21 @@ class Problem:
         mesh = with_boundaries(check_mesh(self.mesh), **self.boundaries)
         object.__setattr__(self, "mesh", with_regions(mesh, **self.regions))
         object.__setattr__(self, "watched", self.watched or {"middle": _middle_node(self.mesh)})
-        self._check_duration()
-        self._check_output_interval()
-        self._check_names()
-        self._check_initial_velocities()
-
-    def _check_duration(self) -> None:
         if not 0.0 < self.duration < np.inf:
             raise InputError(f"problem.duration: {self.duration}; it must be positive, finite (µs)")
-
-    def _check_output_interval(self) -> None:
         least = self.duration / MOST_ROWS
         if not max(least, np.finfo(float).tiny) <= self.output_interval < np.inf:
             raise InputError(
                 f"problem.output_interval: {self.output_interval}; it must be finite and at least "
                 f"{least:g} µs, a millionth of the duration"
             )
-
-    def _check_names(self) -> None:
-        """Results tell conditions, bodies and energies apart by name."""
+        # Results tell conditions, bodies and energies apart by name.
         names = Counter([*map(label, self.conditions), *(body.name for body in self.bodies)])
         for name, number in names.items():
             if number > 1:
                 raise InputError(f"problem: {number} conditions are called {name}; name them apart")
             if name in TAKEN:
                 raise InputError(f"problem: a condition is called {name}; an energy has that name")
-
-    def _check_initial_velocities(self) -> None:
         thrown = Counter(each.on for each in self.conditions if isinstance(each, InitialVelocity))
         for place, number in thrown.items():
             if number > 1:
