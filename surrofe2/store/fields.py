@@ -206,7 +206,7 @@ def read_fields(
     where they are there (None: of all); FileError where the file is missing or damaged, or values
     are needed."""
     path = folder / f"{name}.h5"
-    with reading(path) as stored:
+    with reading(path, FIELDS_FILE) as stored:
         file = stored.file
         for what in needed:
             if f"{what}.0" not in file:

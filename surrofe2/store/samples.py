@@ -8,9 +8,8 @@ has paid for. The settled reference state of an RVE is kept in the cache folder.
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -28,7 +27,18 @@ from surrofe2.law.stress_law import Status, StressResponse, describe
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.run.loop import CheckpointClock
-from surrofe2.store.hdf5 import Column, Kind, check_finite, check_same_rve, origin, reading, write
+from surrofe2.rve.unit_cell import settle_reference
+from surrofe2.store.hdf5 import (
+    ORIGIN,
+    Column,
+    Kind,
+    check_same_rve,
+    origin,
+    read,
+    read_header,
+    reading,
+    write,
+)
 from surrofe2.store.store import check_replaceable, check_same, file_lock, flat, locked_file
 
 Array = NDArray[np.float64]
@@ -55,8 +65,17 @@ _OF_TANGENTS = {
     name: Column((None, 2, 2, 2, 2), unit=unit, optional=True)
     for name, unit in zip(TANGENTS, (STRESS, VISCOSITY), strict=True)
 }
-DATA_SET = Kind("data set", 2, _COLUMNS | {LEFT: _MARK} | _OF_TANGENTS)
-HARVEST = Kind("harvest", 2, _COLUMNS | {"why": Column(kind=np.int8, meaning=json.dumps(WHY))})
+_OF_MAKING = {"status": str, "completed": int, "seconds": float | None, "compared": dict}
+_OF_SAMPLES = {"range": SamplingRange, "count": int, "seed": int, "rest_length": float | None}
+DATA_SET = Kind(
+    "data set",
+    2,
+    ORIGIN | _OF_MAKING | _OF_SAMPLES,
+    _COLUMNS | {LEFT: _MARK} | _OF_TANGENTS,
+)
+HARVEST = Kind(
+    "harvest", 2, ORIGIN, _COLUMNS | {"why": Column(kind=np.int8, meaning=json.dumps(WHY))}
+)
 REFERENCE = Kind("reference state", 2)
 
 
@@ -107,13 +126,13 @@ class DataSetHeader:
         }
 
 
-def rows_of(F: Array, F_dot: Array, answer: StressResponse, tangents: bool) -> dict[str, Any]:
-    """The columns of samples: F, Ḟ (n, 2, 2) and the answer there, with its tangents if wanted."""
+def rows_of(F: Array, F_dot: Array, answer: StressResponse) -> dict[str, Any]:
+    """The columns of samples: F, Ḟ (n, 2, 2) and the answer there, with its tangents if any."""
     left = (
         np.zeros(len(F), np.bool_) if answer.left_bifurcation is None else answer.left_bifurcation
     )
     rows = {"F": F, "F_dot": F_dot, "stress": answer.stress, "status": answer.status, LEFT: left}
-    if answer.tangents is not None and tangents:
+    if answer.tangents is not None:
         rows |= zip(TANGENTS, (answer.tangents.P_by_F, answer.tangents.P_by_F_dot), strict=True)
     return rows
 
@@ -125,8 +144,8 @@ class SampleWriter:
         self, path: Path, kind: Kind, header: Mapping[str, Any], rows: Arrays | None = None
     ) -> None:
         self.path, self.kind, self.header = path, kind, header
-        self._parts = [rows] if rows else []
-        self._is_stored = bool(rows)
+        self._parts = [rows] if rows is not None and len(rows["F"]) else []
+        self._is_stored = bool(self._parts)
 
     @property
     def completed(self) -> int:
@@ -160,27 +179,22 @@ class DataSetWriter(SampleWriter):
     """A data set in the making: rows are appended in order, then it is finished."""
 
     def __init__(
-        self, path: Path, header: DataSetHeader, rows: Arrays, is_finished: bool, before: float
+        self,
+        path: Path,
+        header: DataSetHeader,
+        rows: Arrays | None = None,
+        is_finished: bool = False,
+        before: float | None = None,
     ) -> None:
         super().__init__(path, DATA_SET, header.entries(), rows)
-        self._has_tangents = header.tangents
-        self.is_finished, self.meter = is_finished, Meter(before)
+        self.is_finished, self.meter = is_finished, Meter(before or 0.0)
         self._clock = CheckpointClock(INTERVAL)
 
     def append(self, F: Array, F_dot: Array, answer: StressResponse) -> None:
-        """Take the next n rows, F and Ḟ (n, 2, 2); with tangents if the data set holds them."""
-        self.take(**rows_of(F, F_dot, answer, self._has_tangents))
+        """Take the next n rows, F and Ḟ (n, 2, 2)."""
+        self.take(**rows_of(F, F_dot, answer))
         if self._clock.is_due():
             self._clock.write(self.store)
-
-    def left_count(self) -> int:
-        """How many rows so far have a stress, but of an RVE that left a bifurcation."""
-        rows = self.to_arrays()
-        return int((rows[LEFT].astype(bool) & (rows["status"] == 0)).sum())
-
-    def status_counts(self) -> dict[int, int]:
-        """How many rows so far have each status code."""
-        return dict(sorted(Counter(self.to_arrays()["status"].tolist()).items()))
 
     def store(self, status: str = "writing") -> None:
         """Write the rows that there are, to resume from."""
@@ -223,18 +237,15 @@ def writing_data_set(
 
 
 def _begun(path: Path, header: DataSetHeader, fresh: bool) -> DataSetWriter:
-    rows: Arrays = {}
-    is_finished, before = False, 0.0
-    if path.exists() and not fresh:
-        with reading(path, DATA_SET) as stored:
-            check_same(path, header.compared(), stored.table("compared"))
-            completed = stored.number("completed")
-            is_finished = stored.text("status") == "finished" and completed == header.count
-            if completed:
-                before, rows = stored.number("seconds"), stored.arrays()
-                if not len(rows["F"]) == completed <= header.count:
-                    raise ValueError(f"completed: {completed:g} of {len(rows['F'])}")
-    return DataSetWriter(path, header, rows, is_finished, before)
+    if fresh or not path.exists():
+        return DataSetWriter(path, header)
+    known, rows = read(path, DATA_SET)
+    check_same(path, header.compared(), known["compared"])
+    completed, there = known["completed"], len(rows["F"])
+    if not there == completed <= header.count:
+        raise FileError(f"{path}: not a whole {DATA_SET.title}: completed: {completed} of {there}")
+    is_finished = known["status"] == "finished" and completed == header.count
+    return DataSetWriter(path, header, rows, is_finished, known["seconds"])
 
 
 class StoredCount(NamedTuple):
@@ -247,18 +258,9 @@ class StoredCount(NamedTuple):
 
 def stored_count(path: Path) -> StoredCount:
     """What a data set says of its samples."""
-    with reading(path, DATA_SET) as stored:
-        return StoredCount(
-            rows=int(stored.number("completed")),
-            is_finished=stored.text("status") == "finished",
-            is_open=stored.table("compared").get("samples.count") is None,
-        )
-
-
-def stored_settings(path: Path) -> dict[str, Any]:
-    """What the numbers of a data set depend on, by dotted names."""
-    with reading(path, DATA_SET) as stored:
-        return stored.table("compared")
+    known = read_header(path, DATA_SET)
+    may_grow = known["compared"].get("samples.count") is None
+    return StoredCount(known["completed"], known["status"] == "finished", may_grow)
 
 
 def read_data_set(path: str | Path) -> StressSamples:
@@ -270,20 +272,16 @@ def read_data_set(path: str | Path) -> StressSamples:
     """
     path = Path(path)
     with reading(path, DATA_SET) as stored:
-        if stored.text("status") != "finished":
-            raise InputError(
-                f"{path}: unfinished, {stored.number('completed'):g} of {stored.number('count'):g} "
-                "samples; continue it with `surrofe2 generate RECIPE`"
-            )
-        rows: dict[str, Any] = stored.arrays()
-        rows[LEFT] = rows[LEFT].astype(np.bool_)
-        return StressSamples(
-            **rows,
-            **stored.whose,
-            range=stored.range,
-            seed=int(stored.number("seed")),
-            rest_length=stored.optional("rest_length"),
-        )
+        known = stored.header()
+        if known["status"] == "finished":
+            rows: dict[str, Any] = stored.arrays()
+            rows[LEFT] = rows[LEFT].astype(np.bool_)
+            of = {name: known[name] for name in (*ORIGIN, "range", "seed", "rest_length")}
+            return StressSamples(**rows, **of)
+    raise InputError(
+        f"{path}: unfinished, {known['completed']} of {known['count']} samples; continue it with "
+        "`surrofe2 generate RECIPE`"
+    )
 
 
 class Harvest(NamedTuple):
@@ -325,34 +323,28 @@ class HarvestWriter(SampleWriter):
 def read_harvest(path: str | Path) -> Harvest:
     """The answers in a harvest, each state once, also of a run that was interrupted."""
     with reading(Path(path), HARVEST) as stored:
-        arrays, whose = stored.arrays(), stored.whose
-        check_finite("stress where the status is 0", arrays["stress"][arrays["status"] == 0])
+        arrays, header = stored.arrays(), stored.header()
+        if not np.isfinite(arrays["stress"][arrays["status"] == 0]).all():
+            raise ValueError("stress: not finite where the status is 0")
     states = np.concatenate([arrays["F"], arrays["F_dot"]], axis=1).reshape(-1, 8)
     _, first = np.unique(states, axis=0, return_index=True)
     first.sort()
     once: dict[str, Any] = {name: values[first] for name, values in arrays.items()}
-    return Harvest(**once, **whose)
+    return Harvest(**once, **header)
 
 
-def reference_path(cell: CellParameters) -> Path:
-    """Where the reference state of a cell is kept for commands of these very sources."""
-    return cache_folder() / "references" / f"{cell.fingerprint}.h5"
-
-
-def write_reference(path: Path, reference: ReferenceState) -> None:
-    """Write a reference state, whole or not at all."""
-    write(path, REFERENCE, {}, reference.to_arrays())
-
-
-def read_reference(path: Path, cell: CellParameters) -> ReferenceState | None:
-    """The reference state of a cell in a file; None where there is none of it, or it is damaged."""
-    try:
-        with reading(path, REFERENCE) as stored:
-            reference = ReferenceState.from_arrays(stored.all_arrays())
-            reference.check_belongs_to(cell)
-    except FileError:
-        return None
-    return reference
+def kept_reference(cell: CellParameters) -> ReferenceState:
+    """The settled reference state of a cell; the first command puts it into the cache folder, where
+    it is kept for commands of these very sources."""
+    path = cache_folder() / "references" / f"{cell.fingerprint}.h5"
+    with suppress(FileError), reading(path, REFERENCE) as stored:
+        known = ReferenceState.from_arrays(stored.arrays())
+        known.check_belongs_to(cell)
+        return known
+    settled = settle_reference(cell)
+    with suppress(FileError):  # a folder that cannot be written keeps nothing
+        write(path, REFERENCE, {}, settled.to_arrays())
+    return settled
 
 
 check_harvest = partial(check_same_rve, "harvested", "leave it out")

@@ -22,9 +22,9 @@ from surrofe2.store.run_folder import (
     RunRecord,
     write_curves,
 )
+from surrofe2.store.samples import kept_reference
 from surrofe2.tissue import TissueRun, TissueState, simulate_tissue
 from surrofe2.tissue.simulation import cells_that_fill, make_conditions, step_at_rest, with_step
-from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.run import new_record
 
 
