@@ -42,35 +42,25 @@ static inline double inverse_root(double x)
     return y + 0.5 * y * (1.0 - x * y * y);
 }
 
-/* target = weight source + bias; for a point alone a column of the matrix at a time */
-#define LAYER_OF_1(weight, bias, columns, rows, source, target)  \
-    do {                                                         \
-        for (int i = 0; i < rows; i++)                           \
-            target[i] = bias[i];                                 \
-        for (int j = 0; j < columns; j++)                        \
-            for (int i = 0; i < rows; i++)                       \
-                target[i] += weight[j][i] * source[j];           \
-    } while (0)
-
-/* the same for LANES points; four rows of the matrix at a time stay in registers */
-#define LAYER_OF_8(weight, bias, rows, target, terms)            \
+/* target = weight source + bias; four rows of the matrix at a time stay in registers */
+#define LAYER(lanes, weight, bias, rows, target, terms)          \
     do {                                                         \
         for (int i = 0; i < rows; i += 4)                        \
-            for (int l = 0; l < 8; l++) {                        \
+            for (int l = 0; l < lanes; l++) {                    \
                 double a = bias[i], b = bias[i + 1];             \
                 double c = bias[i + 2], d = bias[i + 3];         \
                 terms                                            \
-                target[i * 8 + l] = a;                           \
-                target[(i + 1) * 8 + l] = b;                     \
-                target[(i + 2) * 8 + l] = c;                     \
-                target[(i + 3) * 8 + l] = d;                     \
+                target[i * lanes + l] = a;                       \
+                target[(i + 1) * lanes + l] = b;                 \
+                target[(i + 2) * lanes + l] = c;                 \
+                target[(i + 3) * lanes + l] = d;                 \
             }                                                    \
     } while (0)
-#define TERM(weight, j, source)                                  \
-    a += weight[j][i] * source[j * 8 + l];                       \
-    b += weight[j][i + 1] * source[j * 8 + l];                   \
-    c += weight[j][i + 2] * source[j * 8 + l];                   \
-    d += weight[j][i + 3] * source[j * 8 + l];
+#define TERM(lanes, weight, j, source)                           \
+    a += weight[j][i] * source[j * lanes + l];                   \
+    b += weight[j][i + 1] * source[j * lanes + l];               \
+    c += weight[j][i + 2] * source[j * lanes + l];               \
+    d += weight[j][i + 3] * source[j * lanes + l];
 
 /* tanh 20 is 1 to the last bit; in a loop of its own, since a branch before arithmetic, which may
  * trap, would leave no vector instructions */
