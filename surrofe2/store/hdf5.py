@@ -119,7 +119,8 @@ def write(path: Path, kind: Kind, header: Mapping[str, Any], arrays: Arrays) -> 
 
 @contextmanager
 def writing(path: Path, kind: Kind, header: Mapping[str, Any]) -> Iterator[h5py.File]:
-    """A file of a kind with its header, in memory; it is written when the block ends well."""
+    """A file of a kind with its header, in memory; it is written when the block ends well. Entries
+    that are None are left out."""
     known = {
         "schema": kind.schema,
         "schema_version": kind.version,
@@ -131,7 +132,8 @@ def writing(path: Path, kind: Kind, header: Mapping[str, Any]) -> Iterator[h5py.
     with held(), h5py.File(name, "w", driver="core", backing_store=False) as file:
         for entry, value in (known | dict(header)).items():
             is_plain = isinstance(value, str | int | float | np.generic)
-            file.attrs[entry] = value if is_plain else json.dumps(plain(value))
+            if value is not None:
+                file.attrs[entry] = value if is_plain else json.dumps(plain(value))
         yield file
         file.attrs["sha256"] = f"{SEAL}: {NO_DIGEST}"
         file.flush()

@@ -173,11 +173,14 @@ class StoredRun(ViewedRun):
         return {f"{self.name}, {cell}" if cell else self.name: caches[cell] for cell in caches}
 
     def facts(self) -> Facts:
-        record = self.record
+        record, recipe = self.record, self.record.recipe
+        cells = {"": recipe["cell"]} if "cell" in recipe else recipe.get("cells", {})
+        presets = {name: cell.get("preset", "none") for name, cell in cells.items()}
+        named = [f"{name}: {preset}" if name else preset for name, preset in presets.items()]
         return {
             "folder": plain(str(self.folder)),
             "law": f"{record.law}, {record.initialisation}",
-            "plant cell": presets_of(record.recipe),
+            "plant cell": ", ".join(named) or "none",
             **course(self.curve, record.wall_time, record.counts),
             "RVE solves": f"{record.counts.get('rve_solves', 0):,}",
         }
@@ -370,14 +373,6 @@ def caches_of(cache: Mapping[str, Any] | None) -> dict[str, Mapping[str, Any]]:
     return dict(cache.get("cells", {"": cache})) if cache else {}
 
 
-def presets_of(recipe: Mapping[str, Any]) -> str:
-    """The preset of a recorded recipe's cell, or of each cell by name; "none" without cells."""
-    if "cell" in recipe:
-        return str(recipe["cell"]["preset"])
-    presets = {name: cell.get("preset", "none") for name, cell in recipe.get("cells", {}).items()}
-    return ", ".join(f"{name}: {preset}" for name, preset in presets.items()) or "none"
-
-
 def write_record(folder: Path, record: RunRecord) -> None:
     """Write run.json, with the digests of the tables beside it."""
     tables = [folder / name for name in FILES if name.endswith((".csv", ".jsonl"))]
@@ -422,8 +417,7 @@ def read_record(folder: Path) -> RunRecord:
 
 def write_curves(
     folder: Path,
-    t: np.ndarray,
-    curves: Mapping[str, np.ndarray],
+    curves: Mapping[str, DisplacementCurve],
     history: Mapping[str, np.ndarray],
     energies: Mapping[str, np.ndarray],
     *,
@@ -432,42 +426,23 @@ def write_curves(
     """Write curve.csv, history.csv and energies.csv.
 
     Args:
-        t: (m,) µs; of a rest the factor of the load, and the first file is path.csv.
-        curves: (m, 2) displacement of watched points by name, µm.
+        curves: of watched points by name, all at m times; of a rest over the factor of the load,
+            and the first file is path.csv.
         history: (m,) forces in µN and places in µm by name, as `MacroRun` has them.
         energies: (m,) pJ by name.
     """
     clock, file = ("factor", "path.csv") if is_rest else ("t_us", "curve.csv")
+    t = next(iter(curves.values())).t
     points = {
         f"u_{axis}_um {name if k else ''}".rstrip(): column
-        for k, (name, u) in enumerate(curves.items())
-        for axis, column in zip("xy", u.T, strict=True)
+        for k, (name, curve) in enumerate(curves.items())
+        for axis, column in zip("xy", curve.displacement.T, strict=True)
     }
     units = {name: "uN" if name.startswith("force ") else "um" for name in history}
     moved = {f"{name}_{units[name]}": values for name, values in history.items()}
     works = {f"{name}_pJ": values for name, values in energies.items()}
     for name, columns in ((file, points), ("history.csv", moved), ("energies.csv", works)):
         write_columns(folder / name, {clock: t, **columns})
-
-
-def _read_curves(folder: Path, watched: Mapping[str, Any]) -> dict[str, DisplacementCurve]:
-    """Those of curve.csv by name, the first one named as that of the `watched` points."""
-    path = folder / "curve.csv"
-    columns = read_columns(path)
-    t, *rest = [*columns.values()] or [np.empty(0)]
-    whole = tuple(columns)[:3] == CURVE_HEADER and len(rest) % 2 == 0 and t.size > 0
-    if not whole or not np.isfinite([t, *rest]).all() or (np.diff(t) <= 0.0).any():
-        raise FileError(f"{path}: not a table of {','.join(CURVE_HEADER)}")
-    names = [next(iter(watched), "watched point")]
-    names += [name.partition("_um ")[2] for name in [*columns][3::2]]
-    pairs = zip(names, rest[::2], rest[1::2], strict=True)
-    return {name: DisplacementCurve(t, np.stack(u, axis=1)) for name, *u in pairs}
-
-
-def read_history(folder: Path, file: str = "history.csv") -> dict[str, np.ndarray]:
-    """Columns of history.csv, or energies.csv, by name without unit."""
-    columns = [*read_columns(folder / file).items()][1:]
-    return {name.rpartition("_")[0]: column for name, column in columns}
 
 
 def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:
@@ -487,15 +462,22 @@ def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:
             raise FileError(f"{folder / 'run.json'}: files: {quoted(name)} is no file of a run")
         if digest(folder / name) != wanted:
             raise FileError(f"{folder / name}: damaged, or changed since the run was recorded")
-    history, energies = (
-        read_history(folder, name) if (folder / name).exists() else {}
-        for name in ("history.csv", "energies.csv")
-    )
-    curves = _read_curves(folder, record.problem.get("watched", {}))
-    return StoredRun(
-        folder, record, curve=next(iter(curves.values())), history=history, curves=curves,
-        energies=energies,
-    )  # fmt: skip
+    path = folder / "curve.csv"
+    columns = read_columns(path)
+    t, *rest = [*columns.values()] or [np.empty(0)]
+    whole = tuple(columns)[:3] == CURVE_HEADER and len(rest) % 2 == 0 and t.size > 0
+    if not whole or not np.isfinite([t, *rest]).all() or (np.diff(t) <= 0.0).any():
+        raise FileError(f"{path}: not a table of {','.join(CURVE_HEADER)}")
+    names = [next(iter(record.problem.get("watched", ())), "watched point")]
+    names += [name.partition("_um ")[2] for name in [*columns][3::2]]
+    pairs = zip(names, rest[::2], rest[1::2], strict=True)
+    curves = {name: DisplacementCurve(t, np.stack(u, axis=1)) for name, *u in pairs}
+    others: list[dict[str, np.ndarray]] = []
+    for path in (folder / "history.csv", folder / "energies.csv"):
+        found = [*read_columns(path).items()][1:] if path.exists() else []
+        others.append({name.rpartition("_")[0]: values for name, values in found})  # without unit
+    return StoredRun(folder, record, curve=curves[names[0]], curves=curves,
+                     history=others[0], energies=others[1])  # fmt: skip
 
 
 def write_events(folder: Path, decisions: Iterable[Mapping[str, Any]]) -> None:

@@ -122,7 +122,7 @@ class DataSetHeader:
             "range": asdict(self.range),
             "count": self.count,
             "seed": self.seed,
-            **({} if self.rest_length is None else {"rest_length": self.rest_length}),
+            "rest_length": self.rest_length,
         }
 
 
@@ -140,12 +140,12 @@ def rows_of(F: Array, F_dot: Array, answer: StressResponse) -> dict[str, Any]:
 class SampleWriter:
     """A file of samples in the making: rows are taken in parts, each whole or not at all."""
 
-    def __init__(
-        self, path: Path, kind: Kind, header: Mapping[str, Any], rows: Arrays | None = None
-    ) -> None:
+    _stored: int | None = None
+    """Rows in the file."""
+
+    def __init__(self, path: Path, kind: Kind, header: Mapping[str, Any]) -> None:
         self.path, self.kind, self.header = path, kind, header
-        self._parts = [rows] if rows is not None and len(rows["F"]) else []
-        self._is_stored = bool(self._parts)
+        self._parts: list[Arrays] = []
 
     @property
     def completed(self) -> int:
@@ -155,7 +155,11 @@ class SampleWriter:
         """Take the next rows by column."""
         columns = self.kind.columns
         self._parts.append({name: np.array(v, columns[name].kind) for name, v in rows.items()})
-        self._is_stored = False
+
+    def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Hold these rows, of `to_arrays`, and no others."""
+        arrays = {name: arrays[name] for name in self.kind.columns if name in arrays}
+        self._parts = [arrays] if len(arrays["F"]) else []
 
     def to_arrays(self) -> Arrays:
         """All rows, one array for each column; empty ones before there are any."""
@@ -169,26 +173,31 @@ class SampleWriter:
         return self._parts[0]
 
     def write(self, **entries: Any) -> None:
-        """Write all rows so far, and these entries of the header, if it is due."""
-        if not self._is_stored:
+        """Write all rows so far, and these entries of the header, if there are new ones."""
+        if self._stored != self.completed:
             write(self.path, self.kind, {**self.header, **entries}, self.to_arrays())
-            self._is_stored = True
+            self._stored = self.completed
 
 
 class DataSetWriter(SampleWriter):
-    """A data set in the making: rows are appended in order, then it is finished."""
+    """A data set in the making: rows are appended in order, then it is finished. It begins with
+    the rows that are in the file, unless `fresh`."""
 
-    def __init__(
-        self,
-        path: Path,
-        header: DataSetHeader,
-        rows: Arrays | None = None,
-        is_finished: bool = False,
-        before: float | None = None,
-    ) -> None:
-        super().__init__(path, DATA_SET, header.entries(), rows)
-        self.is_finished, self.meter = is_finished, Meter(before or 0.0)
-        self._clock = CheckpointClock(INTERVAL)
+    def __init__(self, path: Path, header: DataSetHeader, fresh: bool) -> None:
+        super().__init__(path, DATA_SET, header.entries())
+        self.is_finished, before = False, None
+        if path.exists() and not fresh:
+            known, rows = read(path, DATA_SET)
+            check_same(path, header.compared(), known["compared"])
+            done, there, before = known["completed"], len(rows["F"]), known["seconds"]
+            if not there == done <= header.count:
+                raise FileError(
+                    f"{path}: not a whole {DATA_SET.title}: completed: {done} of {there}"
+                )
+            self.restore(rows)
+            self._stored = done or None
+            self.is_finished = known["status"] == "finished" and done == header.count
+        self.meter, self._clock = Meter(before or 0.0), CheckpointClock(INTERVAL)
 
     def append(self, F: Array, F_dot: Array, answer: StressResponse) -> None:
         """Take the next n rows, F and Ḟ (n, 2, 2)."""
@@ -198,13 +207,12 @@ class DataSetWriter(SampleWriter):
 
     def store(self, status: str = "writing") -> None:
         """Write the rows that there are, to resume from."""
-        known = {"status": status, "completed": self.completed, "seconds": self.meter.seconds}
-        self.write(**known)
+        self.write(status=status, completed=self.completed, seconds=self.meter.seconds)
 
     def finish(self) -> StressSamples:
         """Write all rows, none of which is missing; as read back."""
         if not self.is_finished:
-            self._is_stored = False  # if so, as one that is not finished
+            self._stored = None  # if all are, as of one that is not finished
             self.store("finished")
             self.is_finished = True
         return read_data_set(self.path)
@@ -222,30 +230,18 @@ def writing_data_set(
     """
     if fresh:
         check_replaceable(path, DATA_SET.title, DATA_SET.schema)
-    writer = _begun(path, header, fresh)
+    writer = DataSetWriter(path, header, fresh)
     if writer.is_finished and not file_lock(path).exists():
         yield writer
         return
     with locked_file(path):
-        writer = _begun(path, header, fresh)  # what another process added is there now
+        writer = DataSetWriter(path, header, fresh)  # what another process added is there now
         if not writer.completed:
             writer.store()
         try:
             yield writer
         finally:
             writer.store()
-
-
-def _begun(path: Path, header: DataSetHeader, fresh: bool) -> DataSetWriter:
-    if fresh or not path.exists():
-        return DataSetWriter(path, header)
-    known, rows = read(path, DATA_SET)
-    check_same(path, header.compared(), known["compared"])
-    completed, there = known["completed"], len(rows["F"])
-    if not there == completed <= header.count:
-        raise FileError(f"{path}: not a whole {DATA_SET.title}: completed: {completed} of {there}")
-    is_finished = known["status"] == "finished" and completed == header.count
-    return DataSetWriter(path, header, rows, is_finished, known["seconds"])
 
 
 class StoredCount(NamedTuple):
@@ -301,7 +297,7 @@ class HarvestWriter(SampleWriter):
 
     def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
         super().__init__(path, HARVEST, header)
-        self._is_stored = True  # there is no file without answers
+        self._stored = 0  # there is no file without answers
 
     def __call__(
         self, F: Array, F_dot: Array, stress: Array, status: NDArray[np.int8], why: NDArray[np.int8]
@@ -309,11 +305,6 @@ class HarvestWriter(SampleWriter):
         """Take answers, (n, 2, 2) and (n,)."""
         if len(F):
             self.take(F=F, F_dot=F_dot, stress=stress, status=status, why=why)
-
-    def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Hold these answers, of `to_arrays`, and no others."""
-        self._parts = [{name: arrays[name] for name in HARVEST.columns}]
-        self._is_stored = not self.completed
 
     def flush(self, seconds: float = 0.0) -> None:
         """Write all answers so far, and the seconds that they took."""

@@ -46,11 +46,10 @@ def write_surrogate(law: SurrogateLaw, path: str | Path) -> None:
         "network": {"symmetry": law.network.symmetry, "degree": law.network.degree},
         "errors": law.errors,
         "seconds": law.seconds,
+        "rest_length": law.rest_length,
         "units": _UNITS,
     }
     arrays = {f"network/{name}": values for name, values in law.network.tensors.items()}
-    if law.rest_length is not None:
-        header["rest_length"] = law.rest_length
     if law.domain is not None:
         header["domain"] = {"square": law.domain.square}
         arrays |= {"domain/scale": law.domain.scale, "domain/boundary": law.domain.boundary}

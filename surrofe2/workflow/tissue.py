@@ -69,8 +69,7 @@ def run_tissue(
     before = seconds_compiling()
 
     def store(record: RunRecord, run: TissueRun) -> RunRecord:
-        curves = {name: curve.displacement for name, curve in run.curves.items()}
-        write_curves(folder, run.curve.t, curves, run.history, run.energies)
+        write_curves(folder, run.curves, run.history, run.energies)
         write_particle_fields(folder, run.position, run.bonds, run.is_wall, run.frames)
         return replace(
             record,

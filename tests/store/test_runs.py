@@ -35,18 +35,18 @@ def curve():
 
 
 def write_tip(folder, curve):
-    write_curves(folder, curve.t, {"tip": curve.displacement}, {}, {})
+    write_curves(folder, {"tip": curve}, {}, {})
 
 
 def test_curves_come_back_to_the_last_bit(tmp_path, record, curve):
-    both = {"tip": curve.displacement, "a b": 2.0 * curve.displacement}
+    both = {"tip": curve, "a b": replace(curve, displacement=2.0 * curve.displacement)}
     history, energies = {"force hold x": curve.t, "position": -curve.t}, {"kinetic": 2.0 * curve.t}
-    write_curves(tmp_path, curve.t, both, history, energies)
+    write_curves(tmp_path, both, history, energies)
     write_record(tmp_path, replace(record, problem={"watched": {"tip": [0.0, 0.0]}}))
     back = read_run(tmp_path)
     assert list(back.curves) == ["tip", "a b"]
-    for name, u in both.items():
-        np.testing.assert_array_equal(back.curves[name].displacement, u)
+    for name, each in both.items():
+        np.testing.assert_array_equal(back.curves[name].displacement, each.displacement)
     for found, wanted in ((back.history, history), (back.energies, energies)):
         assert found.keys() == wanted.keys()
         for name, values in wanted.items():
