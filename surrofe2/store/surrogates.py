@@ -18,14 +18,17 @@ from surrofe2.surrogate.features import NetworkParameters
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
 
+_OF_LAW: dict[str, Any] = {
+    "version": WORD, "data_fingerprint": WORD, "range": SamplingRange, "settings": TrainingSettings,
+    "errors": dict, "seconds": dict, "rest_length": float | None,
+}  # fmt: skip
+"""Entries of the header that are attributes of the law."""
 SURROGATE = Kind(
     "surrogate",
     7,
     ORIGIN
-    | dict.fromkeys(("version", "data_fingerprint"), WORD)
-    | dict.fromkeys(("network", "errors", "seconds", "units"), dict)
-    | {"range": SamplingRange, "settings": TrainingSettings, "rest_length": float | None}
-    | {"domain": dict | None, "calibration": dict | None},
+    | _OF_LAW
+    | {"network": dict, "units": dict, "domain": dict | None, "calibration": dict | None},
     finite=True,
     advice="train again with: surrofe2 train RECIPE --fresh",
 )
@@ -40,13 +43,9 @@ _UNITS = {"stress": units.STRESS, "rate": units.RATE, "rest_length": units.LENGT
 def write_surrogate(law: SurrogateLaw, path: str | Path) -> None:
     """Write a surrogate, whole or not at all; a FileError where that fails."""
     header = {
-        **origin(law.cell, law.initialisation, range=law.range, settings=law.settings),
-        "version": law.version,
-        "data_fingerprint": law.data_fingerprint,
+        **origin(law.cell, law.initialisation),
+        **{name: getattr(law, name) for name in _OF_LAW},
         "network": {"symmetry": law.network.symmetry, "degree": law.network.degree},
-        "errors": law.errors,
-        "seconds": law.seconds,
-        "rest_length": law.rest_length,
         "units": _UNITS,
     }
     arrays = {f"network/{name}": values for name, values in law.network.tensors.items()}

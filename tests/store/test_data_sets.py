@@ -18,13 +18,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.store import samples, store
 from surrofe2.store.hdf5 import ANY, read, reading, write, writing
 from surrofe2.store.run_folder import STATE
-from surrofe2.store.samples import (
-    DATA_SET,
-    HarvestWriter,
-    read_data_set,
-    read_harvest,
-    writing_data_set,
-)
+from surrofe2.store.samples import DATA_SET, read_data_set, writing_data_set
 from tests.laws import SoftLaw
 from tests.store.small_data_set import HEADER, RANGE, append_chunk, write_all
 
@@ -47,6 +41,7 @@ def test_what_was_written_is_read(path):
     assert samples.range == RANGE
     assert (samples.seed, samples.initialisation) == (3, "constrained-runs")
     assert samples.rest_length == 1.5
+    assert samples.P_by_F is samples.P_by_F_dot is None
 
 
 def test_schema(path):
@@ -106,17 +101,6 @@ def test_an_interruption_waits_while_hdf5_is_at_work(tmp_path):
     assert not interruption._state.held
 
 
-def test_answers_are_harvested_whole_or_not_at_all(tmp_path):
-    writer = HarvestWriter(tmp_path / "harvest.h5", HEADER.entries())
-    F, F_dot = sample(RANGE, 8, 3)
-    codes = np.zeros(8, np.int8)
-    writer(F, F_dot, F, codes, codes)
-    with pytest.raises(KeyboardInterrupt):
-        writer(F, F_dot, F, Interrupting(), codes)
-    writer.flush()
-    np.testing.assert_array_equal(read_harvest(tmp_path / "harvest.h5").F, F)
-
-
 def test_every_moment_of_writing_leaves_a_file_to_continue(tmp_path):
     """The file as the disk has it after each writing is copied, continued and compared."""
     path, whole = tmp_path / "cells.h5", tmp_path / "whole.h5"
@@ -154,6 +138,7 @@ def test_points_of_another_sequence_are_not_gone_on_with(path, monkeypatch):
         ({"seed": 4}, "samples.seed: this call has 4, what is there 3"),
         ({"cell": CellParameters(viscosity=0.2)}, "cell.viscosity: this call has 0.2, what is th"),
         ({"range": replace(RANGE, shear=0.04)}, "range.shear: this call has 0.04, what is there 0"),
+        ({"tangents": True}, "samples.tangents: this call has True, what is there False"),
         ({"version": "9"}, "surrofe2.version: this call has 9, what is there 0.1.0"),
     ],
 )
@@ -253,16 +238,6 @@ def test_tangents_are_kept_to_the_bit(tmp_path):
     with h5py.File(path) as file:
         assert file["P_by_F"].attrs["unit"] == "µN/µm"
         assert file["P_by_F_dot"].attrs["unit"] == "µN µs/µm"
-
-
-def test_a_data_set_without_tangents_has_none_and_is_not_continued_with_them(path):
-    write_all(path)
-    assert read_data_set(path).P_by_F is read_data_set(path).P_by_F_dot is None
-    with (
-        pytest.raises(MismatchError, match=r"samples\.tangents: this call has True, what is there"),
-        writing_data_set(path, replace(HEADER, tangents=True)),
-    ):
-        pass
 
 
 def test_samples_beyond_a_bifurcation_are_marked_and_not_valid(path):
