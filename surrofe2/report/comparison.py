@@ -205,7 +205,7 @@ def compare_runs(
         write_comparison_plot(out / COMPARISON_FILES[1], runs)
         return asdict(result)
 
-    keep(out / COMPARISON_FILES[0], {"of": of}, make, folder=out, fresh=fresh)
+    keep(out / COMPARISON_FILES[0], {"of": of}, make, fresh=fresh)
     return result
 
 

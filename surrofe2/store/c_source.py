@@ -24,7 +24,6 @@ from surrofe2.surrogate.products import ONE, STRETCH
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
 """Of the prefix of all functions."""
 _STATUSES = (Status.OK, Status.OUT_OF_RANGE, Status.NOT_FINITE, Status.NOT_TRUSTED)
-_PER_LINE = 6
 _WIDTHS = (1, 8)  # points in a loop: of a call for one point, and of a block of a batch
 _VARIABLE = re.compile(r"\b(?:[rdn]\d+|low|size)\b")
 _SUMS = "\n            ".join(
@@ -159,7 +158,8 @@ def _padded(rows: int) -> int:
 class _Formulas:
     """Products and polynomials as formulas in C, or their slopes along an input.
 
-    Row k of a table is the variable rk and its slope dk, of which `by` has those that are not 0.
+    Row k of a table is the variable rk and its slope dk, of which `by` has those that are not 0;
+    `wanted` are the rows, or their slopes.
 
     Args:
         inputs: the variables of the rows before those of products, and what these need.
@@ -185,11 +185,7 @@ class _Formulas:
             if parts:
                 self.by[row] = f"d{row}"
                 self.variables[f"d{row}"] = " + ".join(parts)
-
-    @property
-    def wanted(self) -> Mapping[int, str]:
-        """The rows, or their slopes along the input."""
-        return self.rows if self.along is None else self.by
+        self.wanted = self.rows if along is None else self.by
 
     def polynomial(self, number: int) -> str:
         """One of the polynomials, or its slope."""
@@ -253,13 +249,6 @@ def _bound(law: SurrogateLaw, width: int) -> Iterator[str]:
     yield ""
 
 
-def _baseline(law: SurrogateLaw, width: int, along: int | None) -> _Formulas:
-    """The baseline, and what the network reads and multiplies, or their slopes along an input."""
-    inputs = {f"r{k}": f"x[{k * width} + l]" for k in range(INPUTS)}
-    inputs |= {f"n{k}": f"inverse_root({BEND * BEND!r} + r{k} * r{k})" for k in range(STRETCH)}
-    return _Formulas(law.arrays, inputs, ONE + 1, along)
-
-
 def _read(law: SurrogateLaw, formulas: _Formulas) -> Iterator[str]:
     """What the network reads: invariants, then x^p/√(δ² + x²) of the first inputs; or slopes."""
     network = law.arrays
@@ -285,20 +274,25 @@ def _network(law: SurrogateLaw, width: int) -> Iterator[str]:
     for name in ("u", "v"):
         each = ", ".join(f"{name}{k}[{size * width}]" for k, size in enumerate(sizes))
         yield f"    double {each};"
-    for along in (None, *range(INPUTS)):
-        formulas = _baseline(law, width, along)
+    inputs = {f"r{k}": f"x[{k * width} + l]" for k in range(INPUTS)}
+    inputs |= {f"n{k}": f"inverse_root({BEND * BEND!r} + r{k} * r{k})" for k in range(STRETCH)}
+    for along in (None, *range(INPUTS)):  # the components, or their slopes along an input
+        formulas = _Formulas(law.arrays, inputs, ONE + 1, along)
         y, units = ("y", "u") if along is None else ("slopes", "v")
         first = 0 if along is None else along * COMPONENTS
         lines = [
             f"{y}[{(first + k) * width} + l] = {formulas.polynomial(k)};" for k in range(COMPONENTS)
         ]
         read = dict(enumerate(_read(law, formulas)))
-        used = [k for k, value in read.items() if value != "0.0" or width == 1]
+        used = [k for k, value in read.items() if value != "0.0"]
         lines += [f"{units}0[{k * width} + l] = {read[k]};" for k in used]
         yield from formulas.loop(lines, width)
         for k, shape in enumerate(layers):
-            columns = range(shape[1]) if k else used
-            yield _layer(k, shape, columns, units, width)
+            names = f"weight_{k}, {f'bias_{k}' if along is None else 'no_bias'}"
+            yield f"    LAYER({width}, {names}, {sizes[k + 1]}, {units}{k + 1},"
+            for j in range(shape[1]) if k else used:  # the others of the first layer are 0
+                yield f"        TERM({width}, weight_{k}, {j}, {units}{k})"
+            yield "    );"
             size = sizes[k + 1] * width
             if k < len(layers) - 1 and along is None:
                 yield f"    FILL_TANH(u{k + 1}, {size});"
@@ -310,16 +304,6 @@ def _network(law: SurrogateLaw, width: int) -> Iterator[str]:
             yield "        return;"
     yield "}"
     yield ""
-
-
-def _layer(k: int, shape: tuple[int, int], columns: Sequence[int], units: str, width: int) -> str:
-    """A layer of values u or of slopes v; the inputs of other columns than these are 0."""
-    names = f"weight_{k}, {f'bias_{k}' if units == 'u' else 'no_bias'}"
-    rows, source, target = _padded(shape[0]), f"{units}{k}", f"{units}{k + 1}"
-    if width == 1:
-        return f"    LAYER_OF_1({names}, {shape[1]}, {rows}, {source}, {target});"
-    each = "\n        ".join(f"TERM(weight_{k}, {j}, {source})" for j in columns)
-    return f"    LAYER_OF_8({names}, {rows}, {target},\n        {each});"
 
 
 def _terms(law: SurrogateLaw, width: int, formulas: _Formulas) -> Iterator[str]:
@@ -340,20 +324,11 @@ def _terms(law: SurrogateLaw, width: int, formulas: _Formulas) -> Iterator[str]:
 
 
 def _table(name: str, values: NDArray[Any]) -> Iterator[str]:
-    """An array in C, all digits; an empty one as a single zero that nothing reads."""
-    if not values.size:
-        values = np.zeros((1, *values.shape[1:]), dtype=values.dtype)
-    kind = "int" if values.dtype.kind == "i" else "double"
-    yield f"static const {kind} {name}{''.join(f'[{n}]' for n in values.shape)} = {{"
-    number = str if kind == "int" else _number
-    flat = [number(value) for value in values.ravel().tolist()]
-    if values.ndim == 1:
-        for first in range(0, len(flat), _PER_LINE):
-            yield "    " + ", ".join(flat[first : first + _PER_LINE]) + ","
-    else:
-        width = values.shape[1]
-        for first in range(0, len(flat), width):
-            yield "    {" + ", ".join(flat[first : first + width]) + "},"
+    """An array in C, all digits."""
+    yield f"static const double {name}{''.join(f'[{n}]' for n in values.shape)} = {{"
+    for row in values.tolist():
+        is_row = isinstance(row, list)
+        yield f"    {{{', '.join(map(_number, row))}}}," if is_row else f"    {_number(row)},"
     yield "};"
 
 

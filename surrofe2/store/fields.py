@@ -206,29 +206,23 @@ def read_fields(
     where they are there (None: of all); FileError where the file is missing or damaged, or values
     are needed."""
     path = folder / f"{name}.h5"
-    with reading(path) as stored:
-        file = stored.file
+    with reading(path, FIELDS_FILE) as stored:
+        there = dict.fromkeys(key.rpartition(".")[0] for key in stored.file if "." in key)
         for what in needed:
-            if f"{what}.0" not in file:
+            if what not in there:
                 raise FileError(f"{path}: no {what} in it; run it again with --fresh")
         t, points = stored.array("t", (None,)), stored.array("points", (None, 3))
         cells = stored.array("cells", (None, None), np.int64)
         if not (len(t) and 0 <= cells.min(initial=0) <= cells.max(initial=0) < len(points)):
             raise ValueError("t or cells: empty, or of points that are not there")
         values = {}
-        if others is None:
-            others = dict.fromkeys(key.rpartition(".")[0] for key in file if "." in key)
-        for what in (*needed, *others):
-            if f"{what}.0" in file:
-                kind = file[f"{what}.0"].dtype
-                if kind.kind not in "if":
-                    raise ValueError(f"{what}.0: {kind}; it must be numbers")
-                is_motion = what in _MOTION
-                axes = 2 if what in _TENSORS else int(is_motion)
-                shape = (len(points if is_motion else cells), *(3,) * axes)
-                whole = [stored.array(f"{what}.{k}", shape, kind) for k in range(len(t))]
-                in_plane: tuple[Any, ...] = (..., *(slice(2),) * axes)
-                values[what] = np.stack(whole)[in_plane].astype(np.float64)
+        for what in there if others is None else (*needed, *others):
+            if what in there:
+                axes = 2 if what in _TENSORS else int(what in _MOTION)
+                shape = (len(points if what in _MOTION else cells), *(3,) * axes)
+                whole = [stored.array(f"{what}.{k}", shape) for k in range(len(t))]
+                in_plane: Any = (..., *(slice(2),) * axes)
+                values[what] = np.stack(whole)[in_plane]
         return StoredFields(points[:, :2], cells, t, values)
 
 

@@ -16,15 +16,14 @@ from importlib.metadata import version
 from io import BytesIO
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.errors import FileError, MismatchError, Surrofe2Error, quoted, shortened
+from surrofe2.base.errors import FileError, MismatchError, quoted, shortened
 from surrofe2.base.interruption import held
-from surrofe2.base.sampling import SamplingRange
 from surrofe2.base.units import NONE
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.store.store import (
@@ -65,14 +64,23 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """A kind of file: its name, the version of its schema, and its arrays by name.
+    """A kind of file, from which writing, reading and checking follow.
 
-    `advice`: what to do about a file that cannot be read, at the end of error messages.
+    Attributes:
+        version: of its schema.
+        header: entries that are read, by name: float and int, finite numbers; str; `WORD`, a text
+            that may go into sources and names of files; dict and dataclasses, by a JSON object.
+            With `| None` an entry may be missing.
+        columns: its arrays by name; without them it may hold any arrays of numbers.
+        finite: whether NaN and infinity are refused in them.
+        advice: what to do about a file that cannot be read, at the end of error messages.
     """
 
     name: str
     version: int
+    header: Mapping[str, Any] = field(default_factory=dict)
     columns: Mapping[str, Column] = field(default_factory=dict)
+    finite: bool = False
     advice: str = ""
 
     @property
@@ -84,8 +92,10 @@ class Kind:
         return f"surrofe2 {self.name}"
 
 
-ANY = Kind("file", 0)
-CHECKPOINT = Kind("checkpoint", 1)
+ANY = Kind("file", 0, {"seconds": float | None})
+"""Of whichever schema."""
+ORIGIN = {"cell": CellParameters, "initialisation": WORD}
+"""What is read of `origin`."""
 
 
 def origin(cell: CellParameters, initialisation: str, **more: Any) -> dict[str, Any]:
@@ -109,7 +119,8 @@ def write(path: Path, kind: Kind, header: Mapping[str, Any], arrays: Arrays) -> 
 
 @contextmanager
 def writing(path: Path, kind: Kind, header: Mapping[str, Any]) -> Iterator[h5py.File]:
-    """A file of a kind with its header, in memory; it is written when the block ends well."""
+    """A file of a kind with its header, in memory; it is written when the block ends well. Entries
+    that are None are left out."""
     known = {
         "schema": kind.schema,
         "schema_version": kind.version,
@@ -121,7 +132,8 @@ def writing(path: Path, kind: Kind, header: Mapping[str, Any]) -> Iterator[h5py.
     with held(), h5py.File(name, "w", driver="core", backing_store=False) as file:
         for entry, value in (known | dict(header)).items():
             is_plain = isinstance(value, str | int | float | np.generic)
-            file.attrs[entry] = value if is_plain else json.dumps(plain(value))
+            if value is not None:
+                file.attrs[entry] = value if is_plain else json.dumps(plain(value))
         yield file
         file.attrs["sha256"] = f"{SEAL}: {NO_DIGEST}"
         file.flush()
@@ -141,15 +153,14 @@ def store_array(file: h5py.File, name: str, values: NDArray[Any]) -> None:
 
 
 @contextmanager
-def reading(path: Path, kind: Kind | None = None) -> Iterator[Stored]:
-    """What is in a file of a kind, default: of any; the block takes from it what it needs.
+def reading(path: Path, kind: Kind) -> Iterator[Stored]:
+    """What is in a file of a kind; the block takes from it what it needs.
 
     Raises:
         FileError: missing, foreign, of another schema or version, or an entry is missing or wrong;
             in the block, too.
     """
-    of = kind or ANY
-    advice = f"; {of.advice}" if of.advice else ""
+    advice = f"; {kind.advice}" if kind.advice else ""
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     content = read_bytes(path, memory // 2, _SIGNATURE)
     try:
@@ -157,41 +168,51 @@ def reading(path: Path, kind: Kind | None = None) -> Iterator[Stored]:
             raise FileError(f"{path}: not an HDF5 file")
         check_seal(path, content)
         with held(), h5py.File(BytesIO(content)) as file:
-            stored = Stored(file, of)
-            file.visititems_links(_check_link)
-            file.visititems(_check_place)
-            if kind is not None:
-                _check_schema(path, stored)
-            yield stored
+            _check_own(file)
+            if kind is not ANY:
+                if str(file.attrs.get("schema")) != kind.schema:
+                    raise FileError(f"{path}: an HDF5 file, but not a {kind.title}")
+                there = shortened(str(file.attrs.get("schema_version", kind.version)), 20)
+                if there != str(kind.version):
+                    raise FileError(
+                        f"{path}: {kind.name} schema {there}; this surrofe2 reads {kind.version}"
+                    )
+            yield Stored(file, kind)
     except FileError as error:
-        if not advice:
-            raise
         raise FileError(f"{error}{advice}") from None
     except _DAMAGED as error:
-        if isinstance(error, Surrofe2Error) and str(path) in str(error):
-            raise
         reason = shortened(" ".join(str(error).split()), 120)
-        raise FileError(f"{path}: not a whole {of.title}: {reason}{advice}") from None
+        raise FileError(f"{path}: not a whole {kind.title}: {reason}{advice}") from None
 
 
-def _check_link(name: str, link: object) -> None:
-    if not isinstance(link, h5py.HardLink):
-        raise ValueError(f"{name}: a link, maybe to another file; it must be in this one")
+def _check_own(file: h5py.File) -> None:
+    """Refuse links, and numbers in other files."""
+    links: list[tuple[str, object]] = []
+    file.visititems_links(lambda *link: links.append(link))  # where an error would be lost
+    for name, link in links:
+        if not isinstance(link, h5py.HardLink):
+            raise ValueError(f"{name}: a link, maybe to another file; it must be in this one")
+        item = file[name]
+        if isinstance(item, h5py.Dataset) and (item.is_virtual or item.external):
+            raise ValueError(f"{name}: its numbers are in other files; they must be in this one")
 
 
-def _check_place(name: str, item: object) -> None:
-    if isinstance(item, h5py.Dataset) and (item.is_virtual or item.external):
-        raise ValueError(f"{name}: its numbers are in other files; they must be in this one")
+def read(path: Path, kind: Kind) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Header and arrays of a file of a kind, or a FileError."""
+    with reading(path, kind) as stored:
+        return stored.header(), stored.arrays()
 
 
-def _check_schema(path: Path, stored: Stored) -> None:
-    kind, header = stored.kind, stored.file.attrs
-    if str(header.get("schema")) != kind.schema:
-        raise FileError(f"{path}: an HDF5 file, but not a {kind.title}")
-    there = str(header.get("schema_version", kind.version))
-    if there != str(kind.version):
-        there = shortened(there, 20)
-        raise FileError(f"{path}: {kind.name} schema {there}; this surrofe2 reads {kind.version}")
+def read_header(path: Path, kind: Kind) -> dict[str, Any]:
+    """The header of a file of a kind, or a FileError."""
+    with reading(path, kind) as stored:
+        return stored.header()
+
+
+def read_seconds(path: Path) -> float | None:
+    """Seconds that the answers in a file took to make; None where it does not say."""
+    seconds: float | None = read_header(path, ANY)["seconds"]
+    return seconds
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,49 +222,15 @@ class Stored:
     file: h5py.File
     kind: Kind
 
-    def text(self, name: str) -> str:
-        """A text of the header."""
-        value = self.file.attrs.get(name)
-        if not isinstance(value, str):
-            raise ValueError(f"{name}: missing, or no text")
-        return value
-
-    def word(self, name: str) -> str:
-        """A text of the header that may go into sources and names of files."""
-        value = self.text(name)
-        if not WORD.fullmatch(value):
-            raise ValueError(f"{name}: {quoted(value)}; it must be a word of {WORD.pattern}")
-        return value
-
-    def number(self, name: str) -> float:
-        """A finite number of the header."""
-        value = np.asarray(self.file.attrs.get(name))
-        if value.shape or value.dtype.kind not in "iuf" or not np.isfinite(value):
-            raise ValueError(f"{name}: missing, or not a finite number")
-        return value.item()
-
-    def table(self, name: str) -> dict[str, Any]:
-        """A JSON object of the header."""
-        value = json.loads(self.text(name))
-        if not isinstance(value, dict):
-            raise ValueError(f"{name}: not a JSON object")
-        return value
-
-    def optional(self, name: str) -> float | None:
-        """A number of the header, or None."""
-        return self.number(name) if name in self.file.attrs else None
-
-    @property
-    def whose(self) -> dict[str, Any]:
-        """`cell` and `initialisation` of the RVEs that answered."""
-        cell = CellParameters(**self.table("cell"))
-        if cell.fingerprint != self.text("cell_fingerprint"):
+    def header(self) -> dict[str, Any]:
+        """The entries of its kind by name; None for one that is not there, but may be missing."""
+        attributes = self.file.attrs
+        entries = {
+            name: _entry(name, attributes.get(name), of) for name, of in self.kind.header.items()
+        }
+        if "cell" in entries and entries["cell"].fingerprint != attributes.get("cell_fingerprint"):
             raise ValueError("cell: its parameters are not those that the answers are of")
-        return {"cell": cell, "initialisation": self.word("initialisation")}
-
-    @property
-    def range(self) -> SamplingRange:
-        return SamplingRange(**self.table("range"))
+        return entries
 
     def array(self, name: str, shape: Shape, kind: type = np.float64) -> NDArray[Any]:
         """An array as it must be; None in the shape stands for any length."""
@@ -255,10 +242,13 @@ class Stored:
             raise ValueError(f"{name}: shape {entry.shape}; it must be {shape}")
         if entry.dtype != np.dtype(kind):
             raise ValueError(f"{name}: {entry.dtype}; it must be {np.dtype(kind)}")
-        return np.asarray(entry[()])
+        values = np.asarray(entry[()])
+        if self.kind.finite and not np.isfinite(values).all():
+            raise ValueError(f"{name}: not finite")
+        return values
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """The arrays of its kind by name, those with rows of one length."""
+        """The arrays of its kind by name, those with rows of one length; all where it has none."""
         arrays: dict[str, NDArray[Any]] = {}
         rows: int | None = None
         for name, column in self.kind.columns.items():
@@ -267,57 +257,43 @@ class Stored:
                 arrays[name] = self.array(name, shape, column.kind)
                 check_units(name, self.file[name].attrs.get("unit"), column.unit)
                 rows = len(arrays[name]) if column.shape[0] is None else rows
-        return arrays
-
-    def all_arrays(self, group: str = "/") -> dict[str, NDArray[Any]]:
-        """All arrays of numbers in a group."""
-        found: dict[str, NDArray[Any]] = {}
 
         def collect(name: str, item: object) -> None:
             if isinstance(item, h5py.Dataset):
                 if item.dtype.kind not in "biuf":
                     raise ValueError(f"{name}: {item.dtype}; it must be numbers")
-                found[name] = self.array(f"{group}/{name}", item.shape, item.dtype)
+                arrays[name] = self.array(name, item.shape, item.dtype)
 
-        if group in self.file:
-            self.file[group].visititems(collect)
-        return found
+        if not self.kind.columns:
+            self.file.visititems(collect)
+        return arrays
 
 
-def check_finite(name: str, values: NDArray[Any]) -> None:
-    """Refuse NaN and infinity."""
-    if not np.isfinite(values).all():
-        raise ValueError(f"{name}: not finite")
+def _entry(name: str, value: Any, kind: Any) -> Any:
+    """An entry of a header as `Kind.header` has it."""
+    if get_args(kind):  # this or None
+        return None if value is None else _entry(name, value, get_args(kind)[0])
+    if kind in (int, float):
+        number = np.asarray(value)
+        if number.shape or number.dtype.kind not in "iuf" or not np.isfinite(number):
+            raise ValueError(f"{name}: missing, or not a finite number")
+        return kind(number)
+    if not isinstance(value, str):
+        raise ValueError(f"{name}: missing, or no text")
+    if kind is WORD and not WORD.fullmatch(value):
+        raise ValueError(f"{name}: {quoted(value)}; it must be a word of {WORD.pattern}")
+    if kind in (str, WORD):
+        return value
+    table = json.loads(value)
+    if not isinstance(table, dict):
+        raise ValueError(f"{name}: not a JSON object")
+    return kind(**table)
 
 
 def check_units(name: str, units: Any, wanted: Any) -> None:
     """Refuse numbers that were stored in other units."""
     if units != wanted:
         raise ValueError(f"{name}: in units {quoted(units)}; they must be {quoted(wanted)}")
-
-
-def read_seconds(path: Path) -> float | None:
-    """Seconds that the answers in a file took to make; None where it does not say.
-
-    Raises:
-        FileError: it cannot be read.
-    """
-    with reading(path) as stored:
-        return stored.optional("seconds")
-
-
-def write_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], of: str) -> None:
-    """Write the arrays of a state; `of` identifies what it is a state of."""
-    write(path, CHECKPOINT, {"of": of}, arrays)
-
-
-def read_checkpoint(path: Path, of: str) -> dict[str, NDArray[Any]]:
-    """The arrays of a checkpoint of `of`, or a FileError."""
-    with reading(path, CHECKPOINT) as stored:
-        there = str(stored.file.attrs.get("of"))
-        if there != of:
-            raise FileError(f"{path}: a checkpoint of {shortened(there, 60)}, not of {of}")
-        return stored.all_arrays()
 
 
 def check_same_rve(

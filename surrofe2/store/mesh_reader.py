@@ -41,7 +41,7 @@ def converted(stored: meshio.Mesh) -> skfem.Mesh:
     """The mesh in the plane, with named boundaries and subdomains, or a MeshError."""
     _check(stored)
     blocks = [(block.type, np.asarray(block.data, np.int64)) for block in stored.cells]
-    kind = _kind_of_elements([name for name, _ in blocks], [len(cells) for _, cells in blocks])
+    kind = _kind_of_elements(blocks)
     groups = _groups(stored)
     elements = np.concatenate([cells for name, cells in blocks if name == kind])
     points = _in_plane(np.asarray(stored.points, np.float64), elements)
@@ -74,12 +74,12 @@ def converted(stored: meshio.Mesh) -> skfem.Mesh:
     return type(mesh)(mesh.p, mesh.t, boundaries or None, subdomains or None)
 
 
-def _kind_of_elements(names: list[str], counts: list[int]) -> str:
+def _kind_of_elements(blocks: list[tuple[str, Index]]) -> str:
     """The one kind of elements among the blocks."""
     found = Counter[str]()
-    for name, count in zip(names, counts, strict=True):
-        if name not in (*_LINES, "vertex") and count:
-            found[name] += count
+    for name, cells in blocks:
+        if name not in (*_LINES, "vertex") and len(cells):
+            found[name] += len(cells)
     foreign = [name for name in found if name not in _SURFACES]
     if foreign:
         raise MeshError(

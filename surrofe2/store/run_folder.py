@@ -31,7 +31,7 @@ from surrofe2.base.settings import check_value, hints_of
 from surrofe2.base.units import ENERGY, FORCE, LENGTH, STRESS, TIME
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.views import Facts, ViewedRun, course
-from surrofe2.store.hdf5 import check_units, read_checkpoint, write_checkpoint
+from surrofe2.store.hdf5 import Kind, check_units, read, write
 from surrofe2.store.store import (
     check_replaceable,
     check_same,
@@ -54,6 +54,8 @@ log = logging.getLogger(__name__)
 SCHEMA = "surrofe2-run"
 SCHEMA_VERSION = 3
 CHECKPOINT, EVENTS = "checkpoint.h5", "events.jsonl"
+STATE = Kind("checkpoint", 1, {"of": str})
+"""What a run resumes from: any arrays, `of` a run by a law."""
 CHECKPOINT_INTERVAL = 5.0
 """Seconds between two checkpoints, at least."""
 FILES = (
@@ -62,8 +64,9 @@ FILES = (
 )  # fmt: skip
 _NAMED_ENTRIES = ("cells", "conditions", "bodies", "watch")
 """Sections of a recipe in which users name what there is."""
-_STATED = ("time", "macro", "tissue", "rest", "surface")
-_SECTIONS = ("cell", "rve", "mesh", *_NAMED_ENTRIES, *_STATED)
+_SECTIONS = (
+    "cell", "rve", "mesh", *_NAMED_ENTRIES, "time", "macro", "tissue", "rest", "surface",
+)  # fmt: skip
 _OF_TRAINING = ("range", "samples", "training")
 """Sections of a cell that a run does not depend on but by its surrogate."""
 _WITHOUT_CACHE = ("rve", "surrogate", "tissue")
@@ -170,11 +173,14 @@ class StoredRun(ViewedRun):
         return {f"{self.name}, {cell}" if cell else self.name: caches[cell] for cell in caches}
 
     def facts(self) -> Facts:
-        record = self.record
+        record, recipe = self.record, self.record.recipe
+        cells = {"": recipe["cell"]} if "cell" in recipe else recipe.get("cells", {})
+        presets = {name: cell.get("preset", "none") for name, cell in cells.items()}
+        named = [f"{name}: {preset}" if name else preset for name, preset in presets.items()]
         return {
             "folder": plain(str(self.folder)),
             "law": f"{record.law}, {record.initialisation}",
-            "plant cell": presets_of(record.recipe),
+            "plant cell": ", ".join(named) or "none",
             **course(self.curve, record.wall_time, record.counts),
             "RVE solves": f"{record.counts.get('rve_solves', 0):,}",
         }
@@ -193,16 +199,6 @@ def earlier_run(folder: Path, record: RunRecord) -> RunRecord | None:
     earlier = read_record(folder)
     check_same(folder, record.compared(), earlier.compared())
     return earlier
-
-
-def _check_replaceable(folder: Path) -> None:
-    """Refuse to start over in a folder whose files may be of something else than a run."""
-    check_replaceable(folder / "run.json", "surrofe2 run", SCHEMA)
-    found = [name for name in FILES if (folder / name).exists()]
-    if found and "run.json" not in found:
-        raise FileError(
-            f"{folder}: has {found[0]} but no run, so --fresh does not replace it; write elsewhere"
-        )
 
 
 State = TypeVar("State")
@@ -248,24 +244,45 @@ class RunFolder:
             FileError: the folder cannot be written, has files but no run, or is in use.
             MismatchError: it has a run of other settings, and not `fresh`.
         """
-        run = cls(folder, record, store)
-        if fresh:
-            _check_replaceable(folder)
+        run, state = cls(folder, record, store), folder / CHECKPOINT
+        if fresh:  # which replaces nothing that may be of something else than a run
+            check_replaceable(folder / "run.json", "surrofe2 run", SCHEMA)
+            there = [name for name in FILES if (folder / name).exists()]
+            if there and "run.json" not in there:
+                raise FileError(
+                    f"{folder}: has {there[0]} but no run, so --fresh does not replace it; write "
+                    "elsewhere"
+                )
         earlier = None if fresh else earlier_run(folder, record)
+        # Where lock or checkpoint is there, the process ended after its last file.
         is_whole = earlier is not None and earlier.status == "finished"
-        # Where one of these is there, the process ended after its last file.
-        is_whole &= not (folder_lock(folder).exists() or (folder / CHECKPOINT).exists())
-        with nullcontext() if is_whole else locked_folder(folder), run._recorded():
+        is_whole &= not (folder_lock(folder).exists() or state.exists())
+        with nullcontext() if is_whole else locked_folder(folder):
             if not (is_whole or fresh):
                 earlier = earlier_run(folder, record)  # another process may have ended meanwhile
-            if earlier is not None and earlier.status == "finished":
-                run.record, run.is_finished = earlier, True
-                remove(folder / CHECKPOINT)
-                log.info("%s: finished before; --fresh starts over", folder)
-            else:
-                run.resumes = earlier is not None and (folder / CHECKPOINT).exists()
-                run._begin()
-            yield run
+            try:
+                with interruptible():
+                    if earlier is not None and earlier.status == "finished":
+                        run.record, run.is_finished = earlier, True
+                        remove(state)
+                        log.info("%s: finished before; --fresh starts over", folder)
+                    else:
+                        run.resumes = earlier is not None and state.exists()
+                        run._begin()
+                    yield run
+            except SimulationError as error:
+                partial = run.partial if error.partial is None else error.partial
+                run._end("failed", partial, str(error))
+                raise
+            except FileError as error:
+                if not run.is_finished:
+                    with suppress(FileError):  # the disk may be full for this too
+                        run._end("failed", error=str(error))
+                raise
+            except KeyboardInterrupt:
+                if not run.is_finished:
+                    run._end("interrupted", run.partial)
+                raise
 
     def _begin(self) -> None:
         """Record that the run is running; at its beginning it finds nothing of another one, which
@@ -277,33 +294,16 @@ class RunFolder:
             for path in self.folder.glob(each):
                 remove(path)
 
-    @contextmanager
-    def _recorded(self) -> Iterator[None]:
-        """Record how the block ends."""
-        try:
-            with interruptible():
-                yield
-        except SimulationError as error:
-            partial = self.partial if error.partial is None else error.partial
-            self._end("failed", partial, str(error))
-            raise
-        except FileError as error:
-            if not self.is_finished:
-                with suppress(FileError):  # the disk may be full for this too
-                    self._end("failed", error=str(error))
-            raise
-        except KeyboardInterrupt:
-            if not self.is_finished:
-                self._end("interrupted", self.partial)
-            raise
-
     def restored(self, restore: Callable[[dict[str, np.ndarray]], State]) -> State | None:
         """What `restore` makes of the last checkpoint, whose fault it is if that fails; None where
         the run starts at its beginning."""
         if not self.resumes:
             return None
         path = self.folder / CHECKPOINT
-        arrays = read_checkpoint(path, self._kind)
+        header, arrays = read(path, STATE)
+        if header["of"] != self._kind:
+            there = shortened(header["of"], 60)
+            raise FileError(f"{path}: a checkpoint of {there}, not of {self._kind}")
         try:
             return restore(arrays)
         except (SimulationError, FileError, MismatchError):
@@ -320,7 +320,7 @@ class RunFolder:
         self, arrays: Mapping[str, np.ndarray], cache: Mapping[str, Any] | None = None
     ) -> None:
         """Write a state to resume from; `cache` is what a cached law reports of itself there."""
-        write_checkpoint(self.folder / CHECKPOINT, arrays, self._kind)
+        write(self.folder / CHECKPOINT, STATE, {"of": self._kind}, arrays)
         self.cache = cache
 
     def finish(self, result: Any) -> None:
@@ -353,36 +353,24 @@ def describe_origin() -> dict[str, Any]:
     }
 
 
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()
-
-
 def describe_platform() -> dict[str, str]:
     """Processor, cores, system and library versions; nothing that identifies the machine."""
+    processor = platform.processor() or platform.machine()
+    with suppress(OSError, StopIteration):
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        names = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+        processor = next(names)
     libraries = {}
     for name in ("numpy", "scipy", "numba", "torch"):
         with suppress(PackageNotFoundError):  # runs do without torch
             libraries[name] = version(name)
-    machine = {"processor": _processor(), "cores": str(os.cpu_count()), "system": platform.system()}
+    machine = {"processor": processor, "cores": str(os.cpu_count()), "system": platform.system()}
     return {**machine, "python": platform.python_version(), **libraries}
 
 
 def caches_of(cache: Mapping[str, Any] | None) -> dict[str, Mapping[str, Any]]:
     """The reports in a record's `cache` by name of the cell, which is "" where there is one."""
     return dict(cache.get("cells", {"": cache})) if cache else {}
-
-
-def presets_of(recipe: Mapping[str, Any]) -> str:
-    """The preset of a recorded recipe's cell, or of each cell by name; "none" without cells."""
-    if "cell" in recipe:
-        return str(recipe["cell"]["preset"])
-    presets = {name: cell.get("preset", "none") for name, cell in recipe.get("cells", {}).items()}
-    return ", ".join(f"{name}: {preset}" for name, preset in presets.items()) or "none"
 
 
 def write_record(folder: Path, record: RunRecord) -> None:
@@ -410,31 +398,26 @@ def read_record(folder: Path) -> RunRecord:
         )
     try:
         record = RunRecord(**stored)
-        _check_entries(record)
+        for name, hint in hints_of(RunRecord).items():
+            check_value(name, attrgetter(name)(record), hint, {})
+        for name in (*_SECTIONS, "cache"):
+            section = record.recipe.get(name, {})
+            for one in (section, *(section.values() if name == "cells" else ())):
+                if not isinstance(one, dict):
+                    raise ValueError(f"recipe.{name}: {quoted(one)}; it must be a table")
+        check_units("numbers of the run", record.units, UNITS)
+        if record.surrogate is not None:
+            record.surrogate["fingerprint"]
+        check_value("recipe.duration", record.duration, float, {"above": 0.0})
     except (TypeError, KeyError, ValueError, OverflowError) as error:
         reason = shortened(str(error), 80)
         raise FileError(f"{path}: not a whole record of a surrofe2 run: {reason}") from None
     return record
 
 
-def _check_entries(record: RunRecord) -> None:
-    for name, hint in hints_of(RunRecord).items():
-        check_value(name, attrgetter(name)(record), hint, {})
-    for name in (*_SECTIONS, "cache"):
-        section = record.recipe.get(name, {})
-        for one in (section, *(section.values() if name == "cells" else ())):
-            if not isinstance(one, dict):
-                raise ValueError(f"recipe.{name}: {quoted(one)}; it must be a table")
-    check_units("numbers of the run", record.units, UNITS)
-    if record.surrogate is not None:
-        record.surrogate["fingerprint"]
-    check_value("recipe.duration", record.duration, float, {"above": 0.0})
-
-
 def write_curves(
     folder: Path,
-    t: np.ndarray,
-    curves: Mapping[str, np.ndarray],
+    curves: Mapping[str, DisplacementCurve],
     history: Mapping[str, np.ndarray],
     energies: Mapping[str, np.ndarray],
     *,
@@ -443,42 +426,23 @@ def write_curves(
     """Write curve.csv, history.csv and energies.csv.
 
     Args:
-        t: (m,) µs; of a rest the factor of the load, and the first file is path.csv.
-        curves: (m, 2) displacement of watched points by name, µm.
+        curves: of watched points by name, all at m times; of a rest over the factor of the load,
+            and the first file is path.csv.
         history: (m,) forces in µN and places in µm by name, as `MacroRun` has them.
         energies: (m,) pJ by name.
     """
     clock, file = ("factor", "path.csv") if is_rest else ("t_us", "curve.csv")
+    t = next(iter(curves.values())).t
     points = {
         f"u_{axis}_um {name if k else ''}".rstrip(): column
-        for k, (name, u) in enumerate(curves.items())
-        for axis, column in zip("xy", u.T, strict=True)
+        for k, (name, curve) in enumerate(curves.items())
+        for axis, column in zip("xy", curve.displacement.T, strict=True)
     }
     units = {name: "uN" if name.startswith("force ") else "um" for name in history}
     moved = {f"{name}_{units[name]}": values for name, values in history.items()}
     works = {f"{name}_pJ": values for name, values in energies.items()}
     for name, columns in ((file, points), ("history.csv", moved), ("energies.csv", works)):
         write_columns(folder / name, {clock: t, **columns})
-
-
-def _read_curves(folder: Path, watched: Mapping[str, Any]) -> dict[str, DisplacementCurve]:
-    """Those of curve.csv by name, the first one named as that of the `watched` points."""
-    path = folder / "curve.csv"
-    columns = read_columns(path)
-    t, *rest = [*columns.values()] or [np.empty(0)]
-    whole = tuple(columns)[:3] == CURVE_HEADER and len(rest) % 2 == 0 and t.size > 0
-    if not whole or not np.isfinite([t, *rest]).all() or (np.diff(t) <= 0.0).any():
-        raise FileError(f"{path}: not a table of {','.join(CURVE_HEADER)}")
-    names = [next(iter(watched), "watched point")]
-    names += [name.partition("_um ")[2] for name in [*columns][3::2]]
-    pairs = zip(names, rest[::2], rest[1::2], strict=True)
-    return {name: DisplacementCurve(t, np.stack(u, axis=1)) for name, *u in pairs}
-
-
-def read_history(folder: Path, file: str = "history.csv") -> dict[str, np.ndarray]:
-    """Columns of history.csv, or energies.csv, by name without unit."""
-    columns = [*read_columns(folder / file).items()][1:]
-    return {name.rpartition("_")[0]: column for name, column in columns}
 
 
 def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:
@@ -498,15 +462,22 @@ def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:
             raise FileError(f"{folder / 'run.json'}: files: {quoted(name)} is no file of a run")
         if digest(folder / name) != wanted:
             raise FileError(f"{folder / name}: damaged, or changed since the run was recorded")
-    history, energies = (
-        read_history(folder, name) if (folder / name).exists() else {}
-        for name in ("history.csv", "energies.csv")
-    )
-    curves = _read_curves(folder, record.problem.get("watched", {}))
-    return StoredRun(
-        folder, record, curve=next(iter(curves.values())), history=history, curves=curves,
-        energies=energies,
-    )  # fmt: skip
+    path = folder / "curve.csv"
+    columns = read_columns(path)
+    t, *rest = [*columns.values()] or [np.empty(0)]
+    whole = tuple(columns)[:3] == CURVE_HEADER and len(rest) % 2 == 0 and t.size > 0
+    if not whole or not np.isfinite([t, *rest]).all() or (np.diff(t) <= 0.0).any():
+        raise FileError(f"{path}: not a table of {','.join(CURVE_HEADER)}")
+    names = [next(iter(record.problem.get("watched", ())), "watched point")]
+    names += [name.partition("_um ")[2] for name in [*columns][3::2]]
+    pairs = zip(names, rest[::2], rest[1::2], strict=True)
+    curves = {name: DisplacementCurve(t, np.stack(u, axis=1)) for name, *u in pairs}
+    others: list[dict[str, np.ndarray]] = []
+    for path in (folder / "history.csv", folder / "energies.csv"):
+        found = [*read_columns(path).items()][1:] if path.exists() else []
+        others.append({name.rpartition("_")[0]: values for name, values in found})  # without unit
+    return StoredRun(folder, record, curve=curves[names[0]], curves=curves,
+                     history=others[0], energies=others[1])  # fmt: skip
 
 
 def write_events(folder: Path, decisions: Iterable[Mapping[str, Any]]) -> None:

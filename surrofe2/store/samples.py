@@ -8,9 +8,8 @@ has paid for. The settled reference state of an RVE is kept in the cache folder.
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -28,7 +27,18 @@ from surrofe2.law.stress_law import Status, StressResponse, describe
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.run.loop import CheckpointClock
-from surrofe2.store.hdf5 import Column, Kind, check_finite, check_same_rve, origin, reading, write
+from surrofe2.rve.unit_cell import settle_reference
+from surrofe2.store.hdf5 import (
+    ORIGIN,
+    Column,
+    Kind,
+    check_same_rve,
+    origin,
+    read,
+    read_header,
+    reading,
+    write,
+)
 from surrofe2.store.store import check_replaceable, check_same, file_lock, flat, locked_file
 
 Array = NDArray[np.float64]
@@ -55,8 +65,17 @@ _OF_TANGENTS = {
     name: Column((None, 2, 2, 2, 2), unit=unit, optional=True)
     for name, unit in zip(TANGENTS, (STRESS, VISCOSITY), strict=True)
 }
-DATA_SET = Kind("data set", 2, _COLUMNS | {LEFT: _MARK} | _OF_TANGENTS)
-HARVEST = Kind("harvest", 2, _COLUMNS | {"why": Column(kind=np.int8, meaning=json.dumps(WHY))})
+_OF_MAKING = {"status": str, "completed": int, "seconds": float | None, "compared": dict}
+_OF_SAMPLES = {"range": SamplingRange, "count": int, "seed": int, "rest_length": float | None}
+DATA_SET = Kind(
+    "data set",
+    2,
+    ORIGIN | _OF_MAKING | _OF_SAMPLES,
+    _COLUMNS | {LEFT: _MARK} | _OF_TANGENTS,
+)
+HARVEST = Kind(
+    "harvest", 2, ORIGIN, _COLUMNS | {"why": Column(kind=np.int8, meaning=json.dumps(WHY))}
+)
 REFERENCE = Kind("reference state", 2)
 
 
@@ -103,17 +122,17 @@ class DataSetHeader:
             "range": asdict(self.range),
             "count": self.count,
             "seed": self.seed,
-            **({} if self.rest_length is None else {"rest_length": self.rest_length}),
+            "rest_length": self.rest_length,
         }
 
 
-def rows_of(F: Array, F_dot: Array, answer: StressResponse, tangents: bool) -> dict[str, Any]:
-    """The columns of samples: F, Ḟ (n, 2, 2) and the answer there, with its tangents if wanted."""
+def rows_of(F: Array, F_dot: Array, answer: StressResponse) -> dict[str, Any]:
+    """The columns of samples: F, Ḟ (n, 2, 2) and the answer there, with its tangents if any."""
     left = (
         np.zeros(len(F), np.bool_) if answer.left_bifurcation is None else answer.left_bifurcation
     )
     rows = {"F": F, "F_dot": F_dot, "stress": answer.stress, "status": answer.status, LEFT: left}
-    if answer.tangents is not None and tangents:
+    if answer.tangents is not None:
         rows |= zip(TANGENTS, (answer.tangents.P_by_F, answer.tangents.P_by_F_dot), strict=True)
     return rows
 
@@ -121,12 +140,12 @@ def rows_of(F: Array, F_dot: Array, answer: StressResponse, tangents: bool) -> d
 class SampleWriter:
     """A file of samples in the making: rows are taken in parts, each whole or not at all."""
 
-    def __init__(
-        self, path: Path, kind: Kind, header: Mapping[str, Any], rows: Arrays | None = None
-    ) -> None:
+    _stored: int | None = None
+    """Rows in the file."""
+
+    def __init__(self, path: Path, kind: Kind, header: Mapping[str, Any]) -> None:
         self.path, self.kind, self.header = path, kind, header
-        self._parts = [rows] if rows else []
-        self._is_stored = bool(rows)
+        self._parts: list[Arrays] = []
 
     @property
     def completed(self) -> int:
@@ -136,7 +155,11 @@ class SampleWriter:
         """Take the next rows by column."""
         columns = self.kind.columns
         self._parts.append({name: np.array(v, columns[name].kind) for name, v in rows.items()})
-        self._is_stored = False
+
+    def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Hold these rows, of `to_arrays`, and no others."""
+        arrays = {name: arrays[name] for name in self.kind.columns if name in arrays}
+        self._parts = [arrays] if len(arrays["F"]) else []
 
     def to_arrays(self) -> Arrays:
         """All rows, one array for each column; empty ones before there are any."""
@@ -150,47 +173,46 @@ class SampleWriter:
         return self._parts[0]
 
     def write(self, **entries: Any) -> None:
-        """Write all rows so far, and these entries of the header, if it is due."""
-        if not self._is_stored:
+        """Write all rows so far, and these entries of the header, if there are new ones."""
+        if self._stored != self.completed:
             write(self.path, self.kind, {**self.header, **entries}, self.to_arrays())
-            self._is_stored = True
+            self._stored = self.completed
 
 
 class DataSetWriter(SampleWriter):
-    """A data set in the making: rows are appended in order, then it is finished."""
+    """A data set in the making: rows are appended in order, then it is finished. It begins with
+    the rows that are in the file, unless `fresh`."""
 
-    def __init__(
-        self, path: Path, header: DataSetHeader, rows: Arrays, is_finished: bool, before: float
-    ) -> None:
-        super().__init__(path, DATA_SET, header.entries(), rows)
-        self._has_tangents = header.tangents
-        self.is_finished, self.meter = is_finished, Meter(before)
-        self._clock = CheckpointClock(INTERVAL)
+    def __init__(self, path: Path, header: DataSetHeader, fresh: bool) -> None:
+        super().__init__(path, DATA_SET, header.entries())
+        self.is_finished, before = False, None
+        if path.exists() and not fresh:
+            known, rows = read(path, DATA_SET)
+            check_same(path, header.compared(), known["compared"])
+            done, there, before = known["completed"], len(rows["F"]), known["seconds"]
+            if not there == done <= header.count:
+                raise FileError(
+                    f"{path}: not a whole {DATA_SET.title}: completed: {done} of {there}"
+                )
+            self.restore(rows)
+            self._stored = done or None
+            self.is_finished = known["status"] == "finished" and done == header.count
+        self.meter, self._clock = Meter(before or 0.0), CheckpointClock(INTERVAL)
 
     def append(self, F: Array, F_dot: Array, answer: StressResponse) -> None:
-        """Take the next n rows, F and Ḟ (n, 2, 2); with tangents if the data set holds them."""
-        self.take(**rows_of(F, F_dot, answer, self._has_tangents))
+        """Take the next n rows, F and Ḟ (n, 2, 2)."""
+        self.take(**rows_of(F, F_dot, answer))
         if self._clock.is_due():
             self._clock.write(self.store)
 
-    def left_count(self) -> int:
-        """How many rows so far have a stress, but of an RVE that left a bifurcation."""
-        rows = self.to_arrays()
-        return int((rows[LEFT].astype(bool) & (rows["status"] == 0)).sum())
-
-    def status_counts(self) -> dict[int, int]:
-        """How many rows so far have each status code."""
-        return dict(sorted(Counter(self.to_arrays()["status"].tolist()).items()))
-
     def store(self, status: str = "writing") -> None:
         """Write the rows that there are, to resume from."""
-        known = {"status": status, "completed": self.completed, "seconds": self.meter.seconds}
-        self.write(**known)
+        self.write(status=status, completed=self.completed, seconds=self.meter.seconds)
 
     def finish(self) -> StressSamples:
         """Write all rows, none of which is missing; as read back."""
         if not self.is_finished:
-            self._is_stored = False  # if so, as one that is not finished
+            self._stored = None  # if all are, as of one that is not finished
             self.store("finished")
             self.is_finished = True
         return read_data_set(self.path)
@@ -208,33 +230,18 @@ def writing_data_set(
     """
     if fresh:
         check_replaceable(path, DATA_SET.title, DATA_SET.schema)
-    writer = _begun(path, header, fresh)
+    writer = DataSetWriter(path, header, fresh)
     if writer.is_finished and not file_lock(path).exists():
         yield writer
         return
     with locked_file(path):
-        writer = _begun(path, header, fresh)  # what another process added is there now
+        writer = DataSetWriter(path, header, fresh)  # what another process added is there now
         if not writer.completed:
             writer.store()
         try:
             yield writer
         finally:
             writer.store()
-
-
-def _begun(path: Path, header: DataSetHeader, fresh: bool) -> DataSetWriter:
-    rows: Arrays = {}
-    is_finished, before = False, 0.0
-    if path.exists() and not fresh:
-        with reading(path, DATA_SET) as stored:
-            check_same(path, header.compared(), stored.table("compared"))
-            completed = stored.number("completed")
-            is_finished = stored.text("status") == "finished" and completed == header.count
-            if completed:
-                before, rows = stored.number("seconds"), stored.arrays()
-                if not len(rows["F"]) == completed <= header.count:
-                    raise ValueError(f"completed: {completed:g} of {len(rows['F'])}")
-    return DataSetWriter(path, header, rows, is_finished, before)
 
 
 class StoredCount(NamedTuple):
@@ -247,18 +254,9 @@ class StoredCount(NamedTuple):
 
 def stored_count(path: Path) -> StoredCount:
     """What a data set says of its samples."""
-    with reading(path, DATA_SET) as stored:
-        return StoredCount(
-            rows=int(stored.number("completed")),
-            is_finished=stored.text("status") == "finished",
-            is_open=stored.table("compared").get("samples.count") is None,
-        )
-
-
-def stored_settings(path: Path) -> dict[str, Any]:
-    """What the numbers of a data set depend on, by dotted names."""
-    with reading(path, DATA_SET) as stored:
-        return stored.table("compared")
+    known = read_header(path, DATA_SET)
+    may_grow = known["compared"].get("samples.count") is None
+    return StoredCount(known["completed"], known["status"] == "finished", may_grow)
 
 
 def read_data_set(path: str | Path) -> StressSamples:
@@ -270,20 +268,16 @@ def read_data_set(path: str | Path) -> StressSamples:
     """
     path = Path(path)
     with reading(path, DATA_SET) as stored:
-        if stored.text("status") != "finished":
-            raise InputError(
-                f"{path}: unfinished, {stored.number('completed'):g} of {stored.number('count'):g} "
-                "samples; continue it with `surrofe2 generate RECIPE`"
-            )
-        rows: dict[str, Any] = stored.arrays()
-        rows[LEFT] = rows[LEFT].astype(np.bool_)
-        return StressSamples(
-            **rows,
-            **stored.whose,
-            range=stored.range,
-            seed=int(stored.number("seed")),
-            rest_length=stored.optional("rest_length"),
-        )
+        known = stored.header()
+        if known["status"] == "finished":
+            rows: dict[str, Any] = stored.arrays()
+            rows[LEFT] = rows[LEFT].astype(np.bool_)
+            of = {name: known[name] for name in (*ORIGIN, "range", "seed", "rest_length")}
+            return StressSamples(**rows, **of)
+    raise InputError(
+        f"{path}: unfinished, {known['completed']} of {known['count']} samples; continue it with "
+        "`surrofe2 generate RECIPE`"
+    )
 
 
 class Harvest(NamedTuple):
@@ -303,7 +297,7 @@ class HarvestWriter(SampleWriter):
 
     def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
         super().__init__(path, HARVEST, header)
-        self._is_stored = True  # there is no file without answers
+        self._stored = 0  # there is no file without answers
 
     def __call__(
         self, F: Array, F_dot: Array, stress: Array, status: NDArray[np.int8], why: NDArray[np.int8]
@@ -311,11 +305,6 @@ class HarvestWriter(SampleWriter):
         """Take answers, (n, 2, 2) and (n,)."""
         if len(F):
             self.take(F=F, F_dot=F_dot, stress=stress, status=status, why=why)
-
-    def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Hold these answers, of `to_arrays`, and no others."""
-        self._parts = [{name: arrays[name] for name in HARVEST.columns}]
-        self._is_stored = not self.completed
 
     def flush(self, seconds: float = 0.0) -> None:
         """Write all answers so far, and the seconds that they took."""
@@ -325,34 +314,28 @@ class HarvestWriter(SampleWriter):
 def read_harvest(path: str | Path) -> Harvest:
     """The answers in a harvest, each state once, also of a run that was interrupted."""
     with reading(Path(path), HARVEST) as stored:
-        arrays, whose = stored.arrays(), stored.whose
-        check_finite("stress where the status is 0", arrays["stress"][arrays["status"] == 0])
+        arrays, header = stored.arrays(), stored.header()
+        if not np.isfinite(arrays["stress"][arrays["status"] == 0]).all():
+            raise ValueError("stress: not finite where the status is 0")
     states = np.concatenate([arrays["F"], arrays["F_dot"]], axis=1).reshape(-1, 8)
     _, first = np.unique(states, axis=0, return_index=True)
     first.sort()
     once: dict[str, Any] = {name: values[first] for name, values in arrays.items()}
-    return Harvest(**once, **whose)
+    return Harvest(**once, **header)
 
 
-def reference_path(cell: CellParameters) -> Path:
-    """Where the reference state of a cell is kept for commands of these very sources."""
-    return cache_folder() / "references" / f"{cell.fingerprint}.h5"
-
-
-def write_reference(path: Path, reference: ReferenceState) -> None:
-    """Write a reference state, whole or not at all."""
-    write(path, REFERENCE, {}, reference.to_arrays())
-
-
-def read_reference(path: Path, cell: CellParameters) -> ReferenceState | None:
-    """The reference state of a cell in a file; None where there is none of it, or it is damaged."""
-    try:
-        with reading(path, REFERENCE) as stored:
-            reference = ReferenceState.from_arrays(stored.all_arrays())
-            reference.check_belongs_to(cell)
-    except FileError:
-        return None
-    return reference
+def kept_reference(cell: CellParameters) -> ReferenceState:
+    """The settled reference state of a cell; the first command puts it into the cache folder, where
+    it is kept for commands of these very sources."""
+    path = cache_folder() / "references" / f"{cell.fingerprint}.h5"
+    with suppress(FileError), reading(path, REFERENCE) as stored:
+        known = ReferenceState.from_arrays(stored.arrays())
+        known.check_belongs_to(cell)
+        return known
+    settled = settle_reference(cell)
+    with suppress(FileError):  # a folder that cannot be written keeps nothing
+        write(path, REFERENCE, {}, settled.to_arrays())
+    return settled
 
 
 check_harvest = partial(check_same_rve, "harvested", "leave it out")

@@ -141,12 +141,6 @@ def remove_tree(folder: Path) -> None:
         disk.remove_folder(folder)
 
 
-def make_folder(path: Path) -> None:
-    """Make a folder, and those that it is in, where they are not there."""
-    with reported(path, "written"):
-        disk.make_folder(path)
-
-
 def sealed(content: bytes) -> bytes:
     """`content` with its digest instead of `NO_DIGEST`, which stands in it once."""
     begin, end = _place(content)
@@ -286,7 +280,6 @@ def keep(
     identity: Mapping[str, Any],
     make: Callable[[], Mapping[str, Any]],
     *,
-    folder: Path | None = None,
     fresh: bool = False,
 ) -> tuple[dict[str, Any], bool]:
     """A JSON file of these settings: read where it is there, else made and written.
@@ -294,7 +287,6 @@ def keep(
     Args:
         identity: the settings, which are entries of the file.
         make: gives the other entries, after it has written what belongs to them.
-        folder: whose lock it is made under, default: its own.
         fresh: make it, whatever of this kind is there.
 
     Returns:
@@ -304,7 +296,6 @@ def keep(
         MismatchError: it is there, by other settings, and not `fresh`.
         FileError: it is damaged or foreign, or another process makes it.
     """
-    lock = file_lock(path) if folder is None else folder_lock(folder)
     if fresh:
         check_replaceable(path, f"file of {', '.join(identity)}", SEAL, *identity)
 
@@ -315,9 +306,9 @@ def keep(
         check_same(path, identity, entries)
         return entries
 
-    there = None if lock.exists() else stored()
+    there = None if file_lock(path).exists() else stored()
     if there is None:
-        with _locked(lock, folder or path):
+        with locked_file(path):
             there = stored()
             if there is None:
                 entries = {**identity, **make()}
@@ -376,7 +367,7 @@ def _taken(lock: Path, output: Path) -> io.FileIO | None:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             holder = _signature(file)
-            is_me = holder.startswith(f"process {os.getpid()} on {platform.node()} ")
+            is_me = holder.startswith(_this_process())
             who = "another call of this process" if is_me else f"{holder}; wait for it or end it"
             raise FileError(f"{output}: in use by {who}") from None
         here = os.fstat(file.fileno())
@@ -384,8 +375,11 @@ def _taken(lock: Path, output: Path) -> io.FileIO | None:
             return None
         if here.st_size:
             log.warning("%s: %s was killed; this process resumes", output, _signature(file))
+        now = datetime.now().astimezone().isoformat(timespec="seconds")
+        command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])[:100]
+        me = f"{_this_process()}since {now} ({command})"
         try:
-            disk.write(file, _my_signature())
+            disk.write(file, me.encode("utf-8", "backslashreplace"))
         except OSError:
             with suppress(OSError):
                 disk.remove(lock)
@@ -394,22 +388,13 @@ def _taken(lock: Path, output: Path) -> io.FileIO | None:
         return file
 
 
-def _my_signature() -> bytes:
-    me = {
-        "process": os.getpid(),
-        "host": platform.node(),
-        "since": datetime.now().astimezone().isoformat(timespec="seconds"),
-        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])[:100],
-    }
-    return json.dumps(plain(me)).encode()
+def _this_process() -> str:
+    return f"process {os.getpid()} on {platform.node()} "
 
 
 def _signature(file: io.FileIO) -> str:
     """Who signed a lock; its content is damaged or empty at times."""
-    try:
-        file.seek(0)
-        entries = json.loads(file.read(10_000))
-        who = f"process {entries['process']} on {entries['host']} since {entries['since']}"
-        return " ".join(f"{who} ({entries['command']})".split())[:200]
-    except (ValueError, RecursionError, KeyError, TypeError):
-        return "a process that did not say its name"
+    file.seek(0)
+    who = " ".join(file.read(10_000).decode("utf-8", "replace").split())[:200]
+    is_one = who.startswith("process ") and who.isprintable()
+    return who if is_one else "a process that did not say its name"

@@ -42,35 +42,38 @@ static inline double inverse_root(double x)
     return y + 0.5 * y * (1.0 - x * y * y);
 }
 
-/* target = weight source + bias; for a point alone a column of the matrix at a time */
-#define LAYER_OF_1(weight, bias, columns, rows, source, target)  \
-    do {                                                         \
-        for (int i = 0; i < rows; i++)                           \
-            target[i] = bias[i];                                 \
-        for (int j = 0; j < columns; j++)                        \
-            for (int i = 0; i < rows; i++)                       \
-                target[i] += weight[j][i] * source[j];           \
-    } while (0)
+/* The entries of R S, so many numbers apart, with cosine and sine of R and the components of S: sum,
+ * difference, shear and spin. */
+static inline void set_turned(double sum, double difference, double shear, double spin, double c,
+                              double s, double *entries, int apart)
+{
+    const double S11 = 0.5 * (sum + difference), S12 = 0.5 * (shear - spin);
+    const double S21 = 0.5 * (shear + spin), S22 = 0.5 * (sum - difference);
+    entries[0] = c * S11 - s * S21;
+    entries[apart] = c * S12 - s * S22;
+    entries[2 * apart] = s * S11 + c * S21;
+    entries[3 * apart] = s * S12 + c * S22;
+}
 
-/* the same for LANES points; four rows of the matrix at a time stay in registers */
-#define LAYER_OF_8(weight, bias, rows, target, terms)            \
+/* target = weight source + bias; four rows of the matrix at a time stay in registers */
+#define LAYER(lanes, weight, bias, rows, target, terms)          \
     do {                                                         \
         for (int i = 0; i < rows; i += 4)                        \
-            for (int l = 0; l < 8; l++) {                        \
+            for (int l = 0; l < lanes; l++) {                    \
                 double a = bias[i], b = bias[i + 1];             \
                 double c = bias[i + 2], d = bias[i + 3];         \
                 terms                                            \
-                target[i * 8 + l] = a;                           \
-                target[(i + 1) * 8 + l] = b;                     \
-                target[(i + 2) * 8 + l] = c;                     \
-                target[(i + 3) * 8 + l] = d;                     \
+                target[i * lanes + l] = a;                       \
+                target[(i + 1) * lanes + l] = b;                 \
+                target[(i + 2) * lanes + l] = c;                 \
+                target[(i + 3) * lanes + l] = d;                 \
             }                                                    \
     } while (0)
-#define TERM(weight, j, source)                                  \
-    a += weight[j][i] * source[j * 8 + l];                       \
-    b += weight[j][i + 1] * source[j * 8 + l];                   \
-    c += weight[j][i + 2] * source[j * 8 + l];                   \
-    d += weight[j][i + 3] * source[j * 8 + l];
+#define TERM(lanes, weight, j, source)                           \
+    a += weight[j][i] * source[j * lanes + l];                   \
+    b += weight[j][i + 1] * source[j * lanes + l];               \
+    c += weight[j][i + 2] * source[j * lanes + l];               \
+    d += weight[j][i + 3] * source[j * lanes + l];
 
 /* tanh 20 is 1 to the last bit; in a loop of its own, since a branch before arithmetic, which may
  * trap, would leave no vector instructions */
@@ -149,11 +152,10 @@ static void answers_of_@L@(const double *RESTRICT F, const double *RESTRICT V, d
     for (int l = 0; l < @L@; l++) { /* P = R P_hat, stress = P F'/det F */
         const double xx = F[l], xy = F[@L@ + l], yx = F[2 * @L@ + l], yy = F[3 * @L@ + l];
         const double c = cosine[l], s = sine[l], over_J = 1.0 / (xx * yy - xy * yx);
-        const double a = 0.5 * (y[l] + y[@L@ + l]), b = 0.5 * (y[2 * @L@ + l] - y[3 * @L@ + l]);
-        const double d = 0.5 * (y[2 * @L@ + l] + y[3 * @L@ + l]), e = 0.5 * (y[l] - y[@L@ + l]);
-        const double P11 = c * a - s * d, P12 = c * b - s * e, P21 = s * a + c * d, P22 = s * b + c * e;
-        const double s11 = (P11 * xx + P12 * xy) * over_J, s12 = (P11 * yx + P12 * yy) * over_J;
-        const double s21 = (P21 * xx + P22 * xy) * over_J, s22 = (P21 * yx + P22 * yy) * over_J;
+        double P[4];
+        set_turned(y[l], y[@L@ + l], y[2 * @L@ + l], y[3 * @L@ + l], c, s, P, 1);
+        const double s11 = (P[0] * xx + P[1] * xy) * over_J, s12 = (P[0] * yx + P[1] * yy) * over_J;
+        const double s21 = (P[2] * xx + P[3] * xy) * over_J, s22 = (P[2] * yx + P[3] * yy) * over_J;
         stress[l] = s11;
         stress[@L@ + l] = s12;
         stress[2 * @L@ + l] = s21;
@@ -189,21 +191,9 @@ static void answers_of_@L@(const double *RESTRICT F, const double *RESTRICT V, d
             const double e[4] = {B11 + B22, B11 - B22, B12 + B21, B21 - B12};
             double u[4], v[4];
             @SUMS@
-            const double turn = 0.5 * angle;
-            const double a = 0.5 * (u[0] + u[1]) - turn * (y[2 * @L@ + l] + y[3 * @L@ + l]);
-            const double b = 0.5 * (u[2] - u[3]) - turn * (y[l] - y[@L@ + l]);
-            const double f = 0.5 * (u[2] + u[3]) + turn * (y[l] + y[@L@ + l]);
-            const double g = 0.5 * (u[0] - u[1]) + turn * (y[2 * @L@ + l] - y[3 * @L@ + l]);
-            by_F[k * @L@ + l] = c * a - s * f;
-            by_F[(4 + k) * @L@ + l] = c * b - s * g;
-            by_F[(8 + k) * @L@ + l] = s * a + c * f;
-            by_F[(12 + k) * @L@ + l] = s * b + c * g;
-            const double p = 0.5 * (v[0] + v[1]), q = 0.5 * (v[2] - v[3]);
-            const double r = 0.5 * (v[2] + v[3]), t = 0.5 * (v[0] - v[1]);
-            by_rate[k * @L@ + l] = c * p - s * r;
-            by_rate[(4 + k) * @L@ + l] = c * q - s * t;
-            by_rate[(8 + k) * @L@ + l] = s * p + c * r;
-            by_rate[(12 + k) * @L@ + l] = s * q + c * t;
+            set_turned(u[0] - angle * y[3 * @L@ + l], u[1] - angle * y[2 * @L@ + l],
+                       u[2] + angle * y[@L@ + l], u[3] + angle * y[l], c, s, by_F + k * @L@ + l, 4 * @L@);
+            set_turned(v[0], v[1], v[2], v[3], c, s, by_rate + k * @L@ + l, 4 * @L@);
         }
     }
 }

@@ -16,25 +16,29 @@ from surrofe2.base.units import STRESS
 from surrofe2.cache.table.records import OUTPUTS, Records
 from surrofe2.cache.table.stress_table import StressTable
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.store.hdf5 import Column, Kind, check_finite, check_same_rve, origin, reading, write
+from surrofe2.store.hdf5 import ORIGIN, Column, Kind, check_same_rve, origin, reading, write
 from surrofe2.surface.tabulated import TabulatedSurface
 
 TABLE = Kind(
     "table",
     2,
+    ORIGIN | {"range": SamplingRange, "tolerance": float, "stress_spread": float},
     {
         "centre": Column((None, INPUTS), unit="1 (3), 1/µs (4)"),
         "stress": Column((None, OUTPUTS), unit=STRESS),
         "slope": Column((None, OUTPUTS, INPUTS), unit=f"{STRESS} over that of centre"),
         "curvature": Column((None, INPUTS, INPUTS), unit=f"{STRESS} over that of centre, twice"),
     },
+    finite=True,
 )
+_NUMBERS = ("rate", "mass", "depth", "width", "error", "spread")
 SURFACE = Kind(
     "surface table",
     2,
+    ORIGIN | dict.fromkeys(_NUMBERS, float),
     {"coefficients": Column((None, None), unit="µN"), "stretch": Column((2,))},
+    finite=True,
 )
-_NUMBERS = ("rate", "mass", "depth", "width", "error", "spread")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,16 +76,8 @@ def write_table(
 
 def read_table(path: str | Path) -> StoredTable:
     """Read a table; a FileError where it is none of this schema, or damaged."""
-    with reading(Path(path), TABLE) as file:
-        table = StoredTable(
-            records=Records(**file.arrays()),
-            **file.whose,
-            range=file.range,
-            tolerance=file.number("tolerance"),
-            stress_spread=file.number("stress_spread"),
-        )
-        for name, values in table.records._asdict().items():
-            check_finite(name, values)
+    with reading(Path(path), TABLE) as stored:
+        table = StoredTable(records=Records(**stored.arrays()), **stored.header())
         if not (table.tolerance > 0.0 and table.stress_spread > 0.0):
             raise ValueError("tolerance and stress_spread must be positive")
     return table
@@ -100,16 +96,12 @@ def write_surface(path: Path, table: TabulatedSurface, recipe: Mapping[str, Any]
 
 def read_surface(path: str | Path) -> TabulatedSurface:
     """Read the table of a surface law; a FileError where it is none of this schema, or damaged."""
-    with reading(Path(path), SURFACE) as file:
-        coefficients, stretch = file.arrays().values()
+    with reading(Path(path), SURFACE) as stored:
+        header, (coefficients, stretch) = stored.header(), stored.arrays().values()
         low, high = stretch.tolist()
-        numbers: dict[str, Any] = {name: file.number(name) for name in _NUMBERS}
-        check_finite("coefficients", coefficients)
-        if min(coefficients.shape) < 2 or not (0.0 < low < high and numbers["rate"] > 0.0):
+        if min(coefficients.shape) < 2 or not (0.0 < low < high and header["rate"] > 0.0):
             raise ValueError("coefficients, stretch and rate: no table over a range")
-        return TabulatedSurface(
-            coefficients=coefficients, stretch=(low, high), **file.whose, **numbers
-        )
+        return TabulatedSurface(coefficients=coefficients, stretch=(low, high), **header)
 
 
 check_table = partial(check_same_rve, "a table", "start an empty one or use one of {}")

@@ -23,7 +23,9 @@ from surrofe2.law.stress_law import StressLaw, StressResponse, describe
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.run.loop import Report, Stage, no_report, no_stage
 from surrofe2.rve import RveLaw
+from surrofe2.store.hdf5 import read_header
 from surrofe2.store.samples import (
+    DATA_SET,
     DataSetHeader,
     Harvest,
     check_harvest,
@@ -31,7 +33,6 @@ from surrofe2.store.samples import (
     read_harvest,
     rows_of,
     stored_count,
-    stored_settings,
     writing_data_set,
 )
 from surrofe2.store.store import check_same
@@ -116,16 +117,16 @@ def generate_data_set(
     )
     with writing_data_set(path, header, fresh=fresh) as data:
         added = count - data.completed
-        failures = sum(n for code, n in data.status_counts().items() if code)
+        failures = np.count_nonzero(data.to_arrays()["status"])
         report(data.completed, f"{failures} failed")
         work = partial(_sampled, law, wanted, settings.seed, settings.tangents)
         for F, F_dot, answer in in_pieces(work, range(data.completed, count), chunk, executor):
             data.append(F, F_dot, answer)
-            failures += int((answer.status != 0).sum())
+            failures += np.count_nonzero(answer.status)
             report(data.completed, f"{failures} failed")
-        counts, left = data.status_counts(), data.left_count()
-        data.finish()
-    failed = {describe(code): n for code, n in counts.items() if code}
+        samples = data.finish()
+    failed = Counter(describe(code) for code in samples.status.tolist() if code)
+    left = count - len(samples.valid.F) - failed.total()
     return Generated(path, count, added, failed, left)
 
 
@@ -161,7 +162,7 @@ def sample_stress(
     parts, done = list[dict[str, Array]](), 0
     work = partial(_sampled, law, range, seed, tangents)
     for F, F_dot, answer in in_pieces(work, builtins.range(count), CHUNK, executor):
-        parts.append(rows_of(F, F_dot, answer, tangents))
+        parts.append(rows_of(F, F_dot, answer))
         done += len(F)
         report(done, "")
     return StressSamples(
@@ -228,7 +229,7 @@ def check_data(recipe: Recipe, source: Path) -> None:
         "samples": {"seed": recipe.samples.seed, "count": recipe.samples.count},
     }
     advice = f"generate it again with `surrofe2 generate {recipe.path} --fresh`"
-    check_same(source, here, stored_settings(source), advice)
+    check_same(source, here, read_header(source, DATA_SET)["compared"], advice)
 
 
 def with_harvests(

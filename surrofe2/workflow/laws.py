@@ -29,17 +29,14 @@ from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.law.stress_law import StressLaw
 from surrofe2.law.surface_law import SurfaceLaw
 from surrofe2.macro.free_sides import free_sides
-from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.problem import Problem, Surface
 from surrofe2.problem.mesh import extent
 from surrofe2.ranks.distributed_law import shared
 from surrofe2.recipe.recipe import Recipe, load_recipe
 from surrofe2.rve import RveLaw
-from surrofe2.rve.unit_cell import settle_reference
 from surrofe2.store.hdf5 import read_seconds
 from surrofe2.store.run_folder import RunRecord
-from surrofe2.store.samples import read_reference, reference_path, write_reference
+from surrofe2.store.samples import kept_reference
 from surrofe2.store.store import digest
 from surrofe2.store.surrogates import check_surrogate, content_fingerprint, read_surrogate
 from surrofe2.store.tables import (
@@ -73,17 +70,6 @@ def true_law(recipe: Recipe) -> RveLaw:
 def quadratic_law(recipe: Recipe) -> QuadraticLaw:
     """The tangents at rest of the RVE of a recipe's only cell, as a law."""
     return QuadraticLaw.of(true_law(replace(recipe, rve=replace(recipe.rve, solver="direct"))))
-
-
-def kept_reference(cell: CellParameters) -> ReferenceState:
-    """The settled reference state of a cell; the first command puts it into the cache folder."""
-    path = reference_path(cell)
-    known = read_reference(path, cell)
-    if known is None:
-        known = settle_reference(cell)
-        with suppress(FileError):  # a folder that cannot be written keeps nothing
-            write_reference(path, known)
-    return known
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,6 @@ from surrofe2.store.samples import Harvest, HarvestWriter, read_harvest, stored_
 from surrofe2.store.store import (
     check_same,
     locked_folder,
-    make_folder,
     read_bytes,
     read_json,
     remove,
@@ -192,7 +191,6 @@ def _round(
 ) -> list[Round]:
     """One round, a row for each cell; what it has finished before an interruption is kept."""
     begin, folder = time.perf_counter(), out / f"round-{k}"
-    make_folder(folder)
     trained = {name: _train(part, out, done, k, stage) for name, part in parts.items()}
     files = {name: each.path for name, each in trained.items()}
     with stage(f"round {k}: run", recipe.duration, "µs") as report:

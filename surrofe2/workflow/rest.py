@@ -19,6 +19,7 @@ from surrofe2.law.stress_law import state_arrays, state_of
 from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
 from surrofe2.macro.rest import RestState
 from surrofe2.recipe.recipe import Recipe
+from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.journal import part_of, within
 from surrofe2.run.loop import Report, Stage, no_report, no_stage
 from surrofe2.store.fields import write_fields
@@ -60,14 +61,15 @@ def rest_study(
     timer, before = Meter(), seconds_compiling()
 
     def store(record: RunRecord, rest: Rest) -> RunRecord:
-        journal, factors, space = rest.journal, rest.path[:, 0], rest.system.discretisation
+        journal, space = rest.journal, rest.system.discretisation
         frames, forces = Frames(**journal.part("frames")), journal["forces"]
         by_name = {
             f"force {name} {axis}": forces[:, k, i]
             for k, name in enumerate(rest.system.force_names)
             for i, axis in enumerate("xy")
         }
-        write_curves(folder, factors, {"": rest.path[:, 1:]}, by_name, rest.energies, is_rest=True)
+        path = {"": DisplacementCurve(rest.path[:, 0], rest.path[:, 1:])}
+        write_curves(folder, path, by_name, rest.energies, is_rest=True)
         if record.status != "interrupted":  # each load step is a frame: many take seconds
             cell = cell_of_elements(chosen.law, len(space.elements))
             write_fields(folder, space.nodes, space.elements, frames, cell)

@@ -271,8 +271,7 @@ def save_run(run: MacroRun, folder: str | Path, *, fresh: bool = False) -> RunRe
 
 def write_results(folder: Path, run: MacroRun) -> None:
     """Write curve.csv, history.csv, energies.csv, fields, points and, of a cached run, events."""
-    curves = {name: curve.displacement for name, curve in run.curves.items()}
-    write_curves(folder, run.curve.t, curves, run.history, run.energies)
+    write_curves(folder, run.curves, run.history, run.energies)
     cell = cell_of_elements(run.law, len(run.elements))
     write_fields(folder, run.nodes, run.elements, run.frames, cell)
     write_points(folder, make_discretisation(run.problem.mesh), run.frames)

@@ -22,9 +22,9 @@ from surrofe2.store.run_folder import (
     RunRecord,
     write_curves,
 )
+from surrofe2.store.samples import kept_reference
 from surrofe2.tissue import TissueRun, TissueState, simulate_tissue
 from surrofe2.tissue.simulation import cells_that_fill, make_conditions, step_at_rest, with_step
-from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.run import new_record
 
 
@@ -69,8 +69,7 @@ def run_tissue(
     before = seconds_compiling()
 
     def store(record: RunRecord, run: TissueRun) -> RunRecord:
-        curves = {name: curve.displacement for name, curve in run.curves.items()}
-        write_curves(folder, run.curve.t, curves, run.history, run.energies)
+        write_curves(folder, run.curves, run.history, run.energies)
         write_particle_fields(folder, run.position, run.bonds, run.is_wall, run.frames)
         return replace(
             record,

@@ -33,10 +33,10 @@ from surrofe2.recipe.recipe import Recipe
 from surrofe2.report.tables import percent
 from surrofe2.run.loop import Report, Stage, no_report, no_stage
 from surrofe2.rve import RveLaw
-from surrofe2.store.hdf5 import read_seconds
+from surrofe2.store.hdf5 import read, read_seconds, write
 from surrofe2.store.samples import stored_count
 from surrofe2.store.store import START_OVER, check_same, file_lock, locked_file, remove
-from surrofe2.store.surrogates import read_surrogate, read_training, write_surrogate, write_training
+from surrofe2.store.surrogates import TRAINING, read_surrogate, write_surrogate
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.calibration import Truth
 from surrofe2.surrogate.calibration import calibrate as calibrate_by
@@ -219,9 +219,10 @@ class _Begun:
 def _read_unfinished(path: Path) -> _Begun:
     from surrofe2.surrogate.training import TrainingState  # torch, which runs do without
 
-    identity, iterations, arrays = read_training(path)
+    header, arrays = read(path, TRAINING)
     before = float(arrays.pop(_BEFORE, math.inf))
-    return _Begun(TrainingState(identity, iterations, arrays), read_seconds(path) or 0.0, before)
+    state = TrainingState(header["identity"], header["iterations"], arrays)
+    return _Begun(state, header["seconds"], before)
 
 
 def _seconds_of_data(recipe: Recipe, harvests: Sequence[Path]) -> dict[str, float]:
@@ -246,7 +247,8 @@ def _train(
 
     def keep(state: TrainingState) -> None:
         arrays = {**state.arrays, _BEFORE: np.array(begun.before)}
-        write_training(path, state.identity, state.iterations, arrays, meter.seconds)
+        header = {"identity": state.identity, "iterations": state.iterations}
+        write(path, TRAINING, {**header, "seconds": meter.seconds}, arrays)
 
     bounds: dict[str, float] = {}  # by the surrogate's weights
 

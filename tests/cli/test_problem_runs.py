@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-from surrofe2.store.run_folder import read_history, read_record, read_run
+from surrofe2.store.run_folder import read_record, read_run
 from tests.cli.finished_run import RUN_FILES
 from tests.laws import SoftLaw
 from tests.store.gmsh_files import TRIANGLES
@@ -125,7 +125,7 @@ def test_a_pressed_mesh_from_a_file(invoke, written, tmp_path):
     with (folder / "curve.csv").open(encoding="utf-8", newline="") as file:
         header = next(csv.reader(file))
     assert header == ["t_us", "u_x_um", "u_y_um", "u_x_um top, right", "u_y_um top, right"]
-    history = read_history(folder)
+    history = read_run(folder).history
     force = history["force plate y"]
     assert force[0] > -1e-9 > force[-1]  # the plate presses the tissue down
     assert force.argmin() < len(force) - 1  # it relaxes when the plate comes to rest
@@ -146,7 +146,7 @@ def test_a_pressed_mesh_from_a_file(invoke, written, tmp_path):
     assert compared.exit_code == 0, compared.output
     stored = json.loads((tmp_path / "comparison" / "comparison.json").read_text(encoding="utf-8"))
     found = stored["runs"][0]["forces"]["plate"]
-    there, here = (read_history(each) for each in (folder, soft))
+    there, here = (read_run(each).history for each in (folder, soft))
     apart = np.hypot(*(here[f"force plate {i}"] - there[f"force plate {i}"] for i in "xy"))
     assert found["largest"] * found["scale"] == pytest.approx(apart.max(), rel=1e-12)
     table = compared.stdout[compared.stdout.index("Forces on the tissue") :]

@@ -16,8 +16,8 @@ from surrofe2.base import compilation, interruption
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.report.comparison import compare_runs
 from surrofe2.report.page import write_report
-from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
-from surrofe2.store.run_folder import read_record, read_run
+from surrofe2.store.hdf5 import read, write
+from surrofe2.store.run_folder import STATE, read_record, read_run
 from surrofe2.store.store import read_columns
 from surrofe2.workflow import laws
 from surrofe2.workflow.run import run_study
@@ -200,9 +200,8 @@ def test_only_a_checkpoint_without_a_state_of_the_run_is_blamed(invoke, recipe_p
     faulty = invoke(*command, law=BrokenLaw())
     assert isinstance(faulty.exception, ZeroDivisionError)
     path = folder / "checkpoint.h5"
-    arrays = read_checkpoint(path, "a rve run")
-    write_checkpoint(path, {name: arrays[name] for name in arrays if "macro" not in name},
-                     "a rve run")  # fmt: skip
+    header, arrays = read(path, STATE)
+    write(path, STATE, header, {name: arrays[name] for name in arrays if "macro" not in name})
     refused = invoke(*command)
     assert refused.exit_code == 1
     assert refused.stderr.startswith(f"error: {path}: no state of this run (state of a run: ")

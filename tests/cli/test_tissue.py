@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from surrofe2.cli import app
 from surrofe2.recipe.recipe import load_recipe
-from surrofe2.store.run_folder import read_history, read_record, read_run
+from surrofe2.store.run_folder import read_record, read_run
 from tests.cli.finished_run import TISSUE_FILES
 
 
@@ -162,7 +162,7 @@ def test_problem_of_its_own_beside_finite_elements(stated, folder, tmp_path, mon
 
     recipe = stated()
     assert invoke(recipe, "--out", folder).exit_code == 0
-    history = read_history(folder)
+    history = read_run(folder).history
     assert history["position plate y"][-1] == pytest.approx(-0.5)
     assert history["mean displacement left x"][-1] == pytest.approx(0.2)
     assert history["force plate y"][-1] < -10.0
@@ -178,7 +178,7 @@ def test_problem_of_its_own_beside_finite_elements(stated, folder, tmp_path, mon
     runner = CliRunner()
     ran = runner.invoke(app, ["run", str(recipe), "--law", "rve", "--out", str(rve)])
     assert ran.exit_code == 0, ran.output
-    assert set(history) <= set(read_history(rve))
+    assert set(history) <= set(read_run(rve).history)
     done = runner.invoke(app, ["compare", str(folder), str(rve), "--out", str(comparison)])
     assert done.exit_code == 0, done.output
     found = json.loads((comparison / "comparison.json").read_text(encoding="utf-8"))
@@ -200,7 +200,8 @@ def test_all_conditions_and_bodies_of_a_recipe_act_on_a_tissue(stated, folder):
     )  # fmt: skip
     done = invoke(recipe, "--out", folder)
     assert done.exit_code == 0, done.output
-    history, energies = read_history(folder), read_history(folder, "energies.csv")
+    done = read_run(folder)
+    history, energies = done.history, done.energies
     assert history["force gas x"][0] == pytest.approx(-3.0 * 50.0)
     assert history["force plate y"][-1] < -5.0
     for name in ("base", "gas", "motion", "contact", "contact dissipated"):

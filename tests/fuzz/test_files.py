@@ -18,6 +18,7 @@ from hypothesis import given
 from surrofe2.base.errors import FileError
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.report.comparison import compare
+from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.store.meshes import load_mesh
 from surrofe2.store.run_folder import read_run, write_curves, write_record
 from surrofe2.store.samples import read_data_set
@@ -35,9 +36,8 @@ def data_set(folder):
 
 def run(folder):
     recipe, t = load_recipe(ROOT / "data" / "bending-bar.toml"), np.arange(5.0)
-    write_curves(
-        folder, t, {"tip": np.stack([t, -t], axis=1)}, {"force hold x": t, "force hold y": -t}, {}
-    )
+    curves = {"tip": DisplacementCurve(t, np.stack([t, -t], axis=1))}
+    write_curves(folder, curves, {"force hold x": t, "force hold y": -t}, {})
     record = finished_record(recipe, "rve", {"total": 3.0, "law": 2.0}, {"steps": 80})
     write_record(folder, record)
 

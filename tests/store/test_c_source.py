@@ -43,31 +43,25 @@ def compiled(law, folder):
         [COMPILER, *strict, "-shared", "-fPIC", "-o", str(library), str(source), "-lm"], check=True
     )
     call, batch = (getattr(ctypes.CDLL(str(library)), f"surrofe2_stress{of}") for of in ("", "_of"))
-    call.argtypes = [DOUBLES, DOUBLES, ctypes.c_double, *[DOUBLES] * 4]
-    batch.argtypes = [ctypes.c_size_t, *call.argtypes, ctypes.POINTER(ctypes.c_int32)]
+    call.argtypes = [ctypes.c_void_p] * 2 + [ctypes.c_double] + [ctypes.c_void_p] * 4
+    batch.argtypes = [ctypes.c_size_t, *call.argtypes, ctypes.c_void_p]
     batch.restype = ctypes.c_size_t
 
     def respond(F, F_dot, tolerance=np.inf, tangents=True):
-        n = len(F)
-        stress, bound, status = np.empty((n, 4)), np.empty(n), np.empty(n, dtype=int)
+        def at(*arrays):
+            return [each.ctypes.data for each in arrays]
+
+        n, F, F_dot = len(F), np.ascontiguousarray(F), np.ascontiguousarray(F_dot)
+        stress, bound, status = np.empty((n, 4)), np.empty(n), np.empty(n, dtype=np.int32)
         slopes = np.full((2, n, 16), np.nan)
         for k in range(n):
-            given = [np.ascontiguousarray(each[k]) for each in (F, F_dot)]
-            pointers = [each.ctypes.data_as(DOUBLES) for each in given]
-            out = [stress[k], bound[k : k + 1], slopes[0, k], slopes[1, k]]
-            written = [each.ctypes.data_as(DOUBLES) for each in out]
-            if not tangents:
-                written[2:] = [None, None]
-            status[k] = call(*pointers, tolerance, *written)
+            to = at(*slopes[:, k]) if tangents else [None, None]
+            status[k] = call(*at(F[k], F_dot[k]), tolerance, *at(stress[k], bound[k:]), *to)
         # a batch has the same answers, and leaves the slopes alone where a point has none
         together = [np.empty((n, 4)), np.empty(n), *np.full((2, n, 16), np.nan)]
-        statuses = np.empty(n, dtype=np.int32)
-        given = [np.ascontiguousarray(each).ctypes.data_as(DOUBLES) for each in (F, F_dot)]
-        written = [each.ctypes.data_as(DOUBLES) for each in together]
-        if not tangents:
-            written[2:] = [None, None]
-        whose = statuses.ctypes.data_as(ctypes.POINTER(ctypes.c_int32))
-        lost = batch(n, *given, tolerance, *written, whose)
+        statuses, to = np.empty_like(status), at(*together)
+        to = to if tangents else [*to[:2], None, None]
+        lost = batch(n, *at(F, F_dot), tolerance, *to, *at(statuses))
         assert np.array_equal(statuses, status)
         assert lost == np.count_nonzero(status)
         for found, wanted in zip(together, (stress, bound, *slopes), strict=True):
@@ -269,24 +263,24 @@ def test_two_surrogates_in_one_program(tmp_path):
     for name, each in (("first", law), ("second", other)):
         (tmp_path / f"{name}.c").write_text(c_source(each, name), encoding="utf-8")
         (tmp_path / f"{name}.h").write_text(c_header(each, name), encoding="utf-8")
-    main = '#include <math.h>\n#include "first.h"\n#include "second.h"\n'
-    main += 'extern "C" void ask(const double *F, '
-    main += "const double *A, double *out, double *bound, int *status) {\n"
-    main += "  first_stress_of(3, F, A, HUGE_VAL, out, bound, 0, 0, status);\n"
-    main += "  second_stress_of(3, F, A, HUGE_VAL, out + 12, bound, 0, 0, status);\n}\n"
-    (tmp_path / "main.cpp").write_text(main, encoding="utf-8")
-    objects = ["first.o", "second.o"]
-    for name in ("first", "second"):
-        command = [COMPILER, "-std=c99", "-fPIC", "-c", f"{name}.c"]
-        subprocess.run(command, check=True, cwd=tmp_path)
-    join = [COMPILER, "-shared", "-fPIC", "-x", "c++", "-c", "main.cpp", "-o", "main.o"]
-    subprocess.run(join, check=True, cwd=tmp_path)
-    link = [COMPILER, "-shared", "-o", "both.so", "main.o", *objects, "-lm"]
-    subprocess.run(link, check=True, cwd=tmp_path)
+    (tmp_path / "main.cpp").write_text(
+        '#include <math.h>\n#include "first.h"\n#include "second.h"\n'
+        'extern "C" void ask(const double *F, const double *A, double *out, double *bound,\n'
+        "                    int *status) {\n"
+        "  first_stress_of(3, F, A, HUGE_VAL, out, bound, 0, 0, status);\n"
+        "  second_stress_of(3, F, A, HUGE_VAL, out + 12, bound, 0, 0, status);\n}\n",
+        encoding="utf-8",
+    )
+    for command in (
+        ["-std=c99", "-fPIC", "-c", "first.c", "second.c"],
+        ["-fPIC", "-x", "c++", "-c", "main.cpp"],
+        ["-shared", "-o", "both.so", "main.o", "first.o", "second.o", "-lm"],
+    ):
+        subprocess.run([COMPILER, *command], check=True, cwd=tmp_path)
     F, F_dot = (each[:3].copy() for each in states(law, beyond=0.3))
     out, bound, status = np.empty((2, 3, 2, 2)), np.empty(3), np.empty(3, dtype=np.int32)
-    pointers = [each.ctypes.data_as(DOUBLES) for each in (F, F_dot, out, bound)]
-    ctypes.CDLL(str(tmp_path / "both.so")).ask(*pointers, status.ctypes.data_as(DOUBLES))
+    at = [ctypes.c_void_p(each.ctypes.data) for each in (F, F_dot, out, bound, status)]
+    ctypes.CDLL(str(tmp_path / "both.so")).ask(*at)
     for found, each in zip(out, (law, other), strict=True):
         expected = each.respond(F, F_dot).stress
         assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()

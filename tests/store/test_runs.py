@@ -9,7 +9,9 @@ import pytest
 
 from surrofe2.base.errors import FileError, InputError
 from surrofe2.run.displacement_curve import DisplacementCurve
+from surrofe2.store.hdf5 import write
 from surrofe2.store.run_folder import (
+    STATE,
     RunFolder,
     read_record,
     read_run,
@@ -32,19 +34,19 @@ def curve():
     return DisplacementCurve(t, np.stack([0.1 * t, -np.sqrt(t)], axis=1))
 
 
-def write(folder, curve, energies=None):
-    write_curves(folder, curve.t, {"tip": curve.displacement}, {}, energies or {})
+def write_tip(folder, curve):
+    write_curves(folder, {"tip": curve}, {}, {})
 
 
 def test_curves_come_back_to_the_last_bit(tmp_path, record, curve):
-    both = {"tip": curve.displacement, "a b": 2.0 * curve.displacement}
+    both = {"tip": curve, "a b": replace(curve, displacement=2.0 * curve.displacement)}
     history, energies = {"force hold x": curve.t, "position": -curve.t}, {"kinetic": 2.0 * curve.t}
-    write_curves(tmp_path, curve.t, both, history, energies)
+    write_curves(tmp_path, both, history, energies)
     write_record(tmp_path, replace(record, problem={"watched": {"tip": [0.0, 0.0]}}))
     back = read_run(tmp_path)
     assert list(back.curves) == ["tip", "a b"]
-    for name, u in both.items():
-        np.testing.assert_array_equal(back.curves[name].displacement, u)
+    for name, each in both.items():
+        np.testing.assert_array_equal(back.curves[name].displacement, each.displacement)
     for found, wanted in ((back.history, history), (back.energies, energies)):
         assert found.keys() == wanted.keys()
         for name, values in wanted.items():
@@ -59,7 +61,7 @@ def test_curves_come_back_to_the_last_bit(tmp_path, record, curve):
 
 
 def test_a_record_names_files_of_its_folder_alone(tmp_path, record, curve):
-    write(tmp_path, curve)
+    write_tip(tmp_path, curve)
     write_record(tmp_path, record)
     entries = read_json(tmp_path / "run.json")
     write_json(tmp_path / "run.json", entries | {"files": {"/dev/zero": "0"}})
@@ -75,7 +77,7 @@ def opened(folder, record, **how):
 
 def test_fresh_replaces_the_run_and_nothing_else(tmp_path, record, curve):
     folder = tmp_path / "run"
-    write(folder, curve)
+    write_tip(folder, curve)
     write_record(folder, record)
     (folder / "notes.txt").write_text("mine")
     opened(folder, replace(record, status="running"), fresh=True)
@@ -94,12 +96,22 @@ def test_fresh_replaces_no_file_that_is_not_of_a_run(tmp_path, record, name):
 
 def test_a_run_without_a_checkpoint_starts_with_nothing_of_another(tmp_path, record, curve):
     folder = tmp_path / "run"
-    write(folder, curve)
+    write_tip(folder, curve)
     write_record(folder, replace(record, status="interrupted"))
     (folder / "harvest-skin.h5").touch()
     assert not opened(folder, replace(record, status="running")).resumes
     assert [path.name for path in folder.iterdir()] == ["run.json"]
     assert read_record(folder).status == "running"
+
+
+def test_a_checkpoint_of_something_else_is_refused(tmp_path, record):
+    folder, running = tmp_path / "run", replace(record, status="running")
+    opened(folder, running)
+    path = folder / "checkpoint.h5"
+    write(path, STATE, {"of": "a training"}, {})
+    with pytest.raises(FileError) as caught, RunFolder.open(folder, running, None) as run:
+        run.restored(dict)
+    assert str(caught.value) == f"{path}: a checkpoint of a training, not of a rve run"
 
 
 def test_a_record_in_other_units_or_of_another_schema_is_refused(tmp_path, record):
@@ -117,7 +129,7 @@ def test_a_record_in_other_units_or_of_another_schema_is_refused(tmp_path, recor
 
 def test_unfinished_run_is_not_read(tmp_path, record, curve):
     write_record(tmp_path, replace(record, status="interrupted"))
-    write(tmp_path, curve)
+    write_tip(tmp_path, curve)
     with pytest.raises(InputError) as caught:
         read_run(tmp_path)
     assert str(caught.value) == f"{tmp_path}: the run is interrupted; its command resumes it"

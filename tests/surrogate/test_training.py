@@ -7,7 +7,8 @@ import pytest
 
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.base.sampling import sample
-from surrofe2.store.surrogates import read_training, write_training
+from surrofe2.store.hdf5 import read, write
+from surrofe2.store.surrogates import TRAINING
 from surrofe2.surrogate import TrainingSettings, train, training
 from surrofe2.surrogate.training import TrainingState
 from tests.laws import (
@@ -102,8 +103,11 @@ def test_interrupted_training_carries_on_as_if_it_had_not_been(few, tmp_path):
     assert [state.iterations for state in states] == [20, 20]
 
     path = tmp_path / "unfinished.h5"
-    write_training(path, states[-1].identity, states[-1].iterations, states[-1].arrays)
-    state = TrainingState(*read_training(path))
+    last = states[-1]
+    header = {"identity": last.identity, "iterations": last.iterations, "seconds": 1.0}
+    write(path, TRAINING, header, last.arrays)
+    header, arrays = read(path, TRAINING)
+    state = TrainingState(header["identity"], header["iterations"], arrays)
     resumed, whole = train(few, SMALL, resume=state), train(few, SMALL)
     assert np.array_equal(stress_of(resumed), stress_of(whole))
 

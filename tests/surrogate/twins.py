@@ -129,7 +129,7 @@ def read_parts(path):
         for name, value in header.items():
             if str(value).startswith("{"):
                 header[name] = json.loads(value)
-        return header, stored.all_arrays()
+        return header, stored.arrays()
 
 
 def write_parts(path, header, arrays):
