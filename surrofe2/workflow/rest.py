@@ -30,7 +30,8 @@ from surrofe2.store.run_folder import (
     write_curves,
 )
 from surrofe2.store.store import keep
-from surrofe2.workflow.laws import cell_of_elements, choose_laws, with_surface
+from surrofe2.workflow import laws
+from surrofe2.workflow.laws import cell_of_elements, law_by_region, with_surface
 from surrofe2.workflow.run import new_record, problem_record, with_rest, write_points
 
 STATES = {"unloaded": 0.0, "loaded": 1.0}
@@ -55,7 +56,7 @@ def rest_study(
         SimulationError: a load step finds no equilibrium.
     """
     problem = recipe.problem()
-    chosen = choose_laws(recipe, "rve", problem.mesh)
+    law = law_by_region(recipe, problem.mesh, laws.true_law)
     problem = with_surface(recipe, problem)
     timer, before = Meter(), seconds_compiling()
 
@@ -69,7 +70,7 @@ def rest_study(
         }
         write_curves(folder, factors, {"": rest.path[:, 1:]}, by_name, rest.energies, is_rest=True)
         if record.status != "interrupted":  # each load step is a frame: many take seconds
-            cell = cell_of_elements(chosen.law, len(space.elements))
+            cell = cell_of_elements(law, len(space.elements))
             write_fields(folder, space.nodes, space.elements, frames, cell)
             write_points(folder, space, frames)
         wall = {"total": timer.seconds, "compilation": seconds_compiling() - before}
@@ -80,13 +81,13 @@ def rest_study(
     def checkpoint(rest: Rest) -> None:
         run.partial = rest
         arrays = within("rest", rest.to_arrays()) | {"seconds": np.array(timer.seconds)}
-        run.checkpoint(arrays | within("law", state_arrays(chosen.law, rest.law_state)))
+        run.checkpoint(arrays | within("law", state_arrays(law, rest.law_state)))
 
     def restore(arrays: dict[str, NDArray]) -> RestState:
         nonlocal timer
         timer = Meter(float(arrays["seconds"]))
         state = RestState.from_arrays(part_of(arrays, "rest"))
-        return replace(state, law_state=state_of(chosen.law, part_of(arrays, "law")))
+        return replace(state, law_state=state_of(law, part_of(arrays, "law")))
 
     record = replace(new_record(recipe, "rve"), problem=problem_record(problem))
     stated = {"factor": factor, "load_steps": load_steps}
@@ -99,7 +100,7 @@ def rest_study(
         with recipe.named(InputError):
             rest = find_rest(
                 problem,
-                chosen.law,
+                law,
                 recipe.macro,
                 factor=factor,
                 load_steps=load_steps,
@@ -173,7 +174,7 @@ _UNITS = {
 def _modes_of(recipe: Recipe, method: str, factor: float, count: int) -> dict[str, Any]:
     problem = recipe.problem()
     study = replace(recipe, rve=replace(recipe.rve, initialisation=method))
-    law = choose_laws(study, "rve", problem.mesh).law
+    law = law_by_region(study, problem.mesh, laws.true_law)
     with recipe.named(InputError):
         problem = with_surface(study, problem)
         rest = find_rest(problem, law, recipe.macro, factor=factor, load_steps=4)

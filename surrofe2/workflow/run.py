@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -71,10 +70,12 @@ from surrofe2.store.store import plain
 from surrofe2.store.tables import write_table
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow.laws import (
-    NO_FILES,
+    ChosenLaw,
     cell_of_elements,
     check_tangents,
-    choose_laws,
+    choose_law,
+    files_by_cell,
+    law_by_region,
     surface_notes,
     surface_record,
     surrogate_record,
@@ -93,110 +94,91 @@ def run_study(
     kind: str,
     folder: Path,
     *,
-    surrogates: Mapping[str, Path] = NO_FILES,
+    surrogates: Mapping[str, Path] = MappingProxyType({}),
     tables: Sequence[Path] = (),
     fresh: bool = False,
     report: Report = no_report,
 ) -> RunRecord:
     """Run the recipe's problem by the law called `kind` and write the run folder.
 
+    RVE answers are kept in memory and in checkpoints until the run ends, so that a harvest has
+    exactly those of the run that it belongs to.
+
     Args:
         surrogates: files by name of the cell, instead of the recipe's.
-        tables: files of tables to start from; the run's own are written into the folder.
+        tables: files of tables to start from, each for the cells whose answers it has; the run's
+            own are written into the folder.
 
     Raises:
         SimulationError: the run could not be carried on; the folder holds it up to there.
     """
-    study = _Study(recipe, kind, folder, surrogates, tables)
-    with RunFolder.open(folder, study.record, study.store, fresh=fresh) as run:
-        if run.is_finished:
-            return run.record
-        state = run.restored(study.restored)
-        run.cache = None if state is None else cache_report(study.law)
-        report(0.0, "loading kernels")
-        with recipe.named(InputError), study.learnt_at_an_interrupt():
-            result = simulate(
-                study.problem,
-                study.law,
-                recipe.macro,
-                progress=lambda t, duration: report(t, ""),
-                checkpoint=lambda state: study.checkpoint(run, state),
-                checkpoint_interval=CHECKPOINT_INTERVAL,
-                resume=state,
-            )
-        run.finish(result)
-    return run.record
+    if kind == "table":
+        check_tangents(recipe)
+    before, problem, harvests = seconds_compiling(), recipe.problem(), dict[str, HarvestWriter]()
+    given, chosen = files_by_cell(recipe, tables, "--table"), dict[str, ChosenLaw]()
+    for name, part in recipe.parts().items():
+        if kind in ("cached", "table"):
+            harvests[name] = HarvestWriter(folder / of_cell(HARVEST, name), origin_of(part))
+        file, taker = surrogates.get(name), harvests.get(name)
+        chosen[name] = choose_law(part, kind, file, given[name], taker)
+    law = law_by_region(recipe, problem.mesh, lambda part: chosen[part.cell_name].law)
+    learning = {name: each.table for name, each in chosen.items() if each.table is not None}
+    problem = with_surface(recipe, problem)
+    earlier = sum(read_seconds(each) or 0.0 for each in tables)
+    learnt = {name: each.surrogate for name, each in chosen.items() if each.surrogate}
+    record = new_record(recipe, kind, surrogate_record(learnt))
+    record = replace(record, problem=problem_record(problem))
 
+    def write_learnt(seconds: float) -> None:
+        for writer in harvests.values():
+            writer.flush(seconds)
+        for name, table in learning.items():
+            write_table(folder / of_cell("table.h5", name), table, recipe.to_dict(), seconds)
 
-class _Study:
-    """A recipe's problem and its law, and what a run by them leaves besides its record.
+    def store(record: RunRecord, result: MacroRun) -> RunRecord:
+        record = with_results(record, result, learning)  # first: it ends the audits
+        wall = {**record.wall_time, "compilation": seconds_compiling() - before}
+        write_learnt(earlier + wall.get("total", 0.0))
+        write_results(folder, result)
+        return replace(record, wall_time=wall)
 
-    RVE answers are kept in memory and in checkpoints until the run ends, so that a harvest has
-    exactly those of the run that it belongs to.
-    """
-
-    def __init__(
-        self,
-        recipe: Recipe,
-        kind: str,
-        folder: Path,
-        surrogates: Mapping[str, Path],
-        tables: Sequence[Path],
-    ) -> None:
-        if kind == "table":
-            check_tangents(recipe)
-        self.recipe, self.folder, self.before = recipe, folder, seconds_compiling()
-        self.harvests: dict[str, HarvestWriter] = {}
-        taker = self._harvest if kind in ("cached", "table") else lambda part: None
-        problem = recipe.problem()
-        chosen = choose_laws(recipe, kind, problem.mesh, surrogates, tables, taker)
-        self.law, self.tables = chosen.law, chosen.tables
-        self.problem = with_surface(recipe, problem)
-        self.earlier = sum(read_seconds(each) or 0.0 for each in tables)
-        record = new_record(recipe, kind, chosen.surrogate)
-        self.record = replace(record, problem=problem_record(self.problem))
-
-    def _harvest(self, part: Recipe) -> HarvestWriter:
-        path = self.folder / of_cell(HARVEST, part.cell_name)
-        self.harvests[part.cell_name] = HarvestWriter(path, origin_of(part))
-        return self.harvests[part.cell_name]
-
-    def checkpoint(self, run: RunFolder, state: MacroState) -> None:
+    def checkpoint(state: MacroState) -> None:
         arrays = within("macro", state.to_arrays())
-        arrays |= within("law", state_arrays(self.law, state.law_state))
-        for cell, writer in self.harvests.items():
+        arrays |= within("law", state_arrays(law, state.law_state))
+        for cell, writer in harvests.items():
             arrays |= within(f"harvest of {cell}", writer.to_arrays())
-        run.checkpoint(arrays, cache_report(self.law))
-        _write_decisions(self.folder, self.law)
+        run.checkpoint(arrays, cache_report(law))
+        _write_decisions(folder, law)
 
-    def restored(self, arrays: Mapping[str, NDArray]) -> MacroState:
+    def restore(arrays: Mapping[str, NDArray]) -> MacroState:
         state = MacroState.from_arrays(part_of(arrays, "macro"))
-        law_state = state_of(self.law, part_of(arrays, "law"))
-        for cell, writer in self.harvests.items():
+        law_state = state_of(law, part_of(arrays, "law"))
+        for cell, writer in harvests.items():
             writer.restore(part_of(arrays, f"harvest of {cell}"))
         return replace(state, law_state=law_state)
 
-    def store(self, record: RunRecord, result: MacroRun) -> RunRecord:
-        record = with_results(record, result, self.tables)  # first: it ends the audits
-        wall = {**record.wall_time, "compilation": seconds_compiling() - self.before}
-        self._write_learnt(self.earlier + wall.get("total", 0.0))
-        write_results(self.folder, result)
-        return replace(record, wall_time=wall)
-
-    @contextmanager
-    def learnt_at_an_interrupt(self) -> Iterator[None]:
+    with RunFolder.open(folder, record, store, fresh=fresh) as run:
+        if run.is_finished:
+            return run.record
+        state = run.restored(restore)
+        run.cache = None if state is None else cache_report(law)
+        report(0.0, "loading kernels")
         try:
-            yield
+            with recipe.named(InputError):
+                result = simulate(
+                    problem,
+                    law,
+                    recipe.macro,
+                    progress=lambda t, duration: report(t, ""),
+                    checkpoint=checkpoint,
+                    checkpoint_interval=CHECKPOINT_INTERVAL,
+                    resume=state,
+                )
         except KeyboardInterrupt:
-            self._write_learnt(0.0)
+            write_learnt(0.0)
             raise
-
-    def _write_learnt(self, seconds: float) -> None:
-        for writer in self.harvests.values():
-            writer.flush(seconds)
-        for name, table in self.tables.items():
-            path = self.folder / of_cell("table.h5", name)
-            write_table(path, table, self.recipe.to_dict(), seconds)
+        run.finish(result)
+    return run.record
 
 
 def of_cell(file: str, cell: str) -> str:
