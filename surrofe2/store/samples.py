@@ -8,7 +8,6 @@ has paid for. The settled reference state of an RVE is kept in the cache folder.
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -172,15 +171,6 @@ class DataSetWriter(SampleWriter):
         self.take(**rows_of(F, F_dot, answer, self._has_tangents))
         if self._clock.is_due():
             self._clock.write(self.store)
-
-    def left_count(self) -> int:
-        """How many rows so far have a stress, but of an RVE that left a bifurcation."""
-        rows = self.to_arrays()
-        return int((rows[LEFT].astype(bool) & (rows["status"] == 0)).sum())
-
-    def status_counts(self) -> dict[int, int]:
-        """How many rows so far have each status code."""
-        return dict(sorted(Counter(self.to_arrays()["status"].tolist()).items()))
 
     def store(self, status: str = "writing") -> None:
         """Write the rows that there are, to resume from."""

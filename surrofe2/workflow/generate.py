@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from surrofe2.base.errors import FileError, InputError
 from surrofe2.base.sampling import SamplingRange, training_points
 from surrofe2.base.tensors import stress_error, stress_spread
-from surrofe2.law.samples import StressSamples
+from surrofe2.law.samples import TANGENTS, StressSamples
 from surrofe2.law.stress_law import StressLaw, StressResponse, describe
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.run.loop import Report, Stage, no_report, no_stage
@@ -51,14 +51,11 @@ _SAME = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Generated:
-    """A finished data set; `added`: samples that this call computed, 0 if it was finished already;
-    `failed`: how many by reason; `left`: how many have a stress, but left a bifurcation."""
+    """A finished data set; `added`: samples that this call computed, 0 if it was finished."""
 
     path: Path
-    count: int
+    samples: StressSamples
     added: int
-    failed: dict[str, int]
-    left: int = 0
 
 
 def counts_of(recipe: Recipe) -> tuple[int, ...]:
@@ -116,17 +113,14 @@ def generate_data_set(
     )
     with writing_data_set(path, header, fresh=fresh) as data:
         added = count - data.completed
-        failures = sum(n for code, n in data.status_counts().items() if code)
+        failures = int((data.to_arrays()["status"] != 0).sum())
         report(data.completed, f"{failures} failed")
         work = partial(_sampled, law, wanted, settings.seed, settings.tangents)
         for F, F_dot, answer in in_pieces(work, range(data.completed, count), chunk, executor):
             data.append(F, F_dot, answer)
             failures += int((answer.status != 0).sum())
             report(data.completed, f"{failures} failed")
-        counts, left = data.status_counts(), data.left_count()
-        data.finish()
-    failed = {describe(code): n for code, n in counts.items() if code}
-    return Generated(path, count, added, failed, left)
+        return Generated(path, data.finish(), added)
 
 
 def _sampled(
@@ -181,18 +175,19 @@ def _joined(parts: Sequence[dict[str, Array]]) -> dict[str, Any]:
 
 def data_summary(generated: Generated) -> str:
     """How many samples there are and of what use; each is counted once."""
-    failed = Counter(generated.failed)
-    text = f"{generated.count} samples" + ("" if generated.added else " (already finished)")
-    usable = generated.count - failed.total() - generated.left
-    text = f"{text}, {'all' if usable == generated.count else usable} usable"
+    samples = generated.samples
+    count, usable = len(samples.F), len(samples.valid.F)
+    failed = Counter(map(describe, np.sort(samples.status[samples.status != 0]).tolist()))
+    left = count - usable - failed.total()
+    text = f"{count} samples" + ("" if generated.added else " (already finished)")
+    text = f"{text}, {'all' if usable == count else usable} usable"
     if failed:
         reasons = "; ".join(f"{n}: {reason}" for reason, n in failed.most_common())
         text = f"{text}, {failed.total()} failed ({reasons})"
-    if generated.left:
+    if left:
         text += (
-            f", {generated.left} left a bifurcation and are not trained on: in "
-            f"{generated.left / generated.count:.1%} of the recipe's range the stress has more "
-            "than one value; narrow it where that matters"
+            f", {left} left a bifurcation and are not trained on: in {left / count:.1%} of the "
+            "recipe's range the stress has more than one value; narrow it where that matters"
         )
     return text
 
@@ -280,7 +275,6 @@ def _with_tangents(law: StressLaw, harvest: dict[str, Any], same: float) -> dict
 
 def _arrays_of(answers: Harvest | StressSamples) -> dict[str, Any]:
     """The arrays that samples and harvests have, and tangents where there are some."""
-    arrays = {name: getattr(answers, name) for name in ("F", "F_dot", "stress", "status")}
-    if isinstance(answers, StressSamples) and answers.P_by_F is not None:
-        arrays |= {"P_by_F": answers.P_by_F, "P_by_F_dot": answers.P_by_F_dot}
-    return arrays
+    names = ("F", "F_dot", "stress", "status", *TANGENTS)
+    arrays = {name: getattr(answers, name, None) for name in names}
+    return {name: values for name, values in arrays.items() if values is not None}
