@@ -124,6 +124,10 @@ def train_surrogate(
     """
     if find_spec("torch") is None:
         raise InputError("training needs PyTorch, which is not installed: pip install torch")
+    if recipe.training.bound and not recipe.calibration.walks:
+        raise InputError(
+            f"training.bound: {recipe.training.bound:g}; it must be 0 where calibration.walks is"
+        )
     path, unfinished = recipe.training_path(), unfinished_training(recipe)
     counts = counts_of(recipe)
 
@@ -163,7 +167,8 @@ def train_surrogate(
             while True:
                 with stage("train", recipe.training.iterations, "iterations") as report:
                     if recipe.training.bound and not shaping:
-                        shaping = _shaping(recipe, samples)
+                        law = laws.true_law(recipe)
+                        shaping = shaping_truths(samples, law, recipe.calibration)
                     surrogate, bound, seconds = _train(recipe, samples, shaping, begun, report)
                 number += 1
                 if (
@@ -173,13 +178,17 @@ def train_surrogate(
                 ):
                     break
                 begun, samples = _Begun(seconds=seconds, before=bound), take(counts[number])
-            made = {**_seconds_of_data(recipe, add), "training": seconds}
-            surrogate = replace(surrogate, seconds=made)
+            parts = [read_seconds(each) for each in (recipe.data_path(), *add)]
+            # none where nobody knows those of a file
+            data = {} if None in parts else {"data": sum(each or 0.0 for each in parts)}
+            surrogate = replace(surrogate, seconds={**data, "training": seconds})
             write_surrogate(surrogate, path)
             remove(unfinished)
         meter = Meter()
         with stage("calibrate", 1.0, "of the paths") as report:
-            surrogate = calibrate_surrogate(recipe, surrogate, samples, report, shaping)
+            law, runs = laws.true_law(recipe), partial(_runs, recipe, surrogate)
+            given = surrogate, samples, law, recipe.calibration
+            surrogate = calibrate(*given, report=report, shaping=shaping, runs=runs)
         surrogate = replace(surrogate, seconds={**surrogate.seconds, "calibration": meter.seconds})
         write_surrogate(surrogate, path)
     return trained(surrogate, kept=False)
@@ -224,13 +233,6 @@ def _read_unfinished(path: Path) -> _Begun:
     return _Begun(TrainingState(identity, iterations, arrays), read_seconds(path) or 0.0, before)
 
 
-def _seconds_of_data(recipe: Recipe, harvests: Sequence[Path]) -> dict[str, float]:
-    """The seconds of the data set and the harvests; none where nobody knows those of a file."""
-    seconds = [read_seconds(path) for path in (recipe.data_path(), *harvests)]
-    known = [each for each in seconds if each is not None]
-    return {"data": sum(known)} if len(known) == len(seconds) else {}
-
-
 def _train(
     recipe: Recipe,
     samples: StressSamples,
@@ -270,14 +272,6 @@ def _train(
     except MismatchError as error:
         raise MismatchError(f"{path}: {error}; {START_OVER}") from None
     return surrogate, bound_of(surrogate), meter.seconds
-
-
-def _shaping(recipe: Recipe, samples: StressSamples) -> list[Truth]:
-    if not recipe.calibration.walks:
-        raise InputError(
-            f"training.bound: {recipe.training.bound:g}; it must be 0 where calibration.walks is"
-        )
-    return shaping_truths(samples, laws.true_law(recipe), recipe.calibration)
 
 
 def _check_surrogate(recipe: Recipe, surrogate: SurrogateLaw, samples: StressSamples) -> None:
@@ -397,19 +391,6 @@ def calibrate(
     if why:
         log.warning("bound: none, because %s", why)
     return bounded
-
-
-def calibrate_surrogate(
-    recipe: Recipe,
-    surrogate: SurrogateLaw,
-    samples: StressSamples,
-    report: Report,
-    shaping: Sequence[Truth],
-) -> SurrogateLaw:
-    """The surrogate with a calibrated bound, by RVEs along paths of the recipe; see `calibrate`."""
-    law, runs = laws.true_law(recipe), partial(_runs, recipe, surrogate)
-    settings = recipe.calibration
-    return calibrate(surrogate, samples, law, settings, report=report, shaping=shaping, runs=runs)
 
 
 def shaping_truths(
@@ -608,19 +589,11 @@ def varied_problems(problem: Problem, count: int, seed: int) -> Iterator[Problem
 
 
 def _varied(stated: Condition | RigidBody, factor: float, pace: float) -> Any:
-    if isinstance(stated, DrivenCondition):
-        return replace(stated, amplitude=Varied(stated.amplitude, factor, pace))
-    if isinstance(stated, InitialVelocity):
-        return replace(stated, velocity=_times(factor, stated.velocity))
-    if isinstance(stated, RigidBody):
-        return replace(
-            stated,
-            amplitude=Varied(stated.amplitude, factor, pace),
-            velocity=_times(factor, stated.velocity),
-            acceleration=_times(factor, stated.acceleration),
-        )
-    return stated
-
-
-def _times(factor: float, vector: tuple[float, float]) -> tuple[float, float]:
-    return factor * vector[0], factor * vector[1]
+    vectors = {InitialVelocity: ("velocity",), RigidBody: ("velocity", "acceleration")}
+    changes: dict[str, Any] = {
+        name: tuple(factor * value for value in getattr(stated, name))
+        for name in vectors.get(type(stated), ())
+    }
+    if isinstance(stated, DrivenCondition | RigidBody):
+        changes["amplitude"] = Varied(stated.amplitude, factor, pace)
+    return replace(stated, **changes)
