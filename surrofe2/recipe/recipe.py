@@ -62,7 +62,13 @@ Index = NDArray[np.int64]
 PROBLEM_SECTIONS = ("mesh", "conditions", "watch", "bodies", "time")
 """Those that state a problem."""
 
-_ON_BOUNDARIES = (Traction, Pressure, Foundation)
+_PLACES: dict[type, Any] = {
+    BodyForce: region,
+    Traction: boundary,
+    Pressure: boundary,
+    Foundation: boundary,
+}
+"""What finds where a condition acts, if it is not `nodes_on`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -213,13 +219,8 @@ class StatedProblem:
         )
         mesh, space = problem.mesh, make_discretisation(problem.mesh)
         for condition in self.conditions:
-            where = f"conditions.{label(condition)}.on"
-            if isinstance(condition, BodyForce):
-                region(mesh, condition.on, where)
-            elif isinstance(condition, _ON_BOUNDARIES):
-                boundary(mesh, condition.on, where)
-            else:
-                nodes_on(mesh, condition.on, where)
+            find = _PLACES.get(type(condition), nodes_on)
+            find(mesh, condition.on, f"conditions.{label(condition)}.on")
         for body in self.bodies:
             boundary(mesh, body.on, f"bodies.{body.name}.on")
         for name, at in self.watched.items():
@@ -266,17 +267,15 @@ def stated_problem(
         with faults.noted():
             raise InputError("conditions", "missing; something must hold or move the tissue")
     file = sections["mesh"].get("file") if isinstance(sections.get("mesh"), dict) else None
-    sha256 = faults.take(_digest_of, folder / file) if isinstance(file, str) else None
+    sha256 = None
+    if isinstance(file, str):
+        with faults.noted():
+            try:
+                sha256 = digest(folder / file)
+            except FileError as error:
+                raise FileError(f"mesh.file: {error}") from None
     faults.check()
     return replace(stated, sha256=sha256)
-
-
-def _digest_of(path: Path) -> str:
-    """SHA-256 of a mesh file."""
-    try:
-        return digest(path)
-    except FileError as error:
-        raise FileError(f"mesh.file: {error}") from None
 
 
 # Its plant cells.
@@ -285,8 +284,8 @@ REST = "rest"
 """As a region of a cell: what no other cell fills, unless the mesh has a region of that name."""
 CELL_SECTIONS = ("range", "samples", "training")
 """Sections that a cell may have; what they leave out is as in the recipe's section."""
-_OWN = (("samples", "file"), ("training", "file"))
-"""Files that cells cannot share."""
+_WITH_FILE = ("samples", "training")
+"""Those with a file, which cells cannot share."""
 ALIASES = {"ghysels2009": "printed", "ghysels2009-light": "water"}
 """Presets by the paper that they are of."""
 FIRST_COUNT, MOST_COUNT = 512, 16384
@@ -369,26 +368,25 @@ def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
         raise InputError(
             "cells", "[cells.NAME] fill regions of a mesh; the section [mesh] is missing"
         )
-    for section, key in _OWN:
-        if key in shared.get(section, {}):
+    for section in _WITH_FILE:
+        file = shared.get(section, {}).get("file")
+        if file is not None:
             raise InputError(
-                f"{section}.{key}",
-                f"{quoted(shared[section][key])}; each cell has its own: give "
-                f"cells.NAME.{section}.{key}",
+                f"{section}.file",
+                f"{quoted(file)}; each cell has its own: give cells.NAME.{section}.file",
             )
     _settings(shared, "")  # what is wrong there is reported once, of no cell
     faults = Faults()
     types = {name: faults.take(_cell_type, name, one, shared) for name, one in cells.items()}
     faults.check()
-    for kind, files in (
-        ("samples", {name: each.samples.file for name, each in types.items()}),
-        ("training", {name: each.training_file for name, each in types.items()}),
-    ):
-        known: dict[str, str] = {}
-        for name, file in files.items():
-            first = known.setdefault(str(Path(file)), name) if file is not None else name
+    whose = dict[tuple[str, str], str]()
+    for name, each in types.items():
+        for section, file in zip(_WITH_FILE, (each.samples.file, each.training_file), strict=True):
+            first = name if file is None else whose.setdefault((section, str(Path(file))), name)
             if first != name:
-                raise InputError(f"cells.{name}.{kind}.file", f"{quoted(file)}; that is {first}'s")
+                raise InputError(
+                    f"cells.{name}.{section}.file", f"{quoted(file)}; that is {first}'s"
+                )
     return types
 
 
@@ -401,10 +399,17 @@ def _cell_type(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]])
         raise InputError(where, f"{quoted(entries)}; it must be a section [{where}]")
     extras = ("preset", "regions", *CELL_SECTIONS) if name else ("preset",)
     constants = {key: value for key, value in entries.items() if key not in extras}
-    preset = entries.get("preset", "printed")
-    preset, cell = faults.take(_cell, constants, preset, where, extras) or ("", None)
-    regions = faults.take(_regions, entries.get("regions", [name]), where) if name else ()
-    sections = dict(shared)
+    preset, regions, sections, cell = "", (), dict(shared), None
+    with faults.noted():
+        preset = check_value(f"{where}.preset", entries.get("preset", "printed"), str, {})
+        preset = ALIASES.get(preset, preset)
+        make = partial(CellParameters.preset, preset)
+        cell = build(make, constants, where, extras, of=CellParameters)
+    with faults.noted():
+        stated = entries.get("regions", [name]) if name else []
+        regions = check_value(f"{where}.regions", stated, tuple[str, ...], {})
+        if name and not regions:
+            raise InputError(f"{where}.regions", "[]; it must name a region of the mesh")
     for section in CELL_SECTIONS if name else ():
         with faults.noted():
             own = entries.get(section, {})
@@ -414,23 +419,6 @@ def _cell_type(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]])
     settings = faults.take(_settings, sections, f"{where}." if name else "")
     faults.check()
     return CellType(preset=preset, cell=cell, regions=regions, **settings)
-
-
-def _cell(
-    constants: Mapping[str, Any], preset: Any, where: str, extras: tuple[str, ...]
-) -> tuple[str, Any]:
-    """A preset and the plant cell that it is with other constants."""
-    preset = check_value(f"{where}.preset", preset, str, {})
-    preset = ALIASES.get(preset, preset)
-    make = partial(CellParameters.preset, preset)
-    return preset, build(make, constants, where, extras, of=CellParameters)
-
-
-def _regions(stated: Any, where: str) -> tuple[str, ...]:
-    regions: tuple[str, ...] = check_value(f"{where}.regions", stated, tuple[str, ...], {})
-    if not regions:
-        raise InputError(f"{where}.regions", "[]; it must name a region of the mesh")
-    return regions
 
 
 def _settings(sections: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, Any]:
@@ -743,12 +731,17 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
             if name in SECTIONS and not isinstance(section, dict):
                 raise InputError(name, f"{quoted(section)}; it must be a section [{name}]")
             tables[name] = section
-    macro = dict(tables.get("macro", {}))
+    macro, time = dict(tables.get("macro", {})), tables.get("time")
+    has_mesh = set(PROBLEM_SECTIONS) & tables.keys()
+    has_frames = isinstance(time, dict) and "frames" in time
+    for key, home, is_there in (("elements", "mesh", has_mesh), ("frames", "time", has_frames)):
+        if is_there and key in macro:
+            with faults.noted():
+                raise InputError(f"macro.{key}", f"{quoted(macro[key])}; it stands in [{home}]")
     given = macro.pop("elements", (4, 4))
     elements = faults.take(check_value, "macro.elements", given, tuple[int, int], {"least": 1})
     entries["stated"] = faults.take(stated_problem, tables, path.parent, elements or (4, 4))
     entries["cells"] = faults.take(cell_types, tables)
-    faults.take(_check_homes, tables)
     for name, kind in _SETTINGS.items():
         if name == "macro":
             entries[name] = faults.take(build, kind, macro, name, ("elements",))
@@ -763,13 +756,3 @@ def changed(settings: T, **entries: Any) -> T:
     """The settings of a section with other entries; None leaves an entry as it is."""
     wanted = {name: value for name, value in entries.items() if value is not None}
     return replace(settings, **wanted)  # type: ignore[type-var]
-
-
-def _check_homes(table: Mapping[str, Any]) -> None:
-    """Refuse keys of [macro] that another section of the recipe has."""
-    macro, time = table.get("macro", {}), table.get("time")
-    homes = {"elements": "mesh" if set(PROBLEM_SECTIONS) & table.keys() else ""}
-    homes["frames"] = "time" if isinstance(time, dict) and "frames" in time else ""
-    for key, home in homes.items():
-        if home and key in macro:
-            raise InputError(f"macro.{key}", f"{quoted(macro[key])}; it stands in [{home}]")
