@@ -89,9 +89,8 @@ def rest_study(
         state = RestState.from_arrays(part_of(arrays, "rest"))
         return replace(state, law_state=state_of(law, part_of(arrays, "law")))
 
-    record = replace(new_record(recipe, "rve"), problem=problem_record(problem))
-    stated = {"factor": factor, "load_steps": load_steps}
-    record = replace(record, recipe={**record.recipe, "rest": stated})
+    stated = {**recipe.to_dict(), "rest": {"factor": factor, "load_steps": load_steps}}
+    record = new_record(recipe, "rve", recipe=stated, problem=problem_record(problem))
     with RunFolder.open(folder, record, store, fresh=fresh) as run:
         if run.is_finished:
             return run.record

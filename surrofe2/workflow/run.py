@@ -126,8 +126,8 @@ def run_study(
     problem = with_surface(recipe, problem)
     earlier = sum(read_seconds(each) or 0.0 for each in tables)
     learnt = {name: each.surrogate for name, each in chosen.items() if each.surrogate}
-    record = new_record(recipe, kind, surrogate_record(learnt))
-    record = replace(record, problem=problem_record(problem))
+    of = {"surrogate": surrogate_record(learnt), "problem": problem_record(problem)}
+    record = new_record(recipe, kind, **of)
 
     def write_learnt(seconds: float) -> None:
         for writer in harvests.values():
@@ -210,19 +210,16 @@ def origin_of(recipe: Recipe) -> dict[str, Any]:
     return origin(recipe.cell, rve.initialisation, rve=asdict(rve), recipe=recipe.to_dict())
 
 
-def new_record(recipe: Recipe, law: str, surrogate: Mapping[str, Any] | None = None) -> RunRecord:
+def new_record(recipe: Recipe, law: str, /, **entries: Any) -> RunRecord:
     """The record of a run by the law of this name that is about to start."""
-    return RunRecord(
-        status="running",
-        recipe=recipe.to_dict(),
-        law=law,
-        initialisation=recipe.rve.initialisation,
-        solver=recipe.rve.solver,
-        cell_fingerprint=recipe.fingerprint,
-        seed=None if len(recipe.cells) > 1 else recipe.samples.seed,
-        surrogate=surrogate,
-        **describe_origin(),
-    )
+    known = {
+        "recipe": recipe.to_dict(),
+        "initialisation": recipe.rve.initialisation,
+        "solver": recipe.rve.solver,
+        "cell_fingerprint": recipe.fingerprint,
+        "seed": None if len(recipe.cells) > 1 else recipe.samples.seed,
+    }
+    return RunRecord(status="running", law=law, **describe_origin(), **(known | entries))
 
 
 def save_run(run: MacroRun, folder: str | Path, *, fresh: bool = False) -> RunRecord:
@@ -376,15 +373,13 @@ def _record_of(run: MacroRun) -> RunRecord:
     )
 
 
-def _law_entries(law: StressLaw) -> dict[str, Any]:
+def _law_entries(law: Any) -> dict[str, Any]:
     """Kind and fingerprint of a law, and by section of a recipe what it is made of."""
     law = own_part(law)
     if isinstance(law, CachedLaw):
-        kind, cache = "table", {"cache": asdict(law.settings)}
-        if isinstance(law.surrogate, SurrogateLaw):
-            kind = "cached"
-            cache["surrogate"] = _law_entries(law.surrogate)["surrogate"]
-        return {**_law_entries(law.fallback), **cache, "kind": kind}
+        learnt = _law_entries(law.surrogate)["surrogate"]
+        kind, cache = "cached" if learnt else "table", asdict(law.settings)
+        return {**_law_entries(law.fallback), "kind": kind, "cache": cache, "surrogate": learnt}
     found: dict[str, Any] = {"kind": type(law).__name__, "fingerprint": "none"}
     found |= {name: {} for name in ("cell", "rve", "cache", "surrogate")}
     if isinstance(law, RveLaw | SurrogateLaw):
@@ -432,27 +427,21 @@ def run_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
             yield f"contact: {name} penetrates by {depth:.2g} µm{wish}", is_deep
     yield from surface_notes(record)
     yield from cache_notes(record)
-    yield from _rank_notes(record)
-
-
-def _rank_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
-    """What part of a run on several ranks rank 0 took for itself: it bounds what more can do."""
-    if record.ranks is None:
-        return
-    wall, of = record.wall_time, record.ranks
-    total, away = wall["total"], of["computing"] + of["messages"]
-    shares = {
-        "assembly and time stepping on rank 0": wall["macro"],
-        "what the law decides there": max(0.0, wall["law"] - away),
-        "computing on all ranks": of["computing"],
-        "messages": of["messages"],
-    }
-    parts = ", ".join(f"{name} {100.0 * each / total:.0f} %" for name, each in shares.items())
-    yield (
-        f"ranks: {of['ranks']} of {of['threads']} threads; {parts} of {time_text(total)}; "
-        f"{of['tasks']} exchanges",
-        False,
-    )
+    if record.ranks is not None:  # what rank 0 takes for itself bounds what more ranks can do
+        wall, ranks = record.wall_time, record.ranks
+        total, away = wall["total"], ranks["computing"] + ranks["messages"]
+        shares = {
+            "assembly and time stepping on rank 0": wall["macro"],
+            "what the law decides there": max(0.0, wall["law"] - away),
+            "computing on all ranks": ranks["computing"],
+            "messages": ranks["messages"],
+        }
+        parts = ", ".join(f"{name} {100.0 * each / total:.0f} %" for name, each in shares.items())
+        yield (
+            f"ranks: {ranks['ranks']} of {ranks['threads']} threads; {parts} of "
+            f"{time_text(total)}; {ranks['tasks']} exchanges",
+            False,
+        )
 
 
 def run_summary(record: RunRecord) -> str:

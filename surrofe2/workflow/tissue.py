@@ -79,9 +79,8 @@ def run_tissue(
             threads=run.threads,
         )
 
-    record = replace(
-        new_record(recipe, "tissue"), initialisation="none", solver="leapfrog", seed=None
-    )
+    of = {"initialisation": "none", "solver": "leapfrog", "seed": None}
+    record = new_record(recipe, "tissue", **of)
     with RunFolder.open(folder, record, store, fresh=fresh) as run:
         if run.is_finished:
             return run.record
