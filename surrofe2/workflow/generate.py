@@ -58,16 +58,11 @@ class Generated:
     added: int
 
 
-def counts_of(recipe: Recipe) -> tuple[int, ...]:
-    """How many samples training takes, in turn."""
-    return recipe.samples.counts(recipe.training.bound)
-
-
 def wanted_count(recipe: Recipe, *, fresh: bool = False) -> int:
     """How many samples the recipe's data set is to have: what training begins with, or as many as
     it has needed before.
     """
-    counts, path = counts_of(recipe), recipe.data_path()
+    counts, path = recipe.samples.counts(recipe.training.bound), recipe.data_path()
     if len(counts) == 1 or fresh or not path.exists():
         return counts[0]
     there = stored_count(path).rows

@@ -135,7 +135,10 @@ def _planned(
         if stated not in checked:  # each problem is meshed and checked once
             recipe.problem()
             checked.append(stated)
-        counting = {law: _without(changes, _WITHOUT[law]) for law in LAWS}
+        counting = {
+            law: {k: v for k, v in changes.items() if k.partition(".")[0] not in _WITHOUT[law]}
+            for law in LAWS
+        }
         for law in laws:
             needs: dict[str, Path] = {}
             for name, part in recipe.parts().items():
@@ -154,10 +157,6 @@ def _planned(
             )
             runs.setdefault(name_of_values(counting[law], law), run)
     return [*surrogates.values()], runs
-
-
-def _without(changes: Mapping[str, Any], sections: Sequence[str]) -> dict[str, Any]:
-    return {k: value for k, value in changes.items() if k.partition(".")[0] not in sections}
 
 
 def _surrogate(

@@ -336,18 +336,17 @@ def open_study(path: Path, threads: int | None) -> Recipe:
     return recipe
 
 
-def use_threads(wanted: int | None) -> int:
-    """Limit numba, BLAS and torch to so many threads (None: all cores); the number used.
+def use_threads(wanted: int | None) -> None:
+    """Limit numba, BLAS and torch to so many threads; None: all cores.
 
     Raises:
         InputError: more than the machine has cores.
     """
-    available = os.cpu_count() or 1
     if wanted is None:
-        return available
+        return
+    available = os.cpu_count() or 1
     if wanted > available:
         raise InputError(f"--threads: {wanted}; this machine has {available} cores")
     os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = str(wanted)
     numba.set_num_threads(wanted)
     threadpool_limits(wanted)
-    return wanted

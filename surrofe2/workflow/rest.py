@@ -31,7 +31,6 @@ from surrofe2.store.run_folder import (
 )
 from surrofe2.store.store import keep
 from surrofe2.workflow import laws
-from surrofe2.workflow.laws import cell_of_elements, law_by_region, with_surface
 from surrofe2.workflow.run import new_record, problem_record, with_rest, write_points
 
 STATES = {"unloaded": 0.0, "loaded": 1.0}
@@ -56,8 +55,8 @@ def rest_study(
         SimulationError: a load step finds no equilibrium.
     """
     problem = recipe.problem()
-    law = law_by_region(recipe, problem.mesh, laws.true_law)
-    problem = with_surface(recipe, problem)
+    law = laws.law_by_region(recipe, problem.mesh, laws.true_law)
+    problem = laws.with_surface(recipe, problem)
     timer, before = Meter(), seconds_compiling()
 
     def store(record: RunRecord, rest: Rest) -> RunRecord:
@@ -70,7 +69,7 @@ def rest_study(
         }
         write_curves(folder, factors, {"": rest.path[:, 1:]}, by_name, rest.energies, is_rest=True)
         if record.status != "interrupted":  # each load step is a frame: many take seconds
-            cell = cell_of_elements(law, len(space.elements))
+            cell = laws.cell_of_elements(law, len(space.elements))
             write_fields(folder, space.nodes, space.elements, frames, cell)
             write_points(folder, space, frames)
         wall = {"total": timer.seconds, "compilation": seconds_compiling() - before}
@@ -173,9 +172,9 @@ _UNITS = {
 def _modes_of(recipe: Recipe, method: str, factor: float, count: int) -> dict[str, Any]:
     problem = recipe.problem()
     study = replace(recipe, rve=replace(recipe.rve, initialisation=method))
-    law = law_by_region(study, problem.mesh, laws.true_law)
+    law = laws.law_by_region(study, problem.mesh, laws.true_law)
     with recipe.named(InputError):
-        problem = with_surface(study, problem)
+        problem = laws.with_surface(study, problem)
         rest = find_rest(problem, law, recipe.macro, factor=factor, load_steps=4)
     modes = find_modes(rest, count)
     return {

@@ -43,17 +43,7 @@ from surrofe2.report.comparison import audit_sentence, fallback_reasons
 from surrofe2.run.journal import part_of, within
 from surrofe2.run.loop import Report, no_report
 from surrofe2.rve import RveLaw
-from surrofe2.store.fields import (
-    DISPLACEMENT_NAME,
-    F_DOT_NAME,
-    F_NAME,
-    RISK_NAME,
-    SOURCE_NAME,
-    STRESS_NAME,
-    VELOCITY_NAME,
-    write_fields,
-    write_point_fields,
-)
+from surrofe2.store import fields
 from surrofe2.store.hdf5 import origin, read_seconds
 from surrofe2.store.run_folder import (
     CHECKPOINT_INTERVAL,
@@ -69,18 +59,7 @@ from surrofe2.store.samples import HarvestWriter
 from surrofe2.store.store import plain
 from surrofe2.store.tables import write_table
 from surrofe2.surrogate import SurrogateLaw
-from surrofe2.workflow.laws import (
-    ChosenLaw,
-    cell_of_elements,
-    check_tangents,
-    choose_law,
-    files_by_cell,
-    law_by_region,
-    surface_notes,
-    surface_record,
-    surrogate_record,
-    with_surface,
-)
+from surrofe2.workflow import laws
 
 HARVEST = "harvest.h5"
 MANY_UNTRUSTED = 0.1
@@ -113,20 +92,20 @@ def run_study(
         SimulationError: the run could not be carried on; the folder holds it up to there.
     """
     if kind == "table":
-        check_tangents(recipe)
+        laws.check_tangents(recipe)
     before, problem, harvests = seconds_compiling(), recipe.problem(), dict[str, HarvestWriter]()
-    given, chosen = files_by_cell(recipe, tables, "--table"), dict[str, ChosenLaw]()
+    given, chosen = laws.files_by_cell(recipe, tables, "--table"), dict[str, laws.ChosenLaw]()
     for name, part in recipe.parts().items():
         if kind in ("cached", "table"):
             harvests[name] = HarvestWriter(folder / of_cell(HARVEST, name), origin_of(part))
         file, taker = surrogates.get(name), harvests.get(name)
-        chosen[name] = choose_law(part, kind, file, given[name], taker)
-    law = law_by_region(recipe, problem.mesh, lambda part: chosen[part.cell_name].law)
+        chosen[name] = laws.choose_law(part, kind, file, given[name], taker)
+    law = laws.law_by_region(recipe, problem.mesh, lambda part: chosen[part.cell_name].law)
     learning = {name: each.table for name, each in chosen.items() if each.table is not None}
-    problem = with_surface(recipe, problem)
+    problem = laws.with_surface(recipe, problem)
     earlier = sum(read_seconds(each) or 0.0 for each in tables)
     learnt = {name: each.surrogate for name, each in chosen.items() if each.surrogate}
-    of = {"surrogate": surrogate_record(learnt), "problem": problem_record(problem)}
+    of = {"surrogate": laws.surrogate_record(learnt), "problem": problem_record(problem)}
     record = new_record(recipe, kind, **of)
 
     def write_learnt(seconds: float) -> None:
@@ -252,8 +231,8 @@ def write_results(folder: Path, run: MacroRun) -> None:
     """Write curve.csv, history.csv, energies.csv, fields, points and, of a cached run, events."""
     curves = {name: curve.displacement for name, curve in run.curves.items()}
     write_curves(folder, run.curve.t, curves, run.history, run.energies)
-    cell = cell_of_elements(run.law, len(run.elements))
-    write_fields(folder, run.nodes, run.elements, run.frames, cell)
+    cell = laws.cell_of_elements(run.law, len(run.elements))
+    fields.write_fields(folder, run.nodes, run.elements, run.frames, cell)
     write_points(folder, make_discretisation(run.problem.mesh), run.frames)
     _write_decisions(folder, run.law)
 
@@ -263,18 +242,18 @@ def write_points(folder: Path, space: Discretisation, frames: Frames) -> None:
     at = np.isin(frames.t, frames.point_t)
     u, v = frames.displacement[at], frames.velocity[at]
     moved = [deformation_gradient(space, *motion) for motion in zip(u, v, strict=True)]
-    write_point_fields(
+    fields.write_point_fields(
         folder,
         space.point_positions(),
         frames.point_t,
         {
-            DISPLACEMENT_NAME: np.stack([space.at_points(each) for each in u]),
-            VELOCITY_NAME: np.stack([space.at_points(each) for each in v]),
-            F_NAME: np.stack([F for F, _, _ in moved]),
-            F_DOT_NAME: np.stack([F_dot for _, F_dot, _ in moved]),
-            STRESS_NAME: frames.point_stress,
-            SOURCE_NAME: frames.point_source,
-            RISK_NAME: frames.point_risk,
+            fields.DISPLACEMENT_NAME: np.stack([space.at_points(each) for each in u]),
+            fields.VELOCITY_NAME: np.stack([space.at_points(each) for each in v]),
+            fields.F_NAME: np.stack([F for F, _, _ in moved]),
+            fields.F_DOT_NAME: np.stack([F_dot for _, F_dot, _ in moved]),
+            fields.STRESS_NAME: frames.point_stress,
+            fields.SOURCE_NAME: frames.point_source,
+            fields.RISK_NAME: frames.point_risk,
         },
         space.points_per_element,
     )
@@ -339,14 +318,14 @@ def problem_record(problem: Problem) -> dict[str, Any]:
         "conditions": [label(condition) for condition in problem.conditions],
         "bodies": [body.name for body in problem.bodies],
         "watched": {name: list(at) for name, at in problem.watched.items()},
-        **({"surface": surface_record(problem)} if problem.surface is not None else {}),
+        **({"surface": laws.surface_record(problem)} if problem.surface is not None else {}),
     }
 
 
 def _record_of(run: MacroRun) -> RunRecord:
     """The record of a run that no recipe stated."""
-    laws = run.law.laws if isinstance(run.law, RegionalLaw) else {"": run.law}
-    found = {name: _law_entries(law) for name, law in laws.items()}
+    of_cells = run.law.laws if isinstance(run.law, RegionalLaw) else {"": run.law}
+    found = {name: _law_entries(law) for name, law in of_cells.items()}
     if isinstance(run.law, RegionalLaw):
         sections: dict[str, Any] = {"cells": {}}
         for name, each in found.items():
@@ -367,7 +346,7 @@ def _record_of(run: MacroRun) -> RunRecord:
         initialisation=joined(each["rve"].get("initialisation", "none") for each in found.values()),
         solver=joined(each["rve"].get("solver", "none") for each in found.values()),
         cell_fingerprint=" ".join(each["fingerprint"] for each in found.values()),
-        surrogate=surrogate_record(learnt),
+        surrogate=laws.surrogate_record(learnt),
         problem=problem_record(run.problem),
         **describe_origin(),
     )
@@ -425,7 +404,7 @@ def run_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
             is_deep = depth > 0.01 * side
             wish = f"; a larger bodies.{name}.stiffness would lessen it" if is_deep else ""
             yield f"contact: {name} penetrates by {depth:.2g} µm{wish}", is_deep
-    yield from surface_notes(record)
+    yield from laws.surface_notes(record)
     yield from cache_notes(record)
     if record.ranks is not None:  # what rank 0 takes for itself bounds what more ranks can do
         wall, ranks = record.wall_time, record.ranks

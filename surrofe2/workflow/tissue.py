@@ -16,12 +16,7 @@ from surrofe2.problem import Problem
 from surrofe2.recipe.recipe import Recipe, kinds_of_cells
 from surrofe2.run.loop import Report, no_report
 from surrofe2.store.fields import write_particle_fields
-from surrofe2.store.run_folder import (
-    CHECKPOINT_INTERVAL,
-    RunFolder,
-    RunRecord,
-    write_curves,
-)
+from surrofe2.store.run_folder import CHECKPOINT_INTERVAL, RunFolder, RunRecord, write_curves
 from surrofe2.tissue import TissueRun, TissueState, simulate_tissue
 from surrofe2.tissue.simulation import cells_that_fill, make_conditions, step_at_rest, with_step
 from surrofe2.workflow.laws import kept_reference

@@ -58,13 +58,7 @@ from surrofe2.surrogate.settings import (
     CalibrationSettings,
 )
 from surrofe2.workflow import laws
-from surrofe2.workflow.generate import (
-    Generated,
-    counts_of,
-    generate_data_set,
-    training_samples,
-    wanted_count,
-)
+from surrofe2.workflow.generate import Generated, generate_data_set, training_samples, wanted_count
 from surrofe2.workflow.laws import law_by_region
 
 if TYPE_CHECKING:
@@ -129,7 +123,7 @@ def train_surrogate(
             f"training.bound: {recipe.training.bound:g}; it must be 0 where calibration.walks is"
         )
     path, unfinished = recipe.training_path(), unfinished_training(recipe)
-    counts = counts_of(recipe)
+    counts = recipe.samples.counts(recipe.training.bound)
 
     def take(count: int) -> StressSamples:
         samples = training_samples(recipe, count, add, stage=stage)
