@@ -21,7 +21,6 @@ from surrofe2.macro.rest import RestState
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.run.journal import part_of, within
 from surrofe2.run.loop import Report, Stage, no_report, no_stage
-from surrofe2.store.fields import write_fields
 from surrofe2.store.run_folder import (
     CHECKPOINT_INTERVAL,
     RunFolder,
@@ -31,7 +30,7 @@ from surrofe2.store.run_folder import (
 )
 from surrofe2.store.store import keep
 from surrofe2.workflow import laws
-from surrofe2.workflow.run import new_record, problem_record, with_rest, write_points
+from surrofe2.workflow.run import new_record, problem_record, with_rest, write_frames
 
 STATES = {"unloaded": 0.0, "loaded": 1.0}
 """Factor of the loads by the name of the state whose modes are asked for."""
@@ -69,9 +68,7 @@ def rest_study(
         }
         write_curves(folder, factors, {"": rest.path[:, 1:]}, by_name, rest.energies, is_rest=True)
         if record.status != "interrupted":  # each load step is a frame: many take seconds
-            cell = laws.cell_of_elements(law, len(space.elements))
-            write_fields(folder, space.nodes, space.elements, frames, cell)
-            write_points(folder, space, frames)
+            write_frames(folder, space, frames, law)
         wall = {"total": timer.seconds, "compilation": seconds_compiling() - before}
         met = {"watched": rest.watched.tolist(), **MetRange.of(rest.extremes).to_dict()}
         record = with_rest(record, rest.system.rest)

@@ -231,14 +231,15 @@ def write_results(folder: Path, run: MacroRun) -> None:
     """Write curve.csv, history.csv, energies.csv, fields, points and, of a cached run, events."""
     curves = {name: curve.displacement for name, curve in run.curves.items()}
     write_curves(folder, run.curve.t, curves, run.history, run.energies)
-    cell = laws.cell_of_elements(run.law, len(run.elements))
-    fields.write_fields(folder, run.nodes, run.elements, run.frames, cell)
-    write_points(folder, make_discretisation(run.problem.mesh), run.frames)
+    write_frames(folder, make_discretisation(run.problem.mesh), run.frames, run.law)
     _write_decisions(folder, run.law)
 
 
-def write_points(folder: Path, space: Discretisation, frames: Frames) -> None:
-    """Write points.xdmf and points.h5: the law's points, F and Ḟ by the displacement of nodes."""
+def write_frames(folder: Path, space: Discretisation, frames: Frames, law: StressLaw) -> None:
+    """Write the fields of nodes and elements, and points.xdmf and points.h5: the law's points, F
+    and Ḟ by the displacement of nodes."""
+    cell = laws.cell_of_elements(law, len(space.elements))
+    fields.write_fields(folder, space.nodes, space.elements, frames, cell)
     at = np.isin(frames.t, frames.point_t)
     u, v = frames.displacement[at], frames.velocity[at]
     moved = [deformation_gradient(space, *motion) for motion in zip(u, v, strict=True)]
