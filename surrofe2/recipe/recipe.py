@@ -16,7 +16,7 @@ import re
 import tomllib
 from collections.abc import Container, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -177,105 +177,6 @@ def _conditions(where: str, entry: Any) -> tuple[Condition, ...]:
 
 def _bodies(where: str, entry: Any) -> tuple[RigidBody, ...]:
     return tuple(check_value(where, entry, Mapping[str, RigidBody], {}).values())
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StatedProblem:
-    """A problem as a recipe states it.
-
-    Attributes:
-        sha256: of the mesh file.
-        section: that states its extent, "mesh" or "load".
-    """
-
-    mesh: MeshSettings = setting(about="the tissue")
-    conditions: tuple[Condition, ...] = setting((), "what holds and loads it", read=_conditions)
-    watch: Mapping[str, Point] | None = setting(None, "points by name", LENGTH)
-    bodies: tuple[RigidBody, ...] = setting((), "that it touches", read=_bodies)
-    time: TimeSettings = setting(TimeSettings(), "of the run")
-    sha256: str | None = None
-    section: str = "mesh"
-
-    @property
-    def watched(self) -> Mapping[str, Point]:
-        """Watched points by name, µm."""
-        return self.watch or {}
-
-    def problem(self, folder: Path) -> Problem:
-        """The problem; its files lie relative to `folder`.
-
-        Raises:
-            InputError: the mesh is none, or has not what the sections name.
-        """
-        problem = Problem(
-            mesh=self.mesh.mesh(folder),
-            conditions=self.conditions,
-            bodies=self.bodies,
-            duration=self.time.duration,
-            output_interval=self.time.output_interval or self.time.duration,
-            watched=self.watched,
-            boundaries=self.mesh.boundaries or {},
-            regions=self.mesh.regions or {},
-        )
-        mesh, space = problem.mesh, make_discretisation(problem.mesh)
-        for condition in self.conditions:
-            find = _PLACES.get(type(condition), nodes_on)
-            find(mesh, condition.on, f"conditions.{label(condition)}.on")
-        for body in self.bodies:
-            boundary(mesh, body.on, f"bodies.{body.name}.on")
-        for name, at in self.watched.items():
-            try:
-                space.locate(np.array(at), f"watch.{name}")
-            except InputError as error:
-                x, y = mesh.p[:, np.hypot(*(mesh.p.T - np.array(at)).T).argmin()]
-                message = f"{error}, whose nearest node is at ({x:.6g}, {y:.6g}) µm"
-                raise InputError(message) from None
-        return problem
-
-    def to_dict(self) -> dict[str, dict[str, Any]]:
-        """The sections, defaults filled in; conditions by the names that results have."""
-        acts = sections_of(self.conditions, self.bodies, self.watched)
-        mesh = self.mesh.to_dict() | {"sha256": self.sha256}
-        return {"mesh": mesh, **acts, "time": asdict(self.time)}
-
-
-def stated_problem(
-    table: Mapping[str, Any], folder: Path, elements: tuple[int, int]
-) -> StatedProblem:
-    """The problem of a recipe's tables; without any for one, the bar of [load] on `elements`.
-
-    Raises:
-        InputError: naming the entry that is not what it must be.
-        FileError: there is no such mesh file.
-    """
-    sections, section = {name: table[name] for name in PROBLEM_SECTIONS if name in table}, "mesh"
-    if sections and "load" in table:
-        first = next(iter(sections))
-        raise InputError(
-            "load", f"[load] states the paper's bar, [{first}] another problem; leave one out"
-        )
-    if not sections:
-        section = "load"
-        sections = build(LoadSettings, table.get("load", {}), "load").sections(elements)
-    faults, fixed = Faults(), dict[str, Any](section=section)
-    if "mesh" not in sections:
-        fixed["mesh"] = None
-        with faults.noted():
-            raise InputError("mesh", f"missing; [{next(iter(sections))}] needs the section [mesh]")
-    stated = faults.take(partial(build, StatedProblem, sections, "", **fixed))
-    if not any(sections.get(name, {}) not in ({}, []) for name in ("conditions", "bodies")):
-        with faults.noted():
-            raise InputError("conditions", "missing; something must hold or move the tissue")
-    file = sections["mesh"].get("file") if isinstance(sections.get("mesh"), dict) else None
-    sha256 = None
-    if isinstance(file, str):
-        with faults.noted():
-            try:
-                sha256 = digest(folder / file)
-            except FileError as error:
-                raise FileError(f"mesh.file: {error}") from None
-    faults.check()
-    return replace(stated, sha256=sha256)
 
 
 # Its plant cells.
@@ -477,6 +378,14 @@ def kinds_of_cells(
 
 # All of it.
 
+
+def _macro(where: str, entry: Any) -> MacroSettings:
+    """Without the elements of a bar, which its mesh has."""
+    check_table(where, entry)
+    others = {key: value for key, value in entry.items() if key != "elements"}
+    return build(MacroSettings, others, where, ("elements",))
+
+
 _LONGEST_NAME = 200
 """Bytes of a file's name; others that are made from it are longer."""
 
@@ -488,20 +397,27 @@ class Recipe:
     Attributes:
         cells: by name; that of a section [cell] is called "".
         part: name of the selected cell; None: the only one, or all of several.
-        stated: the problem.
+        is_bar: whether section [load] states the problem.
+        sha256: of the mesh file.
     """
 
     path: Path
     cells: Mapping[str, CellType]
-    rve: RveSettings
-    calibration: CalibrationSettings
-    stated: StatedProblem
-    macro: MacroSettings
-    tissue: TissueSettings
-    table: TableSettings
-    surface: SurfaceSettings | None = None
-    cache: CacheSettings = field(default_factory=CacheSettings)
+    mesh: MeshSettings = setting(about="the tissue")
+    conditions: tuple[Condition, ...] = setting((), "what holds and loads it", read=_conditions)
+    bodies: tuple[RigidBody, ...] = setting((), "that it touches", read=_bodies)
+    watch: Mapping[str, Point] | None = setting(None, "points by name", LENGTH)
+    time: TimeSettings = setting(TimeSettings(), "of the run")
+    rve: RveSettings = setting(RveSettings(), "how RVEs are solved")
+    calibration: CalibrationSettings = setting(CalibrationSettings(), "of the error's bound")
+    macro: MacroSettings = setting(MacroSettings(), "of finite elements", read=_macro)
+    tissue: TissueSettings = setting(TissueSettings(), "of full tissues")
+    table: TableSettings = setting(TableSettings(), "of RVE answers")
+    surface: SurfaceSettings | None = setting(None, "free sides with a law of their own")
+    cache: CacheSettings = setting(CacheSettings(), "of RVE answers, by a surrogate")
     part: str | None = None
+    is_bar: bool = False
+    sha256: str | None = None
 
     def parts(self, name: str | None = None) -> dict[str, Recipe]:
         """The recipe for each of its cells by name, or for the selected one."""
@@ -604,17 +520,39 @@ class Recipe:
             InputError: the mesh is none, or has not what the recipe names.
         """
         with self.named(FileError, InputError):
-            problem = self.stated.problem(self.path.parent)
-            self.points_of_cells(problem.mesh)
+            problem = Problem(
+                mesh=self.mesh.mesh(self.path.parent),
+                conditions=self.conditions,
+                bodies=self.bodies,
+                duration=self.time.duration,
+                output_interval=self.time.output_interval or self.time.duration,
+                watched=self.watch or {},
+                boundaries=self.mesh.boundaries or {},
+                regions=self.mesh.regions or {},
+            )
+            mesh, space = problem.mesh, make_discretisation(problem.mesh)
+            for condition in self.conditions:
+                find = _PLACES.get(type(condition), nodes_on)
+                find(mesh, condition.on, f"conditions.{label(condition)}.on")
+            for body in self.bodies:
+                boundary(mesh, body.on, f"bodies.{body.name}.on")
+            for name, at in (self.watch or {}).items():
+                try:
+                    space.locate(np.array(at), f"watch.{name}")
+                except InputError as error:
+                    x, y = mesh.p[:, np.hypot(*(mesh.p.T - np.array(at)).T).argmin()]
+                    message = f"{error}, whose nearest node is at ({x:.6g}, {y:.6g}) µm"
+                    raise InputError(message) from None
+            self.points_of_cells(mesh)
             if self.surface is not None and self.surface.on != FREE:
                 for name in self.surface.on:
-                    boundary(problem.mesh, name, "surface.on")
+                    boundary(mesh, name, "surface.on")
             return problem
 
     @property
     def duration(self) -> float:
         """Length of the run, µs."""
-        return self.stated.time.duration
+        return self.time.duration
 
     def data_path(self) -> Path:
         """Where the data set lies."""
@@ -646,15 +584,18 @@ class Recipe:
 
         Of one cell it has the sections of a [cell], whatever its name.
         """
-        stated = {name: getattr(self, name) for name in _SETTINGS}
+        stated = {name: getattr(self, name) for name in _OF_ALL_CELLS}
         settings = {name: asdict(each) for name, each in stated.items() if each is not None}
         if self.part is not None or "" in self.cells:
             cells = self.cells[self.cell_name].to_dict()
         else:
             cells = {"cells": {name: _entries(each) for name, each in self.cells.items()}}
-        plainly: dict[str, Any] = plain(
-            {"recipe": self.path.name, **cells, **settings, **self.stated.to_dict()}
-        )
+        problem = {
+            "mesh": {**self.mesh.to_dict(), "sha256": self.sha256},
+            **sections_of(self.conditions, self.bodies, self.watch or {}),
+            "time": self.time,
+        }
+        plainly: dict[str, Any] = plain({"recipe": self.path.name, **cells, **settings, **problem})
         return plainly
 
 
@@ -664,15 +605,6 @@ def _entries(cell: CellType) -> dict[str, Any]:
     return {**sections.pop("cell"), "regions": list(cell.regions), **sections}
 
 
-_SETTINGS: dict[str, type] = {
-    "rve": RveSettings,
-    "calibration": CalibrationSettings,
-    "macro": MacroSettings,
-    "tissue": TissueSettings,
-    "table": TableSettings,
-    "surface": SurfaceSettings,
-    "cache": CacheSettings,
-}
 SECTIONS: dict[str, type] = {
     "cell": CellParameters,
     "rve": RveSettings,
@@ -681,10 +613,14 @@ SECTIONS: dict[str, type] = {
     "training": TrainingSettings,
     "calibration": CalibrationSettings,
     "load": LoadSettings,
-    **_SETTINGS,
+    "macro": MacroSettings,
+    "tissue": TissueSettings,
+    "table": TableSettings,
+    "surface": SurfaceSettings,
+    "cache": CacheSettings,
 }
 """Sections of settings by name; others state a problem, or several cells."""
-
+_OF_ALL_CELLS = ("rve", "calibration", "macro", "tissue", "table", "surface", "cache")
 
 _MOST = 2**24
 """Bytes of a recipe."""
@@ -721,8 +657,7 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
         InputError: naming the section or key that is unknown or out of its range; its `faults`
             are all that is wrong.
     """
-    faults, entries = Faults(), dict[str, Any]()
-    tables = dict[str, Any]()
+    faults, tables = Faults(), dict[str, Any]()
     known = (*SECTIONS, *PROBLEM_SECTIONS, "cells")
     for name, section in table.items():
         with faults.noted():
@@ -731,25 +666,46 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
             if name in SECTIONS and not isinstance(section, dict):
                 raise InputError(name, f"{quoted(section)}; it must be a section [{name}]")
             tables[name] = section
-    macro, time = dict(tables.get("macro", {})), tables.get("time")
-    has_mesh = set(PROBLEM_SECTIONS) & tables.keys()
+    stated = [name for name in PROBLEM_SECTIONS if name in tables]
+    entries = {name: each for name, each in tables.items() if name in (*stated, *_OF_ALL_CELLS)}
+    given: dict[str, Any] = {"path": path, "is_bar": not stated}
+    macro, time = tables.get("macro", {}), tables.get("time")
     has_frames = isinstance(time, dict) and "frames" in time
-    for key, home, is_there in (("elements", "mesh", has_mesh), ("frames", "time", has_frames)):
+    for key, home, is_there in (("elements", "mesh", stated), ("frames", "time", has_frames)):
         if is_there and key in macro:
             with faults.noted():
                 raise InputError(f"macro.{key}", f"{quoted(macro[key])}; it stands in [{home}]")
-    given = macro.pop("elements", (4, 4))
-    elements = faults.take(check_value, "macro.elements", given, tuple[int, int], {"least": 1})
-    entries["stated"] = faults.take(stated_problem, tables, path.parent, elements or (4, 4))
-    entries["cells"] = faults.take(cell_types, tables)
-    for name, kind in _SETTINGS.items():
-        if name == "macro":
-            entries[name] = faults.take(build, kind, macro, name, ("elements",))
-        elif name in tables or name != "surface":
-            entries[name] = faults.take(build, kind, tables.get(name, {}), name)
+    if stated:
+        with faults.noted():
+            if "load" in tables:
+                raise InputError(
+                    "load",
+                    f"[load] states the paper's bar, [{stated[0]}] another problem; leave one out",
+                )
+            if "mesh" not in tables:
+                raise InputError("mesh", f"missing; [{stated[0]}] needs the section [mesh]")
+        with faults.noted():
+            if not any(tables.get(name, {}) not in ({}, []) for name in ("conditions", "bodies")):
+                raise InputError("conditions", "missing; something must hold or move the tissue")
+    else:
+        value = macro.get("elements", (4, 4))
+        elements = faults.take(check_value, "macro.elements", value, tuple[int, int], {"least": 1})
+        bar = faults.take(build, LoadSettings, tables.get("load", {}), "load")
+        entries |= bar.sections(elements or (4, 4)) if bar else {}
+    if "mesh" not in entries:
+        given["mesh"] = None  # a fault that was noted says so
+    given |= faults.take(partial(build, dict, entries, "", of=Recipe, **given)) or {}
+    mesh = entries.get("mesh")
+    if isinstance(mesh, dict) and isinstance(mesh.get("file"), str):
+        with faults.noted():
+            try:
+                given["sha256"] = digest(path.parent / mesh["file"])
+            except FileError as error:
+                raise FileError(f"mesh.file: {error}") from None
+    given["cells"] = faults.take(cell_types, tables)
     faults.check()
-    entries["macro"] = changed(entries["macro"], frames=entries["stated"].time.frames)
-    return Recipe(path=path, **entries)
+    recipe = Recipe(**given)
+    return replace(recipe, macro=changed(recipe.macro, frames=recipe.time.frames))
 
 
 def changed(settings: T, **entries: Any) -> T:

@@ -13,7 +13,7 @@ from typing import Any
 from surrofe2.base.errors import InputError, SimulationError, quoted
 from surrofe2.base.settings import unknown
 from surrofe2.recipe.entries import name_of_values
-from surrofe2.recipe.recipe import Recipe, load_recipe
+from surrofe2.recipe.recipe import PROBLEM_SECTIONS, Recipe, load_recipe
 from surrofe2.report.grid import Grid, grid_row, write_grid_plot
 from surrofe2.run.loop import Stage, no_stage
 from surrofe2.store.run_folder import read_run
@@ -131,7 +131,8 @@ def _planned(
     for combination in itertools.product(*values.values()):
         changes = dict(zip(values, combination, strict=True))
         recipe = load_recipe(path, changes)
-        stated = recipe.stated, recipe.surface, [each.regions for each in recipe.cells.values()]
+        stated = [getattr(recipe, name) for name in (*PROBLEM_SECTIONS, "surface")]
+        stated += [each.regions for each in recipe.cells.values()]
         if stated not in checked:  # each problem is meshed and checked once
             recipe.problem()
             checked.append(stated)

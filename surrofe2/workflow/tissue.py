@@ -31,16 +31,16 @@ def tissue_of(
     Raises:
         InputError: naming what a tissue of particles does not take.
     """
-    problem, stated = recipe.problem(), recipe.stated
+    problem, section = recipe.problem(), "load" if recipe.is_bar else "mesh"
     cells = [each.cell for each in recipe.cells.values()]
     with recipe.named(InputError):
-        if stated.mesh.file is not None:
+        if recipe.mesh.file is not None:
             raise InputError(
-                f"mesh.file: {stated.mesh.file!r}; a full tissue needs a rectangle: mesh.width and "
+                f"mesh.file: {recipe.mesh.file!r}; a full tissue needs a rectangle: mesh.width and "
                 "mesh.height"
             )
         problem.check_course()
-        counts = cells_that_fill(problem, cells[0], stated.section)
+        counts = cells_that_fill(problem, cells[0], section)
         return problem, cells, kinds_of_cells(problem, recipe.cells, counts)
 
 

@@ -412,7 +412,7 @@ def _runs(recipe: Recipe, surrogate: SurrogateLaw, count: int, seed: int) -> Ite
     """What runs under other loads meet at points of a cell; others follow their quadratic law."""
     problem, whole, macro = _coarse_problem(recipe), replace(recipe, part=None), recipe.macro
     cases = varied_problems(problem, count, seed)
-    if recipe.stated.section == "load":
+    if recipe.is_bar:
         cases = random_loads(problem, count, seed)
         macro = replace(macro, integrator="explicit")
     others = {
@@ -429,12 +429,11 @@ def _runs(recipe: Recipe, surrogate: SurrogateLaw, count: int, seed: int) -> Ite
 
 def _coarse_problem(recipe: Recipe) -> Problem:
     """The recipe's problem, on a coarser mesh where that is a rectangle and has all it names."""
-    whole, stated = replace(recipe, part=None), recipe.stated
-    if stated.mesh.elements is not None and len(whole.cells) == 1:
-        along, across = (min(n, RUN_ELEMENTS) for n in stated.mesh.elements)
-        mesh = replace(stated.mesh, elements=(along, across))
+    whole, mesh = replace(recipe, part=None), recipe.mesh
+    if mesh.elements is not None and len(whole.cells) == 1:
+        along, across = (min(n, RUN_ELEMENTS) for n in mesh.elements)
         with suppress(InputError):
-            return replace(whole, stated=replace(stated, mesh=mesh)).problem()
+            return replace(whole, mesh=replace(mesh, elements=(along, across))).problem()
     return whole.problem()
 
 
