@@ -14,7 +14,7 @@ from __future__ import annotations
 import os
 import re
 import tomllib
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -56,6 +56,18 @@ from surrofe2.tissue.settings import TissueSettings
 
 T = TypeVar("T")
 Index = NDArray[np.int64]
+
+
+def _without(kind: type[T], key: str) -> Callable[[str, Any], T]:
+    """Reads settings from a table that has another key, too, which is read elsewhere."""
+
+    def read(where: str, entry: Any) -> T:
+        check_table(where, entry)
+        others = {name: value for name, value in entry.items() if name != key}
+        return build(kind, others, where, (key,))
+
+    return read
+
 
 # The problem.
 
@@ -231,10 +243,12 @@ class CellType:
     preset: str
     cell: CellParameters
     regions: tuple[str, ...]
-    range: SamplingRange | None
-    samples: SampleSettings
-    training: TrainingSettings
     training_file: str | None
+    range: SamplingRange | None = setting(None, "of (F, Ḟ)")
+    samples: SampleSettings = setting(SampleSettings(), "of the stress in it")
+    training: TrainingSettings = setting(
+        TrainingSettings(), "of its surrogate", read=_without(TrainingSettings, "file")
+    )
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """The sections of a recipe that state it, defaults filled in."""
@@ -276,7 +290,7 @@ def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
                 f"{section}.file",
                 f"{quoted(file)}; each cell has its own: give cells.NAME.{section}.file",
             )
-    _settings(shared, "")  # what is wrong there is reported once, of no cell
+    build(dict, shared, "", of=CellType)  # what is wrong there is reported once, of no cell
     faults = Faults()
     types = {name: faults.take(_cell_type, name, one, shared) for name, one in cells.items()}
     faults.check()
@@ -317,25 +331,12 @@ def _cell_type(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]])
             check_table(f"{where}.{section}", own)
             if merged := {**shared.get(section, {}), **own}:
                 sections[section] = merged
-    settings = faults.take(_settings, sections, f"{where}." if name else "")
+    settings = faults.take(partial(build, dict, sections, where if name else "", of=CellType))
+    file, named = sections.get("training", {}).get("file"), "training.file"
+    named = f"{where}.{named}" if name else named
+    file = faults.take(check_value, named, file, str | None, {})
     faults.check()
-    return CellType(preset=preset, cell=cell, regions=regions, **settings)
-
-
-def _settings(sections: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, Any]:
-    """Range, samples, training and training_file that sections state."""
-    training, faults = dict(sections.get("training", {})), Faults()
-    file, samples = training.pop("file", None), sections.get("samples", {})
-    settings = {
-        "training_file": faults.take(check_value, f"{where}training.file", file, str | None, {}),
-        "samples": faults.take(build, SampleSettings, samples, f"{where}samples"),
-        "training": faults.take(build, TrainingSettings, training, f"{where}training", ("file",)),
-        "range": None,
-    }
-    if "range" in sections:
-        settings["range"] = faults.take(build, SamplingRange, sections["range"], f"{where}range")
-    faults.check()
-    return settings
+    return CellType(preset=preset, cell=cell, regions=regions, training_file=file, **settings)
 
 
 def _takes_rest(cell: CellType, known: Container[str]) -> bool:
@@ -378,14 +379,6 @@ def kinds_of_cells(
 
 # All of it.
 
-
-def _macro(where: str, entry: Any) -> MacroSettings:
-    """Without the elements of a bar, which its mesh has."""
-    check_table(where, entry)
-    others = {key: value for key, value in entry.items() if key != "elements"}
-    return build(MacroSettings, others, where, ("elements",))
-
-
 _LONGEST_NAME = 200
 """Bytes of a file's name; others that are made from it are longer."""
 
@@ -410,7 +403,9 @@ class Recipe:
     time: TimeSettings = setting(TimeSettings(), "of the run")
     rve: RveSettings = setting(RveSettings(), "how RVEs are solved")
     calibration: CalibrationSettings = setting(CalibrationSettings(), "of the error's bound")
-    macro: MacroSettings = setting(MacroSettings(), "of finite elements", read=_macro)
+    macro: MacroSettings = setting(
+        MacroSettings(), "of finite elements", read=_without(MacroSettings, "elements")
+    )
     tissue: TissueSettings = setting(TissueSettings(), "of full tissues")
     table: TableSettings = setting(TableSettings(), "of RVE answers")
     surface: SurfaceSettings | None = setting(None, "free sides with a law of their own")
