@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -125,6 +125,7 @@ def train_surrogate(
     path, unfinished = recipe.training_path(), unfinished_training(recipe)
     counts = recipe.samples.counts(recipe.training.bound)
 
+    @cache
     def take(count: int) -> StressSamples:
         samples = training_samples(recipe, count, add, stage=stage)
         return samples if range is None else replace(samples, range=range)
@@ -154,24 +155,20 @@ def train_surrogate(
     with locked_file(path):
         if surrogate is not None and surrogate.is_calibrated:  # killed after its last file
             return trained(surrogate, kept=True)
-        shaping: list[Truth] = []
+        law, shaping = laws.true_law(recipe), list[Truth]()
         if surrogate is None:
             if fresh:
                 remove(unfinished)
-            while True:
+            for count in counts[number:]:
+                samples = take(count)
                 with stage("train", recipe.training.iterations, "iterations") as report:
                     if recipe.training.bound and not shaping:
-                        law = laws.true_law(recipe)
                         shaping = shaping_truths(samples, law, recipe.calibration)
                     surrogate, bound, seconds = _train(recipe, samples, shaping, begun, report)
-                number += 1
-                if (
-                    bound <= WISH * recipe.training.bound
-                    or number == len(counts)
-                    or bound >= _HELPS * begun.before
-                ):
+                if bound <= WISH * recipe.training.bound or bound >= _HELPS * begun.before:
                     break
-                begun, samples = _Begun(seconds=seconds, before=bound), take(counts[number])
+                begun = _Begun(seconds=seconds, before=bound)
+            assert surrogate is not None
             parts = [read_seconds(each) for each in (recipe.data_path(), *add)]
             # none where nobody knows those of a file
             data = {} if None in parts else {"data": sum(each or 0.0 for each in parts)}
@@ -180,9 +177,8 @@ def train_surrogate(
             remove(unfinished)
         meter = Meter()
         with stage("calibrate", 1.0, "of the paths") as report:
-            law, runs = laws.true_law(recipe), partial(_runs, recipe, surrogate)
-            given = surrogate, samples, law, recipe.calibration
-            surrogate = calibrate(*given, report=report, shaping=shaping, runs=runs)
+            given, runs = (samples, law, recipe.calibration), partial(_runs, recipe, surrogate)
+            surrogate = calibrate(surrogate, *given, report=report, shaping=shaping, runs=runs)
         surrogate = replace(surrogate, seconds={**surrogate.seconds, "calibration": meter.seconds})
         write_surrogate(surrogate, path)
     return trained(surrogate, kept=False)
