@@ -49,11 +49,9 @@ def test_a_recipe_is_short_has_a_page_and_runs(path):
     driven = [each for each in problem.amplitudes() if not isinstance(each, Constant)]
     at_once = {"initial_velocity", "traction"}
     assert driven or at_once.intersection(c.kind() for c in problem.conditions)
-    stated = recipe.stated
-    if stated.mesh.file is None:
-        few = tuple(min(number, 2) for number in stated.mesh.elements)
-        coarse = replace(stated, mesh=replace(stated.mesh, elements=few))
-        problem = replace(recipe, stated=coarse).problem()
+    if recipe.mesh.file is None:
+        few = tuple(min(number, 2) for number in recipe.mesh.elements)
+        problem = replace(recipe, mesh=replace(recipe.mesh, elements=few)).problem()
     # The thin sample starts with a jump in velocity, which a hundredth resolves at great cost.
     short = problem.duration * {"cyclic-shear": 0.3, "notched-leaf": 0.1}.get(path.stem, 0.01)
     run = run_of(recipe, replace(problem, duration=short, output_interval=0.25 * short))
@@ -187,6 +185,6 @@ def test_cached_is_true_within_a_thousandth(path, tmp_path):
     assert run.difference.largest < 1e-3
     solves = run.counts.get("rve_solves", 0) - run.counts.get("audits", 0)
     assert solves < 0.02 * run.counts["stress_points"]
-    for body in recipe.stated.bodies:
+    for body in recipe.bodies:
         force = run.forces[body.name]
         assert force.largest < 1e-3 * force.scale

@@ -119,8 +119,8 @@ def test_samples_are_those_of_the_command(recipe):
 def test_a_law_of_one_s_own_runs_an_example(name, tmp_path):
     recipe = load_recipe(ROOT / "examples" / f"{name}.toml")
     problem = recipe.problem()
-    if recipe.stated.mesh.file is None:
-        mesh = recipe.stated.mesh
+    if recipe.mesh.file is None:
+        mesh = recipe.mesh
         problem = replace(problem, mesh=rectangle(mesh.width, mesh.height, (2, 2)))
     short = 0.05 * problem.duration
     problem = replace(problem, duration=short, output_interval=0.25 * short)

@@ -109,7 +109,7 @@ def build(
     """The settings that the entries of a table state, with those in it that are tables themselves.
 
     Args:
-        kind: the dataclass, or what makes it of its fields.
+        kind: the dataclass, or what makes it of its fields; `dict` gives these alone.
         where: dotted name of the table.
         extras: keys that it may have besides, which are read elsewhere.
         of: the dataclass, where `kind` is none.

@@ -26,7 +26,7 @@ from surrofe2.ranks.driver import (
     world_size,
 )
 from surrofe2.recipe.recipe import changed
-from surrofe2.workflow.laws import files_by_cell, open_study, use_threads
+from surrofe2.workflow.laws import open_study, surrogates_by_cell, use_threads
 from surrofe2.workflow.run import run_notes, run_study, run_summary
 from surrofe2.workflow.zoom import add_cell_fields
 
@@ -116,7 +116,7 @@ def run(
                 study,
                 law,
                 out,
-                surrogates=files_by_cell(study, surrogate or ()),
+                surrogates=surrogates_by_cell(study, surrogate or ()),
                 tables=table or (),
                 fresh=fresh,
                 report=report,

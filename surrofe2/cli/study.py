@@ -87,7 +87,7 @@ def check(
     if faults:
         raise InputError(f"{recipe}: {len(faults)} problem{'s' * (len(faults) > 1)} found")
     if merged:
-        along, across = mesh.stated.mesh.elements or (0, 0)
+        along, across = mesh.mesh.elements or (0, 0)
         console.print_line(f"the mesh is large: checked with {along} × {across} elements")
     without = [part.section("range") for part in study.parts().values() if part.range is None]
     if without:

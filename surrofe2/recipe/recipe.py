@@ -14,9 +14,9 @@ from __future__ import annotations
 import os
 import re
 import tomllib
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -57,12 +57,30 @@ from surrofe2.tissue.settings import TissueSettings
 T = TypeVar("T")
 Index = NDArray[np.int64]
 
+
+def _without(kind: type[T], key: str) -> Callable[[str, Any], T]:
+    """Reads settings from a table that has another key, too, which is read elsewhere."""
+
+    def read(where: str, entry: Any) -> T:
+        check_table(where, entry)
+        others = {name: value for name, value in entry.items() if name != key}
+        return build(kind, others, where, (key,))
+
+    return read
+
+
 # The problem.
 
 PROBLEM_SECTIONS = ("mesh", "conditions", "watch", "bodies", "time")
 """Those that state a problem."""
 
-_ON_BOUNDARIES = (Traction, Pressure, Foundation)
+_PLACES: dict[type, Any] = {
+    BodyForce: region,
+    Traction: boundary,
+    Pressure: boundary,
+    Foundation: boundary,
+}
+"""What finds where a condition acts, if it is not `nodes_on`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -173,120 +191,14 @@ def _bodies(where: str, entry: Any) -> tuple[RigidBody, ...]:
     return tuple(check_value(where, entry, Mapping[str, RigidBody], {}).values())
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StatedProblem:
-    """A problem as a recipe states it.
-
-    Attributes:
-        sha256: of the mesh file.
-        section: that states its extent, "mesh" or "load".
-    """
-
-    mesh: MeshSettings = setting(about="the tissue")
-    conditions: tuple[Condition, ...] = setting((), "what holds and loads it", read=_conditions)
-    watch: Mapping[str, Point] | None = setting(None, "points by name", LENGTH)
-    bodies: tuple[RigidBody, ...] = setting((), "that it touches", read=_bodies)
-    time: TimeSettings = setting(TimeSettings(), "of the run")
-    sha256: str | None = None
-    section: str = "mesh"
-
-    @property
-    def watched(self) -> Mapping[str, Point]:
-        """Watched points by name, µm."""
-        return self.watch or {}
-
-    def problem(self, folder: Path) -> Problem:
-        """The problem; its files lie relative to `folder`.
-
-        Raises:
-            InputError: the mesh is none, or has not what the sections name.
-        """
-        problem = Problem(
-            mesh=self.mesh.mesh(folder),
-            conditions=self.conditions,
-            bodies=self.bodies,
-            duration=self.time.duration,
-            output_interval=self.time.output_interval or self.time.duration,
-            watched=self.watched,
-            boundaries=self.mesh.boundaries or {},
-            regions=self.mesh.regions or {},
-        )
-        mesh, space = problem.mesh, make_discretisation(problem.mesh)
-        for condition in self.conditions:
-            where = f"conditions.{label(condition)}.on"
-            if isinstance(condition, BodyForce):
-                region(mesh, condition.on, where)
-            elif isinstance(condition, _ON_BOUNDARIES):
-                boundary(mesh, condition.on, where)
-            else:
-                nodes_on(mesh, condition.on, where)
-        for body in self.bodies:
-            boundary(mesh, body.on, f"bodies.{body.name}.on")
-        for name, at in self.watched.items():
-            try:
-                space.locate(np.array(at), f"watch.{name}")
-            except InputError as error:
-                x, y = mesh.p[:, np.hypot(*(mesh.p.T - np.array(at)).T).argmin()]
-                message = f"{error}, whose nearest node is at ({x:.6g}, {y:.6g}) µm"
-                raise InputError(message) from None
-        return problem
-
-    def to_dict(self) -> dict[str, dict[str, Any]]:
-        """The sections, defaults filled in; conditions by the names that results have."""
-        acts = sections_of(self.conditions, self.bodies, self.watched)
-        mesh = self.mesh.to_dict() | {"sha256": self.sha256}
-        return {"mesh": mesh, **acts, "time": asdict(self.time)}
-
-
-def stated_problem(
-    table: Mapping[str, Any], folder: Path, elements: tuple[int, int]
-) -> StatedProblem:
-    """The problem of a recipe's tables; without any for one, the bar of [load] on `elements`.
-
-    Raises:
-        InputError: naming the entry that is not what it must be.
-        FileError: there is no such mesh file.
-    """
-    sections, section = {name: table[name] for name in PROBLEM_SECTIONS if name in table}, "mesh"
-    if sections and "load" in table:
-        first = next(iter(sections))
-        raise InputError(
-            "load", f"[load] states the paper's bar, [{first}] another problem; leave one out"
-        )
-    if not sections:
-        section = "load"
-        sections = build(LoadSettings, table.get("load", {}), "load").sections(elements)
-    faults, fixed = Faults(), dict[str, Any](section=section)
-    if "mesh" not in sections:
-        fixed["mesh"] = None
-        with faults.noted():
-            raise InputError("mesh", f"missing; [{next(iter(sections))}] needs the section [mesh]")
-    stated = faults.take(partial(build, StatedProblem, sections, "", **fixed))
-    if not any(sections.get(name, {}) not in ({}, []) for name in ("conditions", "bodies")):
-        with faults.noted():
-            raise InputError("conditions", "missing; something must hold or move the tissue")
-    file = sections["mesh"].get("file") if isinstance(sections.get("mesh"), dict) else None
-    sha256 = faults.take(_digest_of, folder / file) if isinstance(file, str) else None
-    faults.check()
-    return replace(stated, sha256=sha256)
-
-
-def _digest_of(path: Path) -> str:
-    """SHA-256 of a mesh file."""
-    try:
-        return digest(path)
-    except FileError as error:
-        raise FileError(f"mesh.file: {error}") from None
-
-
 # Its plant cells.
 
 REST = "rest"
 """As a region of a cell: what no other cell fills, unless the mesh has a region of that name."""
 CELL_SECTIONS = ("range", "samples", "training")
 """Sections that a cell may have; what they leave out is as in the recipe's section."""
-_OWN = (("samples", "file"), ("training", "file"))
-"""Files that cells cannot share."""
+_WITH_FILE = ("samples", "training")
+"""Those with a file, which cells cannot share."""
 ALIASES = {"ghysels2009": "printed", "ghysels2009-light": "water"}
 """Presets by the paper that they are of."""
 FIRST_COUNT, MOST_COUNT = 512, 16384
@@ -331,10 +243,12 @@ class CellType:
     preset: str
     cell: CellParameters
     regions: tuple[str, ...]
-    range: SamplingRange | None
-    samples: SampleSettings
-    training: TrainingSettings
     training_file: str | None
+    range: SamplingRange | None = setting(None, "of (F, Ḟ)")
+    samples: SampleSettings = setting(SampleSettings(), "of the stress in it")
+    training: TrainingSettings = setting(
+        TrainingSettings(), "of its surrogate", read=_without(TrainingSettings, "file")
+    )
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """The sections of a recipe that state it, defaults filled in."""
@@ -369,26 +283,25 @@ def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
         raise InputError(
             "cells", "[cells.NAME] fill regions of a mesh; the section [mesh] is missing"
         )
-    for section, key in _OWN:
-        if key in shared.get(section, {}):
+    for section in _WITH_FILE:
+        file = shared.get(section, {}).get("file")
+        if file is not None:
             raise InputError(
-                f"{section}.{key}",
-                f"{quoted(shared[section][key])}; each cell has its own: give "
-                f"cells.NAME.{section}.{key}",
+                f"{section}.file",
+                f"{quoted(file)}; each cell has its own: give cells.NAME.{section}.file",
             )
-    _settings(shared, "")  # what is wrong there is reported once, of no cell
+    build(dict, shared, "", of=CellType)  # what is wrong there is reported once, of no cell
     faults = Faults()
     types = {name: faults.take(_cell_type, name, one, shared) for name, one in cells.items()}
     faults.check()
-    for kind, files in (
-        ("samples", {name: each.samples.file for name, each in types.items()}),
-        ("training", {name: each.training_file for name, each in types.items()}),
-    ):
-        known: dict[str, str] = {}
-        for name, file in files.items():
-            first = known.setdefault(str(Path(file)), name) if file is not None else name
+    whose = dict[tuple[str, str], str]()
+    for name, each in types.items():
+        for section, file in zip(_WITH_FILE, (each.samples.file, each.training_file), strict=True):
+            first = name if file is None else whose.setdefault((section, str(Path(file))), name)
             if first != name:
-                raise InputError(f"cells.{name}.{kind}.file", f"{quoted(file)}; that is {first}'s")
+                raise InputError(
+                    f"cells.{name}.{section}.file", f"{quoted(file)}; that is {first}'s"
+                )
     return types
 
 
@@ -401,52 +314,29 @@ def _cell_type(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]])
         raise InputError(where, f"{quoted(entries)}; it must be a section [{where}]")
     extras = ("preset", "regions", *CELL_SECTIONS) if name else ("preset",)
     constants = {key: value for key, value in entries.items() if key not in extras}
-    preset = entries.get("preset", "printed")
-    preset, cell = faults.take(_cell, constants, preset, where, extras) or ("", None)
-    regions = faults.take(_regions, entries.get("regions", [name]), where) if name else ()
-    sections = dict(shared)
+    preset, regions, sections, cell = "", (), dict(shared), None
+    with faults.noted():
+        preset = check_value(f"{where}.preset", entries.get("preset", "printed"), str, {})
+        preset = ALIASES.get(preset, preset)
+        make = partial(CellParameters.preset, preset)
+        cell = build(make, constants, where, extras, of=CellParameters)
+    with faults.noted():
+        stated = entries.get("regions", [name]) if name else []
+        regions = check_value(f"{where}.regions", stated, tuple[str, ...], {})
+        if name and not regions:
+            raise InputError(f"{where}.regions", "[]; it must name a region of the mesh")
     for section in CELL_SECTIONS if name else ():
         with faults.noted():
             own = entries.get(section, {})
             check_table(f"{where}.{section}", own)
             if merged := {**shared.get(section, {}), **own}:
                 sections[section] = merged
-    settings = faults.take(_settings, sections, f"{where}." if name else "")
+    settings = faults.take(partial(build, dict, sections, where if name else "", of=CellType))
+    file, named = sections.get("training", {}).get("file"), "training.file"
+    named = f"{where}.{named}" if name else named
+    file = faults.take(check_value, named, file, str | None, {})
     faults.check()
-    return CellType(preset=preset, cell=cell, regions=regions, **settings)
-
-
-def _cell(
-    constants: Mapping[str, Any], preset: Any, where: str, extras: tuple[str, ...]
-) -> tuple[str, Any]:
-    """A preset and the plant cell that it is with other constants."""
-    preset = check_value(f"{where}.preset", preset, str, {})
-    preset = ALIASES.get(preset, preset)
-    make = partial(CellParameters.preset, preset)
-    return preset, build(make, constants, where, extras, of=CellParameters)
-
-
-def _regions(stated: Any, where: str) -> tuple[str, ...]:
-    regions: tuple[str, ...] = check_value(f"{where}.regions", stated, tuple[str, ...], {})
-    if not regions:
-        raise InputError(f"{where}.regions", "[]; it must name a region of the mesh")
-    return regions
-
-
-def _settings(sections: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, Any]:
-    """Range, samples, training and training_file that sections state."""
-    training, faults = dict(sections.get("training", {})), Faults()
-    file, samples = training.pop("file", None), sections.get("samples", {})
-    settings = {
-        "training_file": faults.take(check_value, f"{where}training.file", file, str | None, {}),
-        "samples": faults.take(build, SampleSettings, samples, f"{where}samples"),
-        "training": faults.take(build, TrainingSettings, training, f"{where}training", ("file",)),
-        "range": None,
-    }
-    if "range" in sections:
-        settings["range"] = faults.take(build, SamplingRange, sections["range"], f"{where}range")
-    faults.check()
-    return settings
+    return CellType(preset=preset, cell=cell, regions=regions, training_file=file, **settings)
 
 
 def _takes_rest(cell: CellType, known: Container[str]) -> bool:
@@ -500,20 +390,29 @@ class Recipe:
     Attributes:
         cells: by name; that of a section [cell] is called "".
         part: name of the selected cell; None: the only one, or all of several.
-        stated: the problem.
+        is_bar: whether section [load] states the problem.
+        sha256: of the mesh file.
     """
 
     path: Path
     cells: Mapping[str, CellType]
-    rve: RveSettings
-    calibration: CalibrationSettings
-    stated: StatedProblem
-    macro: MacroSettings
-    tissue: TissueSettings
-    table: TableSettings
-    surface: SurfaceSettings | None = None
-    cache: CacheSettings = field(default_factory=CacheSettings)
+    mesh: MeshSettings = setting(about="the tissue")
+    conditions: tuple[Condition, ...] = setting((), "what holds and loads it", read=_conditions)
+    bodies: tuple[RigidBody, ...] = setting((), "that it touches", read=_bodies)
+    watch: Mapping[str, Point] | None = setting(None, "points by name", LENGTH)
+    time: TimeSettings = setting(TimeSettings(), "of the run")
+    rve: RveSettings = setting(RveSettings(), "how RVEs are solved")
+    calibration: CalibrationSettings = setting(CalibrationSettings(), "of the error's bound")
+    macro: MacroSettings = setting(
+        MacroSettings(), "of finite elements", read=_without(MacroSettings, "elements")
+    )
+    tissue: TissueSettings = setting(TissueSettings(), "of full tissues")
+    table: TableSettings = setting(TableSettings(), "of RVE answers")
+    surface: SurfaceSettings | None = setting(None, "free sides with a law of their own")
+    cache: CacheSettings = setting(CacheSettings(), "of RVE answers, by a surrogate")
     part: str | None = None
+    is_bar: bool = False
+    sha256: str | None = None
 
     def parts(self, name: str | None = None) -> dict[str, Recipe]:
         """The recipe for each of its cells by name, or for the selected one."""
@@ -616,17 +515,39 @@ class Recipe:
             InputError: the mesh is none, or has not what the recipe names.
         """
         with self.named(FileError, InputError):
-            problem = self.stated.problem(self.path.parent)
-            self.points_of_cells(problem.mesh)
+            problem = Problem(
+                mesh=self.mesh.mesh(self.path.parent),
+                conditions=self.conditions,
+                bodies=self.bodies,
+                duration=self.time.duration,
+                output_interval=self.time.output_interval or self.time.duration,
+                watched=self.watch or {},
+                boundaries=self.mesh.boundaries or {},
+                regions=self.mesh.regions or {},
+            )
+            mesh, space = problem.mesh, make_discretisation(problem.mesh)
+            for condition in self.conditions:
+                find = _PLACES.get(type(condition), nodes_on)
+                find(mesh, condition.on, f"conditions.{label(condition)}.on")
+            for body in self.bodies:
+                boundary(mesh, body.on, f"bodies.{body.name}.on")
+            for name, at in (self.watch or {}).items():
+                try:
+                    space.locate(np.array(at), f"watch.{name}")
+                except InputError as error:
+                    x, y = mesh.p[:, np.hypot(*(mesh.p.T - np.array(at)).T).argmin()]
+                    message = f"{error}, whose nearest node is at ({x:.6g}, {y:.6g}) µm"
+                    raise InputError(message) from None
+            self.points_of_cells(mesh)
             if self.surface is not None and self.surface.on != FREE:
                 for name in self.surface.on:
-                    boundary(problem.mesh, name, "surface.on")
+                    boundary(mesh, name, "surface.on")
             return problem
 
     @property
     def duration(self) -> float:
         """Length of the run, µs."""
-        return self.stated.time.duration
+        return self.time.duration
 
     def data_path(self) -> Path:
         """Where the data set lies."""
@@ -658,15 +579,18 @@ class Recipe:
 
         Of one cell it has the sections of a [cell], whatever its name.
         """
-        stated = {name: getattr(self, name) for name in _SETTINGS}
+        stated = {name: getattr(self, name) for name in _OF_ALL_CELLS}
         settings = {name: asdict(each) for name, each in stated.items() if each is not None}
         if self.part is not None or "" in self.cells:
             cells = self.cells[self.cell_name].to_dict()
         else:
             cells = {"cells": {name: _entries(each) for name, each in self.cells.items()}}
-        plainly: dict[str, Any] = plain(
-            {"recipe": self.path.name, **cells, **settings, **self.stated.to_dict()}
-        )
+        problem = {
+            "mesh": {**self.mesh.to_dict(), "sha256": self.sha256},
+            **sections_of(self.conditions, self.bodies, self.watch or {}),
+            "time": self.time,
+        }
+        plainly: dict[str, Any] = plain({"recipe": self.path.name, **cells, **settings, **problem})
         return plainly
 
 
@@ -676,15 +600,6 @@ def _entries(cell: CellType) -> dict[str, Any]:
     return {**sections.pop("cell"), "regions": list(cell.regions), **sections}
 
 
-_SETTINGS: dict[str, type] = {
-    "rve": RveSettings,
-    "calibration": CalibrationSettings,
-    "macro": MacroSettings,
-    "tissue": TissueSettings,
-    "table": TableSettings,
-    "surface": SurfaceSettings,
-    "cache": CacheSettings,
-}
 SECTIONS: dict[str, type] = {
     "cell": CellParameters,
     "rve": RveSettings,
@@ -693,10 +608,14 @@ SECTIONS: dict[str, type] = {
     "training": TrainingSettings,
     "calibration": CalibrationSettings,
     "load": LoadSettings,
-    **_SETTINGS,
+    "macro": MacroSettings,
+    "tissue": TissueSettings,
+    "table": TableSettings,
+    "surface": SurfaceSettings,
+    "cache": CacheSettings,
 }
 """Sections of settings by name; others state a problem, or several cells."""
-
+_OF_ALL_CELLS = ("rve", "calibration", "macro", "tissue", "table", "surface", "cache")
 
 _MOST = 2**24
 """Bytes of a recipe."""
@@ -733,8 +652,7 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
         InputError: naming the section or key that is unknown or out of its range; its `faults`
             are all that is wrong.
     """
-    faults, entries = Faults(), dict[str, Any]()
-    tables = dict[str, Any]()
+    faults, tables = Faults(), dict[str, Any]()
     known = (*SECTIONS, *PROBLEM_SECTIONS, "cells")
     for name, section in table.items():
         with faults.noted():
@@ -743,33 +661,49 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
             if name in SECTIONS and not isinstance(section, dict):
                 raise InputError(name, f"{quoted(section)}; it must be a section [{name}]")
             tables[name] = section
-    macro = dict(tables.get("macro", {}))
-    given = macro.pop("elements", (4, 4))
-    elements = faults.take(check_value, "macro.elements", given, tuple[int, int], {"least": 1})
-    entries["stated"] = faults.take(stated_problem, tables, path.parent, elements or (4, 4))
-    entries["cells"] = faults.take(cell_types, tables)
-    faults.take(_check_homes, tables)
-    for name, kind in _SETTINGS.items():
-        if name == "macro":
-            entries[name] = faults.take(build, kind, macro, name, ("elements",))
-        elif name in tables or name != "surface":
-            entries[name] = faults.take(build, kind, tables.get(name, {}), name)
+    stated = [name for name in PROBLEM_SECTIONS if name in tables]
+    entries = {name: each for name, each in tables.items() if name in (*stated, *_OF_ALL_CELLS)}
+    given: dict[str, Any] = {"path": path, "is_bar": not stated}
+    macro, time = tables.get("macro", {}), tables.get("time")
+    has_frames = isinstance(time, dict) and "frames" in time
+    for key, home, is_there in (("elements", "mesh", stated), ("frames", "time", has_frames)):
+        if is_there and key in macro:
+            with faults.noted():
+                raise InputError(f"macro.{key}", f"{quoted(macro[key])}; it stands in [{home}]")
+    if stated:
+        with faults.noted():
+            if "load" in tables:
+                raise InputError(
+                    "load",
+                    f"[load] states the paper's bar, [{stated[0]}] another problem; leave one out",
+                )
+            if "mesh" not in tables:
+                raise InputError("mesh", f"missing; [{stated[0]}] needs the section [mesh]")
+        with faults.noted():
+            if not any(tables.get(name, {}) not in ({}, []) for name in ("conditions", "bodies")):
+                raise InputError("conditions", "missing; something must hold or move the tissue")
+    else:
+        value = macro.get("elements", (4, 4))
+        elements = faults.take(check_value, "macro.elements", value, tuple[int, int], {"least": 1})
+        bar = faults.take(build, LoadSettings, tables.get("load", {}), "load")
+        entries |= bar.sections(elements or (4, 4)) if bar else {}
+    if "mesh" not in entries:
+        given["mesh"] = None  # a fault that was noted says so
+    given |= faults.take(partial(build, dict, entries, "", of=Recipe, **given)) or {}
+    mesh = entries.get("mesh")
+    if isinstance(mesh, dict) and isinstance(mesh.get("file"), str):
+        with faults.noted():
+            try:
+                given["sha256"] = digest(path.parent / mesh["file"])
+            except FileError as error:
+                raise FileError(f"mesh.file: {error}") from None
+    given["cells"] = faults.take(cell_types, tables)
     faults.check()
-    entries["macro"] = changed(entries["macro"], frames=entries["stated"].time.frames)
-    return Recipe(path=path, **entries)
+    recipe = Recipe(**given)
+    return replace(recipe, macro=changed(recipe.macro, frames=recipe.time.frames))
 
 
 def changed(settings: T, **entries: Any) -> T:
     """The settings of a section with other entries; None leaves an entry as it is."""
     wanted = {name: value for name, value in entries.items() if value is not None}
     return replace(settings, **wanted)  # type: ignore[type-var]
-
-
-def _check_homes(table: Mapping[str, Any]) -> None:
-    """Refuse keys of [macro] that another section of the recipe has."""
-    macro, time = table.get("macro", {}), table.get("time")
-    homes = {"elements": "mesh" if set(PROBLEM_SECTIONS) & table.keys() else ""}
-    homes["frames"] = "time" if isinstance(time, dict) and "frames" in time else ""
-    for key, home in homes.items():
-        if home and key in macro:
-            raise InputError(f"macro.{key}", f"{quoted(macro[key])}; it stands in [{home}]")

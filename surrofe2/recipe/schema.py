@@ -167,10 +167,11 @@ def write_recipe(path: Path, kind: str, *, fresh: bool = False) -> list[Path]:
     """
     if kind not in TEMPLATES:
         raise unknown(f"--example: {kind!r}", kind, "kind", TEMPLATES)
-    text = _template(f"{kind}.toml").replace("NAME", path.stem)
+    templates = resources.files("surrofe2") / "templates"
+    text = (templates / f"{kind}.toml").read_text(encoding="utf-8").replace("NAME", path.stem)
     files = {path: f"#:schema ./{SCHEMA}\n\n{text}"}
     if kind == "mesh":
-        files[path.with_suffix(".msh")] = _template("mesh.msh")
+        files[path.with_suffix(".msh")] = (templates / "mesh.msh").read_text(encoding="utf-8")
     for each, text in files.items():
         if each.exists() and not fresh and read_bytes(each) != text.encode("utf-8"):
             raise InputError(f"{each}: another file is there; --fresh writes this one in its place")
@@ -181,7 +182,3 @@ def write_recipe(path: Path, kind: str, *, fresh: bool = False) -> list[Path]:
     for each, text in files.items():
         write_text(each, text)
     return list(files)
-
-
-def _template(name: str) -> str:
-    return (resources.files("surrofe2") / "templates" / name).read_text(encoding="utf-8")

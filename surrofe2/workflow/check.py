@@ -178,7 +178,7 @@ def checked_mesh(recipe: Recipe) -> tuple[Recipe, int]:
     Raises:
         InputError: the mesh is too large, and cannot be coarsened.
     """
-    elements = recipe.stated.mesh.elements or (1, 1)
+    elements = recipe.mesh.elements or (1, 1)
     halvings = 0
     while math.prod(elements) > MOST_ELEMENTS * 4**halvings:
         halvings += 1
@@ -193,15 +193,14 @@ def checked_mesh(recipe: Recipe) -> tuple[Recipe, int]:
 
 def _coarser(recipe: Recipe, halvings: int) -> Recipe | None:
     """The recipe with fewer elements, halved as often as its names allow; None: not at all."""
-    stated, elements = recipe.stated, recipe.stated.mesh.elements
+    elements = recipe.mesh.elements
     if elements is None or len(recipe.cells) > 1:
         return None
     for times in range(halvings, 0, -1):
         fewer = (max(1, elements[0] // 2**times), max(1, elements[1] // 2**times))
         if fewer == elements or max(elements) // 2 ** (times - 1) <= _COARSEST:
             continue
-        mesh = replace(stated.mesh, elements=fewer)
-        coarser = replace(recipe, stated=replace(stated, mesh=mesh))
+        coarser = replace(recipe, mesh=replace(recipe.mesh, elements=fewer))
         with suppress(InputError):  # it may name a part of the boundary that a coarse mesh lacks
             coarser.problem()
             return coarser

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from surrofe2.base.errors import FileError, InputError
 from surrofe2.base.sampling import SamplingRange, training_points
 from surrofe2.base.tensors import stress_error, stress_spread
-from surrofe2.law.samples import StressSamples
+from surrofe2.law.samples import TANGENTS, StressSamples
 from surrofe2.law.stress_law import StressLaw, StressResponse, describe
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.run.loop import Report, Stage, no_report, no_stage
@@ -52,26 +52,18 @@ _SAME = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Generated:
-    """A finished data set; `added`: samples that this call computed, 0 if it was finished already;
-    `failed`: how many by reason; `left`: how many have a stress, but left a bifurcation."""
+    """A finished data set; `added`: samples that this call computed, 0 if it was finished."""
 
     path: Path
-    count: int
+    samples: StressSamples
     added: int
-    failed: dict[str, int]
-    left: int = 0
-
-
-def counts_of(recipe: Recipe) -> tuple[int, ...]:
-    """How many samples training takes, in turn."""
-    return recipe.samples.counts(recipe.training.bound)
 
 
 def wanted_count(recipe: Recipe, *, fresh: bool = False) -> int:
     """How many samples the recipe's data set is to have: what training begins with, or as many as
     it has needed before.
     """
-    counts, path = counts_of(recipe), recipe.data_path()
+    counts, path = recipe.samples.counts(recipe.training.bound), recipe.data_path()
     if len(counts) == 1 or fresh or not path.exists():
         return counts[0]
     there = stored_count(path).rows
@@ -124,10 +116,7 @@ def generate_data_set(
             data.append(F, F_dot, answer)
             failures += np.count_nonzero(answer.status)
             report(data.completed, f"{failures} failed")
-        samples = data.finish()
-    failed = Counter(describe(code) for code in samples.status.tolist() if code)
-    left = count - len(samples.valid.F) - failed.total()
-    return Generated(path, count, added, failed, left)
+        return Generated(path, data.finish(), added)
 
 
 def _sampled(
@@ -182,18 +171,19 @@ def _joined(parts: Sequence[dict[str, Array]]) -> dict[str, Any]:
 
 def data_summary(generated: Generated) -> str:
     """How many samples there are and of what use; each is counted once."""
-    failed = Counter(generated.failed)
-    text = f"{generated.count} samples" + ("" if generated.added else " (already finished)")
-    usable = generated.count - failed.total() - generated.left
-    text = f"{text}, {'all' if usable == generated.count else usable} usable"
+    samples = generated.samples
+    count, usable = len(samples.F), len(samples.valid.F)
+    failed = Counter(map(describe, np.sort(samples.status[samples.status != 0]).tolist()))
+    left = count - usable - failed.total()
+    text = f"{count} samples" + ("" if generated.added else " (already finished)")
+    text = f"{text}, {'all' if usable == count else usable} usable"
     if failed:
         reasons = "; ".join(f"{n}: {reason}" for reason, n in failed.most_common())
         text = f"{text}, {failed.total()} failed ({reasons})"
-    if generated.left:
+    if left:
         text += (
-            f", {generated.left} left a bifurcation and are not trained on: in "
-            f"{generated.left / generated.count:.1%} of the recipe's range the stress has more "
-            "than one value; narrow it where that matters"
+            f", {left} left a bifurcation and are not trained on: in {left / count:.1%} of the "
+            "recipe's range the stress has more than one value; narrow it where that matters"
         )
     return text
 
@@ -281,7 +271,6 @@ def _with_tangents(law: StressLaw, harvest: dict[str, Any], same: float) -> dict
 
 def _arrays_of(answers: Harvest | StressSamples) -> dict[str, Any]:
     """The arrays that samples and harvests have, and tangents where there are some."""
-    arrays = {name: getattr(answers, name) for name in ("F", "F_dot", "stress", "status")}
-    if isinstance(answers, StressSamples) and answers.P_by_F is not None:
-        arrays |= {"P_by_F": answers.P_by_F, "P_by_F_dot": answers.P_by_F_dot}
-    return arrays
+    names = ("F", "F_dot", "stress", "status", *TANGENTS)
+    arrays = {name: getattr(answers, name, None) for name in names}
+    return {name: values for name, values in arrays.items() if values is not None}

@@ -13,7 +13,7 @@ from typing import Any
 from surrofe2.base.errors import InputError, SimulationError, quoted
 from surrofe2.base.settings import unknown
 from surrofe2.recipe.entries import name_of_values
-from surrofe2.recipe.recipe import Recipe, load_recipe
+from surrofe2.recipe.recipe import PROBLEM_SECTIONS, Recipe, load_recipe
 from surrofe2.report.grid import Grid, grid_row, write_grid_plot
 from surrofe2.run.loop import Stage, no_stage
 from surrofe2.store.run_folder import read_run
@@ -131,11 +131,15 @@ def _planned(
     for combination in itertools.product(*values.values()):
         changes = dict(zip(values, combination, strict=True))
         recipe = load_recipe(path, changes)
-        stated = recipe.stated, recipe.surface, [each.regions for each in recipe.cells.values()]
+        stated = [getattr(recipe, name) for name in (*PROBLEM_SECTIONS, "surface")]
+        stated += [each.regions for each in recipe.cells.values()]
         if stated not in checked:  # each problem is meshed and checked once
             recipe.problem()
             checked.append(stated)
-        counting = {law: _without(changes, _WITHOUT[law]) for law in LAWS}
+        counting = {
+            law: {k: v for k, v in changes.items() if k.partition(".")[0] not in _WITHOUT[law]}
+            for law in LAWS
+        }
         for law in laws:
             needs: dict[str, Path] = {}
             for name, part in recipe.parts().items():
@@ -154,10 +158,6 @@ def _planned(
             )
             runs.setdefault(name_of_values(counting[law], law), run)
     return [*surrogates.values()], runs
-
-
-def _without(changes: Mapping[str, Any], sections: Sequence[str]) -> dict[str, Any]:
-    return {k: value for k, value in changes.items() if k.partition(".")[0] not in sections}
 
 
 def _surrogate(

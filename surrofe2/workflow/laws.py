@@ -8,10 +8,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numba
@@ -40,7 +39,6 @@ from surrofe2.store.samples import kept_reference
 from surrofe2.store.store import digest
 from surrofe2.store.surrogates import check_surrogate, content_fingerprint, read_surrogate
 from surrofe2.store.tables import (
-    StoredTable,
     check_surface,
     check_table,
     read_surface,
@@ -49,17 +47,13 @@ from surrofe2.store.tables import (
 )
 from surrofe2.surface.slab_law import SlabLaw, rows_across
 from surrofe2.surface.tabulated import TabulatedSurface, table_within
-from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.piola import QuadraticLaw
 
 Array = NDArray[np.float64]
-Taker = Callable[[Recipe], OnTrueAnswer | None]
-"""What takes the RVE answers of a cell."""
 
-STRETCH, RATE = (0.94, 1.04), 0.01
-"""Range of a table where the recipe has none; rate in 1/µs."""
+SURFACE_RANGE = 0.94, 1.04, 0.01
+"""Lowest and highest stretch and rate (1/µs) of a surface table where the recipe has no range."""
 _MARGIN, _FASTER = 0.01, 1.5  # beyond the range of samples
-NO_FILES: Mapping[str, Path] = MappingProxyType({})
 
 
 def true_law(recipe: Recipe) -> RveLaw:
@@ -74,14 +68,12 @@ def quadratic_law(recipe: Recipe) -> QuadraticLaw:
 
 @dataclass(frozen=True, slots=True)
 class ChosenLaw:
-    """A law, what to record of its surrogate, and its tables by cell.
-
-    The only cell of a recipe with [cell] is called "".
-    """
+    """The law of a cell, what to record of its surrogate, or of the tables that it began with, and
+    the table that it has."""
 
     law: StressLaw
     surrogate: Mapping[str, Any] | None = None
-    tables: Mapping[str, StressTable] = field(default_factory=dict)
+    table: StressTable | None = None
 
 
 def check_tangents(recipe: Recipe) -> None:
@@ -114,20 +106,19 @@ def choose_law(
     if tables and kind != "table":
         raise InputError(f"--table: not with --law {kind}; it must be table")
     if kind == "rve":
-        rve = shared(true_law(recipe))
-        return ChosenLaw(rve)
+        return ChosenLaw(shared(true_law(recipe)))
     if kind == "table":
         rve = shared(true_law(recipe))
         table = make_table(recipe, rve, tables)
         law = CachedLaw(table, rve, recipe.cache, on_true_answer)
-        return ChosenLaw(law, _record_of(tables), {recipe.cell_name: table})
+        return ChosenLaw(law, _record_of(tables), table)
     path = surrogate_file or recipe.training_path()
     if surrogate_file is None and not path.exists():
         raise FileError(
             f"{path}: cannot be read: no such file; make it with `surrofe2 train {recipe.path}`"
         )
     surrogate = read_surrogate(path)
-    record: dict[str, Any] = {
+    record = {
         "file": path.name,
         "fingerprint": content_fingerprint(path),
         "errors": surrogate.errors,
@@ -136,8 +127,7 @@ def choose_law(
     check_surrogate(path, surrogate, recipe.cell, recipe.rve.initialisation)
     if kind == "surrogate":
         return ChosenLaw(surrogate, record)
-    rve = shared(true_law(recipe))
-    law = CachedLaw(surrogate, rve, recipe.cache, on_true_answer)
+    law = CachedLaw(surrogate, shared(true_law(recipe)), recipe.cache, on_true_answer)
     return ChosenLaw(law, record)
 
 
@@ -171,37 +161,9 @@ def _record_of(tables: Sequence[Path]) -> dict[str, Any] | None:
     return {"file": ", ".join(names), "fingerprint": " ".join(prints), "errors": {}, **made}
 
 
-def choose_laws(
-    recipe: Recipe,
-    kind: str,
-    mesh: skfem.Mesh,
-    surrogates: Mapping[str, Path] = NO_FILES,
-    tables: Sequence[Path] = (),
-    taker: Taker = lambda recipe: None,
-) -> ChosenLaw:
-    """The law called `kind` of each cell of a recipe, each at the points of its regions.
-
-    Files of surrogates, by name of the cell, replace the recipe's; each table is for the cells
-    whose answers it has.
-
-    Raises:
-        MismatchError: a surrogate or a table is of other cell parameters or initialisation.
-    """
-    of_cells = _by_cell(recipe, tables, read_table, "--table")
-    chosen = {
-        name: choose_law(part, kind, surrogates.get(name), of_cells[name], taker(part))
-        for name, part in recipe.parts().items()
-    }
-    return ChosenLaw(
-        law_by_region(recipe, mesh, lambda part: chosen[part.cell_name].law),
-        surrogate_record({name: each.surrogate for name, each in chosen.items() if each.surrogate}),
-        {name: table for each in chosen.values() for name, table in each.tables.items()},
-    )
-
-
-def files_by_cell(recipe: Recipe, files: Sequence[Path]) -> dict[str, Path]:
+def surrogates_by_cell(recipe: Recipe, files: Sequence[Path]) -> dict[str, Path]:
     """Files of surrogates by name of the cells that they were trained for, at most one for each."""
-    found = _by_cell(recipe, files, read_surrogate, "--surrogate")
+    found = files_by_cell(recipe, files, "--surrogate")
     for name, paths in found.items():
         if len(paths) > 1:
             of = f"cell {name}" if name else "the recipe's only cell"
@@ -209,19 +171,15 @@ def files_by_cell(recipe: Recipe, files: Sequence[Path]) -> dict[str, Path]:
     return {name: paths[0] for name, paths in found.items() if paths}
 
 
-def _by_cell(
-    recipe: Recipe,
-    files: Sequence[Path],
-    read: Callable[[Path], SurrogateLaw | StoredTable],
-    option: str,
-) -> dict[str, list[Path]]:
-    """Files by name of the cells whose parameters and initialisation they have."""
+def files_by_cell(recipe: Recipe, files: Sequence[Path], option: str) -> dict[str, list[Path]]:
+    """Files given by --surrogate or --table, by name of the cells whose parameters and
+    initialisation they have; a MismatchError where one is of none of several cells."""
     parts = recipe.parts()
     if len(parts) == 1:  # whether they are of it is seen where they are taken
         return {name: [*files] for name in parts}
     found: dict[str, list[Path]] = {name: [] for name in parts}
     for path in files:
-        stored = read(path)
+        stored = read_table(path) if option == "--table" else read_surrogate(path)
         of = stored.cell, stored.initialisation
         own = [name for name, part in parts.items() if of == (part.cell, part.rve.initialisation)]
         if not own:
@@ -291,22 +249,24 @@ def with_surface(recipe: Recipe, problem: Problem) -> Problem:
 
 def cell_surface(recipe: Recipe, across: float) -> TabulatedSurface:
     """The surface law of a recipe's only cell, `across` plant cells: its table, kept or made."""
-    cell, method, (stretch, rate) = recipe.cell, recipe.rve.initialisation, _bounds(recipe)
-    rows = rows_across(across)
+    cell, method, rows = recipe.cell, recipe.rve.initialisation, rows_across(across)
+    low, high, rate = SURFACE_RANGE
+    if recipe.range is not None:
+        (low, high), margin = recipe.range.stretch, _MARGIN
+        low, high = low - margin, float(np.hypot(high, recipe.range.shear)) + margin
+        rate = _FASTER * max(recipe.range.rate, 1e-4)
 
     def slab() -> SlabLaw:
         reference = kept_reference(cell)
         return SlabLaw(cell, initialisation=method, reference=reference, rows=rows)
 
-    (low, high), of = stretch, f"{cell.fingerprint}-{cell.outer_wall:g}-{method}-{rows}"
+    of = f"{cell.fingerprint}-{cell.outer_wall:g}-{method}-{rows}"
     path = cache_folder() / "surfaces" / f"{of}-{low:.6g}-{high:.6g}-{rate:.6g}.h5"
-    table = None
-    if path.exists():
-        with suppress(FileError, MismatchError):
-            table = read_surface(path)
-            check_surface(path, table, cell, method)
-    if table is None:
-        table = table_within(slab(), stretch, rate)
+    try:
+        table = read_surface(path)
+        check_surface(path, table, cell, method)
+    except (FileError, MismatchError):
+        table = table_within(slab(), (low, high), rate)
         with suppress(FileError):  # a folder that cannot be written keeps nothing
             write_surface(path, table, recipe.to_dict())
     return replace(table, rows=rows, beyond=cache(slab))
@@ -355,15 +315,6 @@ def surface_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
         )
 
 
-def _bounds(recipe: Recipe) -> tuple[tuple[float, float], float]:
-    """Range of a table: that of the recipe's samples, and more."""
-    if recipe.range is None:
-        return STRETCH, RATE
-    low, high = recipe.range.stretch
-    longest = float(np.hypot(high, recipe.range.shear))
-    return (low - _MARGIN, longest + _MARGIN), _FASTER * max(recipe.range.rate, 1e-4)
-
-
 def open_study(path: Path, threads: int | None) -> Recipe:
     """The recipe of a study, for which so many threads are used."""
     recipe = load_recipe(path)
@@ -371,18 +322,17 @@ def open_study(path: Path, threads: int | None) -> Recipe:
     return recipe
 
 
-def use_threads(wanted: int | None) -> int:
-    """Limit numba, BLAS and torch to so many threads (None: all cores); the number used.
+def use_threads(wanted: int | None) -> None:
+    """Limit numba, BLAS and torch to so many threads; None: all cores.
 
     Raises:
         InputError: more than the machine has cores.
     """
-    available = os.cpu_count() or 1
     if wanted is None:
-        return available
+        return
+    available = os.cpu_count() or 1
     if wanted > available:
         raise InputError(f"--threads: {wanted}; this machine has {available} cores")
     os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = str(wanted)
     numba.set_num_threads(wanted)
     threadpool_limits(wanted)
-    return wanted

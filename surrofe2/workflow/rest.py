@@ -22,7 +22,6 @@ from surrofe2.recipe.recipe import Recipe
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.journal import part_of, within
 from surrofe2.run.loop import Report, Stage, no_report, no_stage
-from surrofe2.store.fields import write_fields
 from surrofe2.store.run_folder import (
     CHECKPOINT_INTERVAL,
     RunFolder,
@@ -31,8 +30,8 @@ from surrofe2.store.run_folder import (
     write_curves,
 )
 from surrofe2.store.store import keep
-from surrofe2.workflow.laws import cell_of_elements, choose_laws, with_surface
-from surrofe2.workflow.run import new_record, problem_record, with_rest, write_points
+from surrofe2.workflow import laws
+from surrofe2.workflow.run import new_record, problem_record, with_rest, write_frames
 
 STATES = {"unloaded": 0.0, "loaded": 1.0}
 """Factor of the loads by the name of the state whose modes are asked for."""
@@ -56,8 +55,8 @@ def rest_study(
         SimulationError: a load step finds no equilibrium.
     """
     problem = recipe.problem()
-    chosen = choose_laws(recipe, "rve", problem.mesh)
-    problem = with_surface(recipe, problem)
+    law = laws.law_by_region(recipe, problem.mesh, laws.true_law)
+    problem = laws.with_surface(recipe, problem)
     timer, before = Meter(), seconds_compiling()
 
     def store(record: RunRecord, rest: Rest) -> RunRecord:
@@ -71,9 +70,7 @@ def rest_study(
         path = {"": DisplacementCurve(rest.path[:, 0], rest.path[:, 1:])}
         write_curves(folder, path, by_name, rest.energies, is_rest=True)
         if record.status != "interrupted":  # each load step is a frame: many take seconds
-            cell = cell_of_elements(chosen.law, len(space.elements))
-            write_fields(folder, space.nodes, space.elements, frames, cell)
-            write_points(folder, space, frames)
+            write_frames(folder, space, frames, law)
         wall = {"total": timer.seconds, "compilation": seconds_compiling() - before}
         met = {"watched": rest.watched.tolist(), **MetRange.of(rest.extremes).to_dict()}
         record = with_rest(record, rest.system.rest)
@@ -82,17 +79,16 @@ def rest_study(
     def checkpoint(rest: Rest) -> None:
         run.partial = rest
         arrays = within("rest", rest.to_arrays()) | {"seconds": np.array(timer.seconds)}
-        run.checkpoint(arrays | within("law", state_arrays(chosen.law, rest.law_state)))
+        run.checkpoint(arrays | within("law", state_arrays(law, rest.law_state)))
 
     def restore(arrays: dict[str, NDArray]) -> RestState:
         nonlocal timer
         timer = Meter(float(arrays["seconds"]))
         state = RestState.from_arrays(part_of(arrays, "rest"))
-        return replace(state, law_state=state_of(chosen.law, part_of(arrays, "law")))
+        return replace(state, law_state=state_of(law, part_of(arrays, "law")))
 
-    record = replace(new_record(recipe, "rve"), problem=problem_record(problem))
-    stated = {"factor": factor, "load_steps": load_steps}
-    record = replace(record, recipe={**record.recipe, "rest": stated})
+    stated = {**recipe.to_dict(), "rest": {"factor": factor, "load_steps": load_steps}}
+    record = new_record(recipe, "rve", recipe=stated, problem=problem_record(problem))
     with RunFolder.open(folder, record, store, fresh=fresh) as run:
         if run.is_finished:
             return run.record
@@ -101,7 +97,7 @@ def rest_study(
         with recipe.named(InputError):
             rest = find_rest(
                 problem,
-                chosen.law,
+                law,
                 recipe.macro,
                 factor=factor,
                 load_steps=load_steps,
@@ -175,9 +171,9 @@ _UNITS = {
 def _modes_of(recipe: Recipe, method: str, factor: float, count: int) -> dict[str, Any]:
     problem = recipe.problem()
     study = replace(recipe, rve=replace(recipe.rve, initialisation=method))
-    law = choose_laws(study, "rve", problem.mesh).law
+    law = laws.law_by_region(study, problem.mesh, laws.true_law)
     with recipe.named(InputError):
-        problem = with_surface(study, problem)
+        problem = laws.with_surface(study, problem)
         rest = find_rest(problem, law, recipe.macro, factor=factor, load_steps=4)
     modes = find_modes(rest, count)
     return {

@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -44,17 +43,7 @@ from surrofe2.report.comparison import audit_sentence, fallback_reasons
 from surrofe2.run.journal import part_of, within
 from surrofe2.run.loop import Report, no_report
 from surrofe2.rve import RveLaw
-from surrofe2.store.fields import (
-    DISPLACEMENT_NAME,
-    F_DOT_NAME,
-    F_NAME,
-    RISK_NAME,
-    SOURCE_NAME,
-    STRESS_NAME,
-    VELOCITY_NAME,
-    write_fields,
-    write_point_fields,
-)
+from surrofe2.store import fields
 from surrofe2.store.hdf5 import origin, read_seconds
 from surrofe2.store.run_folder import (
     CHECKPOINT_INTERVAL,
@@ -70,16 +59,7 @@ from surrofe2.store.samples import HarvestWriter
 from surrofe2.store.store import plain
 from surrofe2.store.tables import write_table
 from surrofe2.surrogate import SurrogateLaw
-from surrofe2.workflow.laws import (
-    NO_FILES,
-    cell_of_elements,
-    check_tangents,
-    choose_laws,
-    surface_notes,
-    surface_record,
-    surrogate_record,
-    with_surface,
-)
+from surrofe2.workflow import laws
 
 HARVEST = "harvest.h5"
 MANY_UNTRUSTED = 0.1
@@ -93,110 +73,91 @@ def run_study(
     kind: str,
     folder: Path,
     *,
-    surrogates: Mapping[str, Path] = NO_FILES,
+    surrogates: Mapping[str, Path] = MappingProxyType({}),
     tables: Sequence[Path] = (),
     fresh: bool = False,
     report: Report = no_report,
 ) -> RunRecord:
     """Run the recipe's problem by the law called `kind` and write the run folder.
 
+    RVE answers are kept in memory and in checkpoints until the run ends, so that a harvest has
+    exactly those of the run that it belongs to.
+
     Args:
         surrogates: files by name of the cell, instead of the recipe's.
-        tables: files of tables to start from; the run's own are written into the folder.
+        tables: files of tables to start from, each for the cells whose answers it has; the run's
+            own are written into the folder.
 
     Raises:
         SimulationError: the run could not be carried on; the folder holds it up to there.
     """
-    study = _Study(recipe, kind, folder, surrogates, tables)
-    with RunFolder.open(folder, study.record, study.store, fresh=fresh) as run:
-        if run.is_finished:
-            return run.record
-        state = run.restored(study.restored)
-        run.cache = None if state is None else cache_report(study.law)
-        report(0.0, "loading kernels")
-        with recipe.named(InputError), study.learnt_at_an_interrupt():
-            result = simulate(
-                study.problem,
-                study.law,
-                recipe.macro,
-                progress=lambda t, duration: report(t, ""),
-                checkpoint=lambda state: study.checkpoint(run, state),
-                checkpoint_interval=CHECKPOINT_INTERVAL,
-                resume=state,
-            )
-        run.finish(result)
-    return run.record
+    if kind == "table":
+        laws.check_tangents(recipe)
+    before, problem, harvests = seconds_compiling(), recipe.problem(), dict[str, HarvestWriter]()
+    given, chosen = laws.files_by_cell(recipe, tables, "--table"), dict[str, laws.ChosenLaw]()
+    for name, part in recipe.parts().items():
+        if kind in ("cached", "table"):
+            harvests[name] = HarvestWriter(folder / of_cell(HARVEST, name), origin_of(part))
+        file, taker = surrogates.get(name), harvests.get(name)
+        chosen[name] = laws.choose_law(part, kind, file, given[name], taker)
+    law = laws.law_by_region(recipe, problem.mesh, lambda part: chosen[part.cell_name].law)
+    learning = {name: each.table for name, each in chosen.items() if each.table is not None}
+    problem = laws.with_surface(recipe, problem)
+    earlier = sum(read_seconds(each) or 0.0 for each in tables)
+    learnt = {name: each.surrogate for name, each in chosen.items() if each.surrogate}
+    of = {"surrogate": laws.surrogate_record(learnt), "problem": problem_record(problem)}
+    record = new_record(recipe, kind, **of)
 
+    def write_learnt(seconds: float) -> None:
+        for writer in harvests.values():
+            writer.flush(seconds)
+        for name, table in learning.items():
+            write_table(folder / of_cell("table.h5", name), table, recipe.to_dict(), seconds)
 
-class _Study:
-    """A recipe's problem and its law, and what a run by them leaves besides its record.
+    def store(record: RunRecord, result: MacroRun) -> RunRecord:
+        record = with_results(record, result, learning)  # first: it ends the audits
+        wall = {**record.wall_time, "compilation": seconds_compiling() - before}
+        write_learnt(earlier + wall.get("total", 0.0))
+        write_results(folder, result)
+        return replace(record, wall_time=wall)
 
-    RVE answers are kept in memory and in checkpoints until the run ends, so that a harvest has
-    exactly those of the run that it belongs to.
-    """
-
-    def __init__(
-        self,
-        recipe: Recipe,
-        kind: str,
-        folder: Path,
-        surrogates: Mapping[str, Path],
-        tables: Sequence[Path],
-    ) -> None:
-        if kind == "table":
-            check_tangents(recipe)
-        self.recipe, self.folder, self.before = recipe, folder, seconds_compiling()
-        self.harvests: dict[str, HarvestWriter] = {}
-        taker = self._harvest if kind in ("cached", "table") else lambda part: None
-        problem = recipe.problem()
-        chosen = choose_laws(recipe, kind, problem.mesh, surrogates, tables, taker)
-        self.law, self.tables = chosen.law, chosen.tables
-        self.problem = with_surface(recipe, problem)
-        self.earlier = sum(read_seconds(each) or 0.0 for each in tables)
-        record = new_record(recipe, kind, chosen.surrogate)
-        self.record = replace(record, problem=problem_record(self.problem))
-
-    def _harvest(self, part: Recipe) -> HarvestWriter:
-        path = self.folder / of_cell(HARVEST, part.cell_name)
-        self.harvests[part.cell_name] = HarvestWriter(path, origin_of(part))
-        return self.harvests[part.cell_name]
-
-    def checkpoint(self, run: RunFolder, state: MacroState) -> None:
+    def checkpoint(state: MacroState) -> None:
         arrays = within("macro", state.to_arrays())
-        arrays |= within("law", state_arrays(self.law, state.law_state))
-        for cell, writer in self.harvests.items():
+        arrays |= within("law", state_arrays(law, state.law_state))
+        for cell, writer in harvests.items():
             arrays |= within(f"harvest of {cell}", writer.to_arrays())
-        run.checkpoint(arrays, cache_report(self.law))
-        _write_decisions(self.folder, self.law)
+        run.checkpoint(arrays, cache_report(law))
+        _write_decisions(folder, law)
 
-    def restored(self, arrays: Mapping[str, NDArray]) -> MacroState:
+    def restore(arrays: Mapping[str, NDArray]) -> MacroState:
         state = MacroState.from_arrays(part_of(arrays, "macro"))
-        law_state = state_of(self.law, part_of(arrays, "law"))
-        for cell, writer in self.harvests.items():
+        law_state = state_of(law, part_of(arrays, "law"))
+        for cell, writer in harvests.items():
             writer.restore(part_of(arrays, f"harvest of {cell}"))
         return replace(state, law_state=law_state)
 
-    def store(self, record: RunRecord, result: MacroRun) -> RunRecord:
-        record = with_results(record, result, self.tables)  # first: it ends the audits
-        wall = {**record.wall_time, "compilation": seconds_compiling() - self.before}
-        self._write_learnt(self.earlier + wall.get("total", 0.0))
-        write_results(self.folder, result)
-        return replace(record, wall_time=wall)
-
-    @contextmanager
-    def learnt_at_an_interrupt(self) -> Iterator[None]:
+    with RunFolder.open(folder, record, store, fresh=fresh) as run:
+        if run.is_finished:
+            return run.record
+        state = run.restored(restore)
+        run.cache = None if state is None else cache_report(law)
+        report(0.0, "loading kernels")
         try:
-            yield
+            with recipe.named(InputError):
+                result = simulate(
+                    problem,
+                    law,
+                    recipe.macro,
+                    progress=lambda t, duration: report(t, ""),
+                    checkpoint=checkpoint,
+                    checkpoint_interval=CHECKPOINT_INTERVAL,
+                    resume=state,
+                )
         except KeyboardInterrupt:
-            self._write_learnt(0.0)
+            write_learnt(0.0)
             raise
-
-    def _write_learnt(self, seconds: float) -> None:
-        for writer in self.harvests.values():
-            writer.flush(seconds)
-        for name, table in self.tables.items():
-            path = self.folder / of_cell("table.h5", name)
-            write_table(path, table, self.recipe.to_dict(), seconds)
+        run.finish(result)
+    return run.record
 
 
 def of_cell(file: str, cell: str) -> str:
@@ -228,19 +189,16 @@ def origin_of(recipe: Recipe) -> dict[str, Any]:
     return origin(recipe.cell, rve.initialisation, rve=asdict(rve), recipe=recipe.to_dict())
 
 
-def new_record(recipe: Recipe, law: str, surrogate: Mapping[str, Any] | None = None) -> RunRecord:
+def new_record(recipe: Recipe, law: str, /, **entries: Any) -> RunRecord:
     """The record of a run by the law of this name that is about to start."""
-    return RunRecord(
-        status="running",
-        recipe=recipe.to_dict(),
-        law=law,
-        initialisation=recipe.rve.initialisation,
-        solver=recipe.rve.solver,
-        cell_fingerprint=recipe.fingerprint,
-        seed=None if len(recipe.cells) > 1 else recipe.samples.seed,
-        surrogate=surrogate,
-        **describe_origin(),
-    )
+    known = {
+        "recipe": recipe.to_dict(),
+        "initialisation": recipe.rve.initialisation,
+        "solver": recipe.rve.solver,
+        "cell_fingerprint": recipe.fingerprint,
+        "seed": None if len(recipe.cells) > 1 else recipe.samples.seed,
+    }
+    return RunRecord(status="running", law=law, **describe_origin(), **(known | entries))
 
 
 def save_run(run: MacroRun, folder: str | Path, *, fresh: bool = False) -> RunRecord:
@@ -272,29 +230,30 @@ def save_run(run: MacroRun, folder: str | Path, *, fresh: bool = False) -> RunRe
 def write_results(folder: Path, run: MacroRun) -> None:
     """Write curve.csv, history.csv, energies.csv, fields, points and, of a cached run, events."""
     write_curves(folder, run.curves, run.history, run.energies)
-    cell = cell_of_elements(run.law, len(run.elements))
-    write_fields(folder, run.nodes, run.elements, run.frames, cell)
-    write_points(folder, make_discretisation(run.problem.mesh), run.frames)
+    write_frames(folder, make_discretisation(run.problem.mesh), run.frames, run.law)
     _write_decisions(folder, run.law)
 
 
-def write_points(folder: Path, space: Discretisation, frames: Frames) -> None:
-    """Write points.xdmf and points.h5: the law's points, F and Ḟ by the displacement of nodes."""
+def write_frames(folder: Path, space: Discretisation, frames: Frames, law: StressLaw) -> None:
+    """Write the fields of nodes and elements, and points.xdmf and points.h5: the law's points, F
+    and Ḟ by the displacement of nodes."""
+    cell = laws.cell_of_elements(law, len(space.elements))
+    fields.write_fields(folder, space.nodes, space.elements, frames, cell)
     at = np.isin(frames.t, frames.point_t)
     u, v = frames.displacement[at], frames.velocity[at]
     moved = [deformation_gradient(space, *motion) for motion in zip(u, v, strict=True)]
-    write_point_fields(
+    fields.write_point_fields(
         folder,
         space.point_positions(),
         frames.point_t,
         {
-            DISPLACEMENT_NAME: np.stack([space.at_points(each) for each in u]),
-            VELOCITY_NAME: np.stack([space.at_points(each) for each in v]),
-            F_NAME: np.stack([F for F, _, _ in moved]),
-            F_DOT_NAME: np.stack([F_dot for _, F_dot, _ in moved]),
-            STRESS_NAME: frames.point_stress,
-            SOURCE_NAME: frames.point_source,
-            RISK_NAME: frames.point_risk,
+            fields.DISPLACEMENT_NAME: np.stack([space.at_points(each) for each in u]),
+            fields.VELOCITY_NAME: np.stack([space.at_points(each) for each in v]),
+            fields.F_NAME: np.stack([F for F, _, _ in moved]),
+            fields.F_DOT_NAME: np.stack([F_dot for _, F_dot, _ in moved]),
+            fields.STRESS_NAME: frames.point_stress,
+            fields.SOURCE_NAME: frames.point_source,
+            fields.RISK_NAME: frames.point_risk,
         },
         space.points_per_element,
     )
@@ -359,14 +318,14 @@ def problem_record(problem: Problem) -> dict[str, Any]:
         "conditions": [label(condition) for condition in problem.conditions],
         "bodies": [body.name for body in problem.bodies],
         "watched": {name: list(at) for name, at in problem.watched.items()},
-        **({"surface": surface_record(problem)} if problem.surface is not None else {}),
+        **({"surface": laws.surface_record(problem)} if problem.surface is not None else {}),
     }
 
 
 def _record_of(run: MacroRun) -> RunRecord:
     """The record of a run that no recipe stated."""
-    laws = run.law.laws if isinstance(run.law, RegionalLaw) else {"": run.law}
-    found = {name: _law_entries(law) for name, law in laws.items()}
+    of_cells = run.law.laws if isinstance(run.law, RegionalLaw) else {"": run.law}
+    found = {name: _law_entries(law) for name, law in of_cells.items()}
     if isinstance(run.law, RegionalLaw):
         sections: dict[str, Any] = {"cells": {}}
         for name, each in found.items():
@@ -387,21 +346,19 @@ def _record_of(run: MacroRun) -> RunRecord:
         initialisation=joined(each["rve"].get("initialisation", "none") for each in found.values()),
         solver=joined(each["rve"].get("solver", "none") for each in found.values()),
         cell_fingerprint=" ".join(each["fingerprint"] for each in found.values()),
-        surrogate=surrogate_record(learnt),
+        surrogate=laws.surrogate_record(learnt),
         problem=problem_record(run.problem),
         **describe_origin(),
     )
 
 
-def _law_entries(law: StressLaw) -> dict[str, Any]:
+def _law_entries(law: Any) -> dict[str, Any]:
     """Kind and fingerprint of a law, and by section of a recipe what it is made of."""
     law = own_part(law)
     if isinstance(law, CachedLaw):
-        kind, cache = "table", {"cache": asdict(law.settings)}
-        if isinstance(law.surrogate, SurrogateLaw):
-            kind = "cached"
-            cache["surrogate"] = _law_entries(law.surrogate)["surrogate"]
-        return {**_law_entries(law.fallback), **cache, "kind": kind}
+        learnt = _law_entries(law.surrogate)["surrogate"]
+        kind, cache = "cached" if learnt else "table", asdict(law.settings)
+        return {**_law_entries(law.fallback), "kind": kind, "cache": cache, "surrogate": learnt}
     found: dict[str, Any] = {"kind": type(law).__name__, "fingerprint": "none"}
     found |= {name: {} for name in ("cell", "rve", "cache", "surrogate")}
     if isinstance(law, RveLaw | SurrogateLaw):
@@ -447,29 +404,23 @@ def run_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
             is_deep = depth > 0.01 * side
             wish = f"; a larger bodies.{name}.stiffness would lessen it" if is_deep else ""
             yield f"contact: {name} penetrates by {depth:.2g} µm{wish}", is_deep
-    yield from surface_notes(record)
+    yield from laws.surface_notes(record)
     yield from cache_notes(record)
-    yield from _rank_notes(record)
-
-
-def _rank_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
-    """What part of a run on several ranks rank 0 took for itself: it bounds what more can do."""
-    if record.ranks is None:
-        return
-    wall, of = record.wall_time, record.ranks
-    total, away = wall["total"], of["computing"] + of["messages"]
-    shares = {
-        "assembly and time stepping on rank 0": wall["macro"],
-        "what the law decides there": max(0.0, wall["law"] - away),
-        "computing on all ranks": of["computing"],
-        "messages": of["messages"],
-    }
-    parts = ", ".join(f"{name} {100.0 * each / total:.0f} %" for name, each in shares.items())
-    yield (
-        f"ranks: {of['ranks']} of {of['threads']} threads; {parts} of {time_text(total)}; "
-        f"{of['tasks']} exchanges",
-        False,
-    )
+    if record.ranks is not None:  # what rank 0 takes for itself bounds what more ranks can do
+        wall, ranks = record.wall_time, record.ranks
+        total, away = wall["total"], ranks["computing"] + ranks["messages"]
+        shares = {
+            "assembly and time stepping on rank 0": wall["macro"],
+            "what the law decides there": max(0.0, wall["law"] - away),
+            "computing on all ranks": ranks["computing"],
+            "messages": ranks["messages"],
+        }
+        parts = ", ".join(f"{name} {100.0 * each / total:.0f} %" for name, each in shares.items())
+        yield (
+            f"ranks: {ranks['ranks']} of {ranks['threads']} threads; {parts} of "
+            f"{time_text(total)}; {ranks['tasks']} exchanges",
+            False,
+        )
 
 
 def run_summary(record: RunRecord) -> str:

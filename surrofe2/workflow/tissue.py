@@ -16,12 +16,7 @@ from surrofe2.problem import Problem
 from surrofe2.recipe.recipe import Recipe, kinds_of_cells
 from surrofe2.run.loop import Report, no_report
 from surrofe2.store.fields import write_particle_fields
-from surrofe2.store.run_folder import (
-    CHECKPOINT_INTERVAL,
-    RunFolder,
-    RunRecord,
-    write_curves,
-)
+from surrofe2.store.run_folder import CHECKPOINT_INTERVAL, RunFolder, RunRecord, write_curves
 from surrofe2.store.samples import kept_reference
 from surrofe2.tissue import TissueRun, TissueState, simulate_tissue
 from surrofe2.tissue.simulation import cells_that_fill, make_conditions, step_at_rest, with_step
@@ -36,16 +31,16 @@ def tissue_of(
     Raises:
         InputError: naming what a tissue of particles does not take.
     """
-    problem, stated = recipe.problem(), recipe.stated
+    problem, section = recipe.problem(), "load" if recipe.is_bar else "mesh"
     cells = [each.cell for each in recipe.cells.values()]
     with recipe.named(InputError):
-        if stated.mesh.file is not None:
+        if recipe.mesh.file is not None:
             raise InputError(
-                f"mesh.file: {stated.mesh.file!r}; a full tissue needs a rectangle: mesh.width and "
+                f"mesh.file: {recipe.mesh.file!r}; a full tissue needs a rectangle: mesh.width and "
                 "mesh.height"
             )
         problem.check_course()
-        counts = cells_that_fill(problem, cells[0], stated.section)
+        counts = cells_that_fill(problem, cells[0], section)
         return problem, cells, kinds_of_cells(problem, recipe.cells, counts)
 
 
@@ -78,9 +73,8 @@ def run_tissue(
             threads=run.threads,
         )
 
-    record = replace(
-        new_record(recipe, "tissue"), initialisation="none", solver="leapfrog", seed=None
-    )
+    of = {"initialisation": "none", "solver": "leapfrog", "seed": None}
+    record = new_record(recipe, "tissue", **of)
     with RunFolder.open(folder, record, store, fresh=fresh) as run:
         if run.is_finished:
             return run.record

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -58,13 +58,7 @@ from surrofe2.surrogate.settings import (
     CalibrationSettings,
 )
 from surrofe2.workflow import laws
-from surrofe2.workflow.generate import (
-    Generated,
-    counts_of,
-    generate_data_set,
-    training_samples,
-    wanted_count,
-)
+from surrofe2.workflow.generate import Generated, generate_data_set, training_samples, wanted_count
 from surrofe2.workflow.laws import law_by_region
 
 if TYPE_CHECKING:
@@ -124,9 +118,14 @@ def train_surrogate(
     """
     if find_spec("torch") is None:
         raise InputError("training needs PyTorch, which is not installed: pip install torch")
+    if recipe.training.bound and not recipe.calibration.walks:
+        raise InputError(
+            f"training.bound: {recipe.training.bound:g}; it must be 0 where calibration.walks is"
+        )
     path, unfinished = recipe.training_path(), unfinished_training(recipe)
-    counts = counts_of(recipe)
+    counts = recipe.samples.counts(recipe.training.bound)
 
+    @cache
     def take(count: int) -> StressSamples:
         samples = training_samples(recipe, count, add, stage=stage)
         return samples if range is None else replace(samples, range=range)
@@ -156,30 +155,30 @@ def train_surrogate(
     with locked_file(path):
         if surrogate is not None and surrogate.is_calibrated:  # killed after its last file
             return trained(surrogate, kept=True)
-        shaping: list[Truth] = []
+        law, shaping = laws.true_law(recipe), list[Truth]()
         if surrogate is None:
             if fresh:
                 remove(unfinished)
-            while True:
+            for count in counts[number:]:
+                samples = take(count)
                 with stage("train", recipe.training.iterations, "iterations") as report:
                     if recipe.training.bound and not shaping:
-                        shaping = _shaping(recipe, samples)
+                        shaping = shaping_truths(samples, law, recipe.calibration)
                     surrogate, bound, seconds = _train(recipe, samples, shaping, begun, report)
-                number += 1
-                if (
-                    bound <= WISH * recipe.training.bound
-                    or number == len(counts)
-                    or bound >= _HELPS * begun.before
-                ):
+                if bound <= WISH * recipe.training.bound or bound >= _HELPS * begun.before:
                     break
-                begun, samples = _Begun(seconds=seconds, before=bound), take(counts[number])
-            made = {**_seconds_of_data(recipe, add), "training": seconds}
-            surrogate = replace(surrogate, seconds=made)
+                begun = _Begun(seconds=seconds, before=bound)
+            assert surrogate is not None
+            parts = [read_seconds(each) for each in (recipe.data_path(), *add)]
+            # none where nobody knows those of a file
+            data = {} if None in parts else {"data": sum(each or 0.0 for each in parts)}
+            surrogate = replace(surrogate, seconds={**data, "training": seconds})
             write_surrogate(surrogate, path)
             remove(unfinished)
         meter = Meter()
         with stage("calibrate", 1.0, "of the paths") as report:
-            surrogate = calibrate_surrogate(recipe, surrogate, samples, report, shaping)
+            given, runs = (samples, law, recipe.calibration), partial(_runs, recipe, surrogate)
+            surrogate = calibrate(surrogate, *given, report=report, shaping=shaping, runs=runs)
         surrogate = replace(surrogate, seconds={**surrogate.seconds, "calibration": meter.seconds})
         write_surrogate(surrogate, path)
     return trained(surrogate, kept=False)
@@ -225,13 +224,6 @@ def _read_unfinished(path: Path) -> _Begun:
     return _Begun(state, header["seconds"], before)
 
 
-def _seconds_of_data(recipe: Recipe, harvests: Sequence[Path]) -> dict[str, float]:
-    """The seconds of the data set and the harvests; none where nobody knows those of a file."""
-    seconds = [read_seconds(path) for path in (recipe.data_path(), *harvests)]
-    known = [each for each in seconds if each is not None]
-    return {"data": sum(known)} if len(known) == len(seconds) else {}
-
-
 def _train(
     recipe: Recipe,
     samples: StressSamples,
@@ -272,14 +264,6 @@ def _train(
     except MismatchError as error:
         raise MismatchError(f"{path}: {error}; {START_OVER}") from None
     return surrogate, bound_of(surrogate), meter.seconds
-
-
-def _shaping(recipe: Recipe, samples: StressSamples) -> list[Truth]:
-    if not recipe.calibration.walks:
-        raise InputError(
-            f"training.bound: {recipe.training.bound:g}; it must be 0 where calibration.walks is"
-        )
-    return shaping_truths(samples, laws.true_law(recipe), recipe.calibration)
 
 
 def _check_surrogate(recipe: Recipe, surrogate: SurrogateLaw, samples: StressSamples) -> None:
@@ -401,19 +385,6 @@ def calibrate(
     return bounded
 
 
-def calibrate_surrogate(
-    recipe: Recipe,
-    surrogate: SurrogateLaw,
-    samples: StressSamples,
-    report: Report,
-    shaping: Sequence[Truth],
-) -> SurrogateLaw:
-    """The surrogate with a calibrated bound, by RVEs along paths of the recipe; see `calibrate`."""
-    law, runs = laws.true_law(recipe), partial(_runs, recipe, surrogate)
-    settings = recipe.calibration
-    return calibrate(surrogate, samples, law, settings, report=report, shaping=shaping, runs=runs)
-
-
 def shaping_truths(
     samples: StressSamples, law: StressLaw, settings: CalibrationSettings
 ) -> list[Truth]:
@@ -439,7 +410,7 @@ def _runs(recipe: Recipe, surrogate: SurrogateLaw, count: int, seed: int) -> Ite
     """What runs under other loads meet at points of a cell; others follow their quadratic law."""
     problem, whole, macro = _coarse_problem(recipe), replace(recipe, part=None), recipe.macro
     cases = varied_problems(problem, count, seed)
-    if recipe.stated.section == "load":
+    if recipe.is_bar:
         cases = random_loads(problem, count, seed)
         macro = replace(macro, integrator="explicit")
     others = {
@@ -456,12 +427,11 @@ def _runs(recipe: Recipe, surrogate: SurrogateLaw, count: int, seed: int) -> Ite
 
 def _coarse_problem(recipe: Recipe) -> Problem:
     """The recipe's problem, on a coarser mesh where that is a rectangle and has all it names."""
-    whole, stated = replace(recipe, part=None), recipe.stated
-    if stated.mesh.elements is not None and len(whole.cells) == 1:
-        along, across = (min(n, RUN_ELEMENTS) for n in stated.mesh.elements)
-        mesh = replace(stated.mesh, elements=(along, across))
+    whole, mesh = replace(recipe, part=None), recipe.mesh
+    if mesh.elements is not None and len(whole.cells) == 1:
+        along, across = (min(n, RUN_ELEMENTS) for n in mesh.elements)
         with suppress(InputError):
-            return replace(whole, stated=replace(stated, mesh=mesh)).problem()
+            return replace(whole, mesh=replace(mesh, elements=(along, across))).problem()
     return whole.problem()
 
 
@@ -610,19 +580,11 @@ def varied_problems(problem: Problem, count: int, seed: int) -> Iterator[Problem
 
 
 def _varied(stated: Condition | RigidBody, factor: float, pace: float) -> Any:
-    if isinstance(stated, DrivenCondition):
-        return replace(stated, amplitude=Varied(stated.amplitude, factor, pace))
-    if isinstance(stated, InitialVelocity):
-        return replace(stated, velocity=_times(factor, stated.velocity))
-    if isinstance(stated, RigidBody):
-        return replace(
-            stated,
-            amplitude=Varied(stated.amplitude, factor, pace),
-            velocity=_times(factor, stated.velocity),
-            acceleration=_times(factor, stated.acceleration),
-        )
-    return stated
-
-
-def _times(factor: float, vector: tuple[float, float]) -> tuple[float, float]:
-    return factor * vector[0], factor * vector[1]
+    vectors = {InitialVelocity: ("velocity",), RigidBody: ("velocity", "acceleration")}
+    changes: dict[str, Any] = {
+        name: tuple(factor * value for value in getattr(stated, name))
+        for name in vectors.get(type(stated), ())
+    }
+    if isinstance(stated, DrivenCondition | RigidBody):
+        changes["amplitude"] = Varied(stated.amplitude, factor, pace)
+    return replace(stated, **changes)

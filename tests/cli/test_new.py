@@ -26,7 +26,7 @@ def test_each_kind_loads_and_runs_some_steps(invoke, tmp_path, kind):
         assert part.data_path().parent == part.training_path().parent == tmp_path
         assert part.data_path().stem.startswith("mine")
         assert part.range is not None
-    of = "load" if recipe.stated.section == "load" else "time"
+    of = "load" if recipe.is_bar else "time"
     text = path.read_text(encoding="utf-8")
     long = re.search(rf"(?ms)^\[{of}\].*?^(duration = \S+)", text)[1]
     path.write_text(text.replace(long, "duration = 2.0"), encoding="utf-8")

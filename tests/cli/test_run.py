@@ -220,8 +220,8 @@ class CompilingLaw(SoftLaw):
 
 def test_the_clock_of_a_run_stands_while_kernels_are_compiled(recipe, folder, monkeypatch):
     """A longer first call would count in full by any other clock."""
-    time = replace(recipe.stated.time, duration=0.2, output_interval=0.2)
-    short = replace(recipe, stated=replace(recipe.stated, time=time))
+    time = replace(recipe.time, duration=0.2, output_interval=0.2)
+    short = replace(recipe, time=time)
     monkeypatch.setattr(laws, "true_law", lambda part, *_: SoftLaw().of(part.cell, part.rve))
     run_study(short, "rve", folder / "warm")
     law = CompilingLaw()

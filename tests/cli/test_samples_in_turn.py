@@ -72,7 +72,7 @@ def same(path, other):
 
 def test_the_first_samples_suffice(wanting):
     recipe = wanting(MET)
-    assert generate_data_set(recipe).count == 40
+    assert len(generate_data_set(recipe).samples.F) == 40
     stage, shown = stages()
     trained = train_surrogate(recipe, stage=stage)
     assert shown == [("train", 40), ("calibrate", 1.0)]

@@ -4,6 +4,7 @@ The whole counts, both presets and both initialisations are `slow`; the suite ha
 """
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from surrofe2.surrogate.deformation_paths import (
     true_stress,
 )
 from surrofe2.surrogate.settings import CalibrationSettings
-from surrofe2.workflow.train import calibrate_surrogate, shaping_truths
+from surrofe2.workflow import train as training
 
 DATA = Path(__file__).parents[2] / "data"
 TOLERANCE = 1e-3
@@ -54,10 +55,10 @@ class Study:
         self.rve = RveLaw(recipe.cell, recipe.rve)
         self.samples = sample_stress(self.rve, recipe.range, samples, seed=1)
         surrogate = train(self.samples, recipe.training)
-        shaping = shaping_truths(self.samples, self.rve, calibration)
-        self.surrogate = calibrate_surrogate(
-            recipe, surrogate, self.samples, lambda done, note: None, shaping
-        )
+        self.surrogate = training.calibrate(
+            surrogate, self.samples, self.rve, calibration,
+            runs=partial(training._runs, recipe, surrogate),
+        )  # fmt: skip
         self.tolerance = TOLERANCE * self.surrogate.stress_spread
 
     def errors(self, F, F_dot, tolerance=np.inf):
