@@ -17,8 +17,8 @@ from surrofe2 import Fixed, Problem, Ramp, RigidBody, rectangle, save_run, simul
 from surrofe2.base.errors import InputError
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane
 from surrofe2.report.figures import outline
-from surrofe2.report.page import bodies_of, load_runs, motion_section, write_report
-from surrofe2.store.run_folder import read_record, write_record
+from surrofe2.report.page import bodies_of, fields_of, motion_section, write_report
+from surrofe2.store.run_folder import read_record, read_run, write_record
 from tests.laws import KelvinVoigt
 from tests.report.made_runs import EVIL, RISK, made_runs
 
@@ -106,7 +106,7 @@ def test_the_policy_allows_what_is_in_the_page_and_nothing_else(page):
 
 def test_the_script_is_given_the_motion_and_the_sources(page, runs):
     data = json.loads(page[1].scripts[0][1])["runs"]
-    fields = [each.fields for each in load_runs(runs).runs]
+    fields = [fields_of(read_run(folder)) for folder in runs]
     assert [each["name"] for each in data] == ["rve", "cached"]
     for found, known in zip(data, fields, strict=True):
         motion = np.frombuffer(base64.b64decode(found["motion"]), "<i2")
@@ -156,13 +156,14 @@ def test_bodies_are_where_they_touch_the_tissue(tmp_path):
         watched={"middle": (50.0, 50.0)},
     )
     save_run(simulate(problem, KelvinVoigt()), tmp_path / "run")
-    (run,) = load_runs([tmp_path / "run"]).runs
-    (body,) = bodies_of(run)
-    last = run.fields.points + run.fields.displacement[-1]
+    run = read_run(tmp_path / "run")
+    fields = fields_of(run)
+    (body,) = bodies_of(run, fields)
+    last = fields.points + fields.displacement[-1]
     assert body.outline[:2, 1] == pytest.approx([101.0, 101.0])
     assert body.at(-1, 1.0)[:2, 1] == pytest.approx([95.0, 95.0])
     assert last[:, 1].max() == pytest.approx(95.0, abs=0.1)
-    parts, (data,) = motion_section((run,))
+    parts, (data,) = motion_section([(run, fields)])
     assert "".join(parts).count("<img") == 1
     np.testing.assert_allclose(data["bodies"][0]["moved"], body.moved, atol=1e-3)
 
