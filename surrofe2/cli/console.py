@@ -139,15 +139,11 @@ def done(where: str | Path | None, what: str, *, timed: bool = True) -> None:
     print_line(f"{where or _now['command']}: {what}{seconds}")
 
 
-def show_table(title: str, table: Table[Any], names: int = 1) -> None:
-    """A table on stdout; the first columns, so many, name, the others are figures.
-
-    Where it is wider than the terminal, further tables have the other figures.
-    """
+def show_table(title: str, table: Table[Any]) -> None:
+    """A table on stdout; where it is wider than the terminal, in parts with the same names."""
     if is_quiet():
         return
-    columns, rows = table.for_people()
-    console = Console()
+    (columns, rows), names, console = table.for_people(), table.names, Console()
     heads = [max(map(len, column.split())) for column in columns]
     widths = [1 + max([head, *(len(row[k]) for row in rows)]) for k, head in enumerate(heads)]
     parts: list[list[int]] = [[]]

@@ -257,7 +257,7 @@ def grid(
             stage=console.progress,
         )
     title = f"{recipe.name}, {len(result.rows)} runs"
-    console.show_table(title, result.table, names=result.names)
+    console.show_table(title, result.table)
     console.done(folder, f"{len(result.rows)} runs, {', '.join(GRID_FILES)}")
     if result.failed:
         name, message = next(iter(result.failed.items()))
