@@ -128,26 +128,20 @@ class Commands(TyperGroup):
         except Surrofe2Error as error:
             if ctx.params.get("traceback"):
                 raise
-            raise _ended(f"error: {error}", 1) from None
+            message, code = f"error: {error}", 1
         except OSError as error:
             if error.errno != errno.ENAMETOOLONG:
                 raise
-            message = shortened(f"{error.filename}: {error.strerror}")
-            raise _ended(f"error: {message}", 1) from None
+            message, code = f"error: {shortened(f'{error.filename}: {error.strerror}')}", 1
         except console.InterruptedWork as work:
             arguments = ctx.meta["arguments"]
             kept = [each for each in arguments if each != "--fresh" or not work.has_begun]
-            message = f"interrupted: {work}; resume with: {shlex.join(['surrofe2', *kept])}"
-            raise _ended(message, exit_code()) from None
+            again = shlex.join(["surrofe2", *kept])
+            message, code = f"interrupted: {work}; resume with: {again}", exit_code()
         except KeyboardInterrupt:
-            message = "interrupted: nothing was changed"
-            raise _ended(message, exit_code()) from None
-
-
-def _ended(message: str, code: int) -> typer.Exit:
-    """Print how a command ended that did not finish."""
-    console.print_warning(message)
-    return typer.Exit(code)
+            message, code = "interrupted: nothing was changed", exit_code()
+        console.print_warning(message)
+        raise typer.Exit(code)
 
 
 def _as_help(docstring: str | None) -> str:

@@ -309,7 +309,7 @@ def displacement_panels(runs: Sequence[StoredRun]) -> list[Panel]:
         y_label = f"displacement $u_{'xy'[axis]}$ (µm)"
         title = "" if panels or len(curves) > 1 else label
         height = 0.55 if panels else 1.0
-        panels.append(Panel(clock_of(reference), y_label, tuple(curves), title, height=height))
+        panels.append(Panel("time (µs)", y_label, tuple(curves), title, height=height))
     return panels
 
 
@@ -327,7 +327,7 @@ def difference_panels(runs: Sequence[StoredRun]) -> list[Panel]:
         differences.append(Curve("", run.curve.t, relative, label, markers=False, colour=k))
     names = f"{differences[0].label} and " if len(differences) == 1 else "each run and "
     title = f"Difference of {names}{reference.name}, relative to the largest displacement"
-    return [Panel(clock_of(reference), "difference (%)", tuple(differences), title, height=0.6)]
+    return [Panel("time (µs)", "difference (%)", tuple(differences), title, height=0.6)]
 
 
 def audit_panels(runs: Sequence[StoredRun]) -> list[Panel]:
@@ -359,11 +359,6 @@ def audit_curves(audit: Mapping[str, Any], k: int, of: str) -> list[Curve]:
         line = np.full(2, tolerance), np.array([0.0, 100.0])
         curves.append(Curve("", *line, label, False, k, "--"))
     return curves
-
-
-def clock_of(run: StoredRun) -> str:
-    """What a run's curves are over."""
-    return "load factor" if "rest" in run.record.recipe else "time (µs)"
 
 
 def comparison_title(runs: Sequence[StoredRun]) -> str:

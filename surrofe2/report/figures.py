@@ -313,13 +313,13 @@ def cell_figure(
     fields: StoredFields,
     element: int,
     point: Sequence[float],
-    clock: str = "t = {:.4g} µs",
+    is_rest: bool = False,
 ) -> Figure:
     """A look into the plant cells at a point: where it is, wall stretch over time, six times.
 
-    `seen` is the RVE of an element at the times of the fields, `point` in the undeformed tissue,
-    µm, and `clock` how a time is written."""
-    t = fields.t
+    `seen` is the RVE of an element at the times of the fields, of a rest the factors of its load,
+    and `point` in the undeformed tissue, µm."""
+    t, clock = fields.t, "load factor {:.4g}" if is_rest else "t = {:.4g} µs"
     chosen = np.unique(np.linspace(0, len(t) - 1, min(_PANELS, len(t))).round().astype(int))
     columns = min(3, len(chosen))
     rows = -(-len(chosen) // columns)
@@ -339,7 +339,7 @@ def cell_figure(
     stretch = seen.extremes()["largest_wall_stretch"]
     curve.plot(t, stretch, color="0.3", linewidth=1.2)
     curve.plot(t[chosen], stretch[chosen], "o", color=VERMILION, markersize=5.0)
-    curve.set_xlabel("time (µs)" if "µs" in clock else "load factor")
+    curve.set_xlabel("load factor" if is_rest else "time (µs)")
     curve.set_ylabel("largest wall length\n/ rest length")
     curve.ticklabel_format(useOffset=False)
     curve.set_title("dots: the times below", fontsize=9)

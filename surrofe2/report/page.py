@@ -32,7 +32,6 @@ from surrofe2.report.comparison import (
     Comparison,
     audit_panels,
     audit_sentence,
-    clock_of,
     compare,
     comparison_title,
     difference_panels,
@@ -224,7 +223,7 @@ def _over_time_and_mesh(run: StoredRun, fields: StoredFields) -> str:
         for k, (code, (words, _)) in enumerate(SOURCES.items())
         if (source == code).any()
     )
-    panel = Panel(clock_of(run), "elements (%)", curves, zero=True)
+    panel = Panel("time (µs)", "elements (%)", curves, zero=True)
     often = 100.0 * by_rve.mean(axis=0)
     colours = Colours.of("stored times with an RVE (%)", np.append(often, 0.0), "Oranges")
     caption = f"{run.name}: at how many of the stored times an element had a point on RVEs"
@@ -282,7 +281,7 @@ def _energies(runs: Sequence[StoredRun]) -> list[str]:
         if balance is not None and largest:
             error = float(np.nanmax(abs(balance))) / largest
             caption += f"; they balance within {percent(2)(error)} of the largest"
-        figures.append(_chart(Panel(clock_of(run), "energy (pJ)", curves), caption))
+        figures.append(_chart(Panel("time (µs)", "energy (pJ)", curves), caption))
     return [_grid(figures), *lacking]
 
 
@@ -440,7 +439,6 @@ def _arrays(run: StoredRun, fields: StoredFields, budget: int) -> dict[str, Any]
     low, high = box(fields.points + factor * u, bodies)
     return {
         "name": run.name,
-        "clock": "load factor" if "rest" in run.record.recipe else "µs",
         "t": fields.t[at].tolist(),
         "corners": len(order),
         "cells": _base64(fields.cells[:, order].astype("<u4")),
@@ -491,8 +489,7 @@ def _still(run: StoredRun, fields: StoredFields, factor: int) -> str:
     quantities = _quantities(fields)
     what = "von Mises stress" if "von Mises stress" in quantities else "displacement"
     unit, values = quantities[what]
-    clock = "load factor {:.4g}" if "rest" in run.record.recipe else "t = {:.4g} µs"
-    caption = f"{run.name} where it has moved farthest, {clock.format(fields.t[k])}"
+    caption = f"{run.name} where it has moved farthest, t = {fields.t[k]:.4g} µs"
     if factor > 1:
         caption += f"; displacement × {factor}"
     colours = Colours.of(f"{what} ({unit})", values[k])

@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.errors import InputError
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -78,11 +76,6 @@ class Curve:
     markers: bool = True
     colour: int | None = None
     dash: str = ""
-
-    def __post_init__(self) -> None:
-        if np.shape(self.x) != np.shape(self.y) or np.ndim(self.x) != 1:
-            shapes = f"x {np.shape(self.x)} and y {np.shape(self.y)}"
-            raise InputError(f"curve {self.name}: {shapes}; both must be (m,)")
 
 
 @dataclass(frozen=True, slots=True)
