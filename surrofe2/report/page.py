@@ -10,7 +10,7 @@ import hashlib
 import json
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -78,17 +78,22 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> Path:
     compared = () if isinstance(comparison, str) else comparison.runs
     shown = [(run, fields_of(run)) for run in runs]
     stills, motion = motion_section(shown)
-    sections = (
-        ("displacement", "Displacement", "Displacement", _displacement(runs, comparison)),
-        ("cost", "Time and speed-up", "Time and speed-up", _cost(runs, compared)),
-        ("fallback", "Fallbacks", "Where the cache fell back", _fallback(shown)),
-        ("audit", "Audits", "Audits", _audits(runs)),
-        ("range", "Range", "Range that was met", _range(runs)),
-        ("energy", "Energies", "Energies", _energies(runs)),
-        ("cells", "Plant cells", "Plant cells", _plant_cells(runs)),
-        ("events", "Events", "Events", _events(runs)),
-        ("origin", "Provenance", "Configuration and provenance", _origin(runs)),
-    )
+    look = f"surrofe2 zoom {shlex.quote(str(runs[0].folder))} --point X,Y"
+    sections: tuple[tuple[str, str, str, Iterable[str], str], ...] = (
+        ("displacement", "Displacement", "Displacement", _displacement(runs, comparison), ""),
+        ("cost", "Time and speed-up", "Time and speed-up", _cost(runs, compared), ""),
+        ("fallback", "Fallbacks", "Where the cache fell back", _fallback(shown),
+         "No run through a cache, so nothing fell back."),
+        ("audit", "Audits", "Audits", _audits(runs),
+         "No run through a cache, so nothing was audited."),
+        ("range", "Range", "Range that was met", _range(runs), "No run recorded what it met."),
+        ("energy", "Energies", "Energies", _energies(runs), ""),
+        ("cells", "Plant cells", "Plant cells", _plant_cells(runs),
+         f"No look into the plant cells in the folders; make one with: {look}"),
+        ("events", "Events", "Events", _events(runs), ""),
+        ("origin", "Provenance", "Configuration and provenance", _origin(runs), ""),
+    )  # fmt: skip
+    """Key, link, heading, parts, and what is said where there are none."""
     folder = files("surrofe2.report")
     style, script, template = (
         folder.joinpath(f"page.{kind}").read_text("utf-8") for kind in ("css", "js", "html")
@@ -103,8 +108,8 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> Path:
         headlines="".join(_headlines(runs, compared)),
         stills="".join(stills),
         sections="\n".join(
-            f'<section id="{key}"><h2>{heading}</h2>{"".join(parts)}</section>'
-            for key, _, heading, parts in sections
+            f'<section id="{key}"><h2>{heading}</h2>{"".join(parts) or _missing(none)}</section>'
+            for key, _, heading, parts, none in sections
         ),
         # a JSON string has no "<" that could end the element early
         data=json.dumps({"runs": motion}).replace("<", "\\u003c"),
@@ -125,57 +130,53 @@ def _digest(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
-def _headlines(runs: Sequence[StoredRun], compared: Sequence[ComparedRun]) -> list[str]:
+def _headlines(runs: Sequence[StoredRun], compared: Sequence[ComparedRun]) -> Iterator[str]:
     """What was run, and what came out of it."""
-    parts = [_paragraph(" ".join(comparison_title(runs).split()))]
+    yield _paragraph(" ".join(comparison_title(runs).split()))
     for run in compared:
         faster = run.speed_up["wall_time"]
-        parts.append(
-            _paragraph(
-                f"{run.name} differs from {runs[0].name} by at most "
-                f"{percent(2)(run.difference.largest)} of the largest displacement"
-                + (f" and is {number(faster)} times faster by itself." if faster else "."),
-                "headline",
-            )
+        yield _paragraph(
+            f"{run.name} differs from {runs[0].name} by at most "
+            f"{percent(2)(run.difference.largest)} of the largest displacement"
+            + (f" and is {number(faster)} times faster by itself." if faster else "."),
+            "headline",
         )
-    return parts + [
-        _missing(f"{run.name}: {run.record.status}; {run.record.error or 'it is not whole'}")
-        for run in runs
-        if run.record.status != "finished"
-    ]
+    for each in runs:
+        if each.record.status != "finished":
+            why = each.record.error or "it is not whole"
+            yield _missing(f"{each.name}: {each.record.status}; {why}")
 
 
-def _displacement(runs: Sequence[StoredRun], comparison: Comparison | str) -> list[str]:
+def _displacement(runs: Sequence[StoredRun], comparison: Comparison | str) -> Iterator[str]:
     """Curves of all runs, their differences and the forces on the tissue."""
     caption = "Displacement of the watched point" + (" by all runs" if len(runs) > 1 else "")
     figures = [_chart(panel, caption) for panel in displacement_panels(runs)]
     if isinstance(comparison, str):
-        return [_missing(comparison), _grid(figures)]
+        yield _missing(comparison)
+        yield _grid(figures)
+        return
     caption = f"Difference from {comparison.reference}, at each time"
-    figures += [_chart(panel, caption) for panel in difference_panels(runs)]
-    parts = [_grid(figures), _table(*comparison.table.for_people())]
+    yield _grid([*figures, *(_chart(panel, caption) for panel in difference_panels(runs))])
+    yield _table(*comparison.table.for_people())
     if comparison.force_table.rows:
-        forces = _table(*comparison.force_table.for_people())
-        parts += ["<h3>Forces on the tissue</h3>", forces]
-    return parts
+        yield "<h3>Forces on the tissue</h3>"
+        yield _table(*comparison.force_table.for_people())
 
 
-def _cost(runs: Sequence[StoredRun], compared: Sequence[ComparedRun]) -> list[str]:
+def _cost(runs: Sequence[StoredRun], compared: Sequence[ComparedRun]) -> Iterator[str]:
     """Seconds of each run and of what was made for it, and from when the cache pays off."""
-    parts = [
-        _paragraph(f"{run.name}: {run.balance.sentence}.", "headline")
-        for run in compared
-        if run.balance is not None
-    ]
-    if not parts:
-        parts = [_missing("No run through a cache beside one by RVEs, so there is no speed-up.")]
+    balances = [(run.name, run.balance) for run in compared if run.balance is not None]
+    for name, balance in balances:
+        yield _paragraph(f"{name}: {balance.sentence}.", "headline")
+    if not balances:
+        yield _missing("No run through a cache beside one by RVEs, so there is no speed-up.")
     seconds = [_seconds(run) for run in runs]
     names = list(dict.fromkeys(name for each in seconds for name in each))
     rows = [
         [run.name, *(number(each[name]) if name in each else "–" for name in names)]
         for run, each in zip(runs, seconds, strict=True)
     ]
-    return [*parts, _table(["run", *(f"{name} (s)" for name in names)], rows)]
+    yield _table(["run", *(f"{name} (s)" for name in names)], rows)
 
 
 def _seconds(run: StoredRun) -> dict[str, float]:
@@ -192,23 +193,19 @@ def _seconds(run: StoredRun) -> dict[str, float]:
     )
 
 
-def _fallback(shown: Sequence[RunFields]) -> list[str]:
+def _fallback(shown: Sequence[RunFields]) -> Iterator[str]:
     """Where and when the cache fell back on RVEs."""
-    parts: list[str] = []
     for run, fields in shown:
         for of, cache in run.caches.items():
             hits, fallbacks = cache["accepted"]["hits"], cache["accepted"]["fallbacks"]
             why = fallback_reasons(cache["accepted"])
             share = percent(3)(fallbacks / max(hits + fallbacks, 1))
             counts = f"{hits:,} answers of kept steps came from the cache, {fallbacks:,} from RVEs"
-            parts.append(_paragraph(f"{of}: {counts}{why}, {share}."))
-            parts += [
-                _paragraph(f"{of}, step {event['step']}: {event['finding']}.")
-                for event in cache["trust"]["events"]
-            ]
+            yield _paragraph(f"{of}: {counts}{why}, {share}.")
+            for event in cache["trust"]["events"]:
+                yield _paragraph(f"{of}, step {event['step']}: {event['finding']}.")
         if fields is not None and SOURCE_NAME in fields.values:
-            parts.append(_over_time_and_mesh(run, fields))
-    return parts or [_missing("No run through a cache, so nothing fell back.")]
+            yield _over_time_and_mesh(run, fields)
 
 
 def _over_time_and_mesh(run: StoredRun, fields: StoredFields) -> str:
@@ -235,25 +232,26 @@ def _over_time_and_mesh(run: StoredRun, fields: StoredFields) -> str:
     )
 
 
-def _audits(runs: Sequence[StoredRun]) -> list[str]:
+def _audits(runs: Sequence[StoredRun]) -> Iterator[str]:
     """Audited errors with the tolerance."""
-    figures, parts = [], []
-    for run in runs:
-        figures += [_chart(panel, f"{run.name}: audited errors") for panel in audit_panels([run])]
-        for of, cache in run.caches.items():
-            worst = cache["audit"]["worst"]
-            parts.append(_paragraph(f"{of}: audited: {audit_sentence(cache)}."))
-            if isinstance(worst, Mapping):
-                where = f"step {worst['step']}, point {worst['point']}"
-                risk = f"where the risk was {number(worst['risk'])} ({where})"
-                error = f"{number(worst['error'])} µN/µm"
-                parts.append(_paragraph(f"{of}: the worst error is {error}, {risk}."))
-    if not parts:
-        parts = [_missing("No run through a cache, so nothing was audited.")]
-    return [*parts, _grid(figures)]
+    for of, cache in (each for run in runs for each in run.caches.items()):
+        worst = cache["audit"]["worst"]
+        yield _paragraph(f"{of}: audited: {audit_sentence(cache)}.")
+        if isinstance(worst, Mapping):
+            where = f"step {worst['step']}, point {worst['point']}"
+            risk = f"where the risk was {number(worst['risk'])} ({where})"
+            error = f"{number(worst['error'])} µN/µm"
+            yield _paragraph(f"{of}: the worst error is {error}, {risk}.")
+    yield _grid(
+        [
+            _chart(panel, f"{run.name}: audited errors")
+            for run in runs
+            for panel in audit_panels([run])
+        ]
+    )
 
 
-def _range(runs: Sequence[StoredRun]) -> list[str]:
+def _range(runs: Sequence[StoredRun]) -> Iterator[str]:
     """What each run met at any point and step, beside the range of the samples."""
     limits = runs[0].record.recipe.get("range") or {}
     ranges = [*((run.name, run.record.met) for run in runs), ("range of samples", limits)]
@@ -262,8 +260,8 @@ def _range(runs: Sequence[StoredRun]) -> list[str]:
         for name, of in ranges
         if {"stretch", "shear", "rate"} <= of.keys()
     ]
-    heads = ["met at any point and step", "stretch (1)", "shear (1)", "rate (1/µs)"]
-    return [_table(heads, rows) if rows else _missing("No run recorded what it met.")]
+    if rows:
+        yield _table(["met at any point and step", "stretch (1)", "shear (1)", "rate (1/µs)"], rows)
 
 
 def _energies(runs: Sequence[StoredRun]) -> list[str]:
@@ -285,40 +283,32 @@ def _energies(runs: Sequence[StoredRun]) -> list[str]:
     return [_grid(figures), *lacking]
 
 
-def _plant_cells(runs: Sequence[StoredRun]) -> list[str]:
+def _plant_cells(runs: Sequence[StoredRun]) -> Iterator[str]:
     """The plant cells that `surrofe2 zoom` looked into."""
-    figures = [
-        _figure(
-            read_bytes(path),
-            "particles of a plant cell at six times",
-            f"{run.name}, {path.parent.name}: the plant cells there, walls by stretch and fluid by "
-            "turgor",
-        )
-        for run in runs
-        for path in sorted(run.folder.glob("zoom-*/zoom.png"))[:_MOST_PICTURES]
-    ]
-    look = f"surrofe2 zoom {shlex.quote(str(runs[0].folder))} --point X,Y"
-    return figures or [
-        _missing(f"No look into the plant cells in the folders; make one with: {look}")
-    ]
+    for run in runs:
+        for path in sorted(run.folder.glob("zoom-*/zoom.png"))[:_MOST_PICTURES]:
+            of = f"{run.name}, {path.parent.name}: the plant cells there"
+            yield _figure(
+                read_bytes(path),
+                "particles of a plant cell at six times",
+                f"{of}, walls by stretch and fluid by turgor",
+            )
 
 
-def _events(runs: Sequence[StoredRun]) -> list[str]:
+def _events(runs: Sequence[StoredRun]) -> Iterator[str]:
     """The events of all runs, the last ones where there are many."""
-    parts = []
     for run in runs:
         path = run.folder / EVENTS
         events = read_bytes(path).decode("utf-8").splitlines() if path.exists() else []
         if not events:
-            parts.append(_missing(f"{run.name}: no log of events in its folder."))
+            yield _missing(f"{run.name}: no log of events in its folder.")
             continue
         shown = [json.loads(line) for line in events[-_MOST_EVENTS:]]
         keys = list(dict.fromkeys(key for event in shown for key in event))
         rows = [[_short(event.get(key, "")) for key in keys] for event in shown]
         if len(shown) < len(events):
-            parts.append(_paragraph(f"{run.name}: the last {len(shown)} of {len(events)}."))
-        parts.append(_folded(f"{run.name}, events: {len(events)}", keys, rows))
-    return parts
+            yield _paragraph(f"{run.name}: the last {len(shown)} of {len(events)}.")
+        yield _folded(f"{run.name}, events: {len(events)}", keys, rows)
 
 
 def _short(value: Any) -> str:
@@ -327,18 +317,18 @@ def _short(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
-def _origin(runs: Sequence[StoredRun]) -> list[str]:
+def _origin(runs: Sequence[StoredRun]) -> Iterator[str]:
     """Settings, by what and when each run was made, and the digests of its files."""
     names = [run.name for run in runs]
     settings = _side_by_side([flat(run.record.recipe) for run in runs])
     apart = [row for row in settings if len(set(row[1:])) > 1]
-    parts = [_table(["", *names], _side_by_side([*map(_provenance, runs)]), words=True)]
-    if len(names) > 1:
-        same = _paragraph("All entries of the recipe are the same in all runs.")
-        parts.append(_table(["entry that differs", *names], apart, words=True) if apart else same)
+    yield _table(["", *names], _side_by_side([*map(_provenance, runs)]), words=True)
+    if apart:
+        yield _table(["entry that differs", *names], apart, words=True)
+    elif len(names) > 1:
+        yield _paragraph("All entries of the recipe are the same in all runs.")
     whole = [row if row in apart else row[:2] for row in settings]
-    summary = f"The whole recipe: {len(settings)} entries"
-    return [*parts, _folded(summary, ["entry", "value"], whole)]
+    yield _folded(f"The whole recipe: {len(settings)} entries", ["entry", "value"], whole)
 
 
 def _side_by_side(columns: Sequence[Mapping[str, Any]]) -> list[list[str]]:
