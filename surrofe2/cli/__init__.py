@@ -134,10 +134,10 @@ class Commands(TyperGroup):
                 raise
             message, code = f"error: {shortened(f'{error.filename}: {error.strerror}')}", 1
         except console.InterruptedWork as work:
-            arguments = ctx.meta["arguments"]
-            kept = [each for each in arguments if each != "--fresh" or not work.has_begun]
-            again = shlex.join(["surrofe2", *kept])
-            message, code = f"interrupted: {work}; resume with: {again}", exit_code()
+            kept, has_begun = work.args
+            words = [each for each in ctx.meta["arguments"] if each != "--fresh" or not has_begun]
+            again = shlex.join(["surrofe2", *words])
+            message, code = f"interrupted: {kept}; resume with: {again}", exit_code()
         except KeyboardInterrupt:
             message, code = "interrupted: nothing was changed", exit_code()
         console.print_warning(message)

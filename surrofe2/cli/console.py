@@ -243,13 +243,13 @@ def stages() -> Iterator[Callable[[str, float, str], AbstractContextManager[Repo
         disable=_now["quiet"] or not console.is_terminal or console.is_dumb_terminal,
     )
     with display:
-        yield partial(_stage, display, console.width - bar_width - len("   100 %  "))
+        yield partial(_stage, display, bar_width + len("   100 %  "))
 
 
 @contextmanager
-def _stage(display: Progress, width: int, what: str, total: float, unit: str) -> Iterator[Report]:
-    """A bar of a display with so much room for words, or lines where it is disabled; work whose
-    total is 1 is reported in percent."""
+def _stage(display: Progress, taken: int, what: str, total: float, unit: str) -> Iterator[Report]:
+    """A bar of a display, where so many characters are taken, or lines where it is disabled; work
+    whose total is 1 is reported in percent."""
     began = last = time.perf_counter()
     first: tuple[float, float] | None = None  # what was done before counts for no rate
     task = display.add_task(what, total=total, status="")
@@ -266,7 +266,7 @@ def _stage(display: Progress, width: int, what: str, total: float, unit: str) ->
         parts += [note] * bool(note)
         if not display.disable:
             parts = far + parts
-            while len(", ".join(parts)) > width - len(what) and parts:
+            while len(", ".join(parts)) > display.console.width - taken - len(what) and parts:
                 parts.pop()
             display.update(task, completed=done, status=", ".join(parts))
         elif not _now["quiet"] and moment - last >= SELDOM:
@@ -287,15 +287,8 @@ def _short(number: float) -> str:
 
 
 class InterruptedWork(KeyboardInterrupt):
-    """Ctrl-C; the message says what was kept.
-
-    Attributes:
-        has_begun: whether work is there to resume from; else --fresh is as needed as before.
-    """
-
-    def __init__(self, what: str, has_begun: bool) -> None:
-        super().__init__(what)
-        self.has_begun = has_begun
+    """Ctrl-C; its arguments are what was kept, and whether work is there to resume from: else
+    --fresh is as needed as before."""
 
 
 @contextmanager
