@@ -12,7 +12,6 @@ text: here brackets are escaped, and commands made bold.
 
 from __future__ import annotations
 
-import ast
 import atexit
 import errno
 import gc
@@ -78,12 +77,8 @@ class Commands(TyperGroup):
         if cmd_name not in COMMANDS:
             return None
         module, group = COMMANDS[cmd_name]
-        functions = ast.parse(Path(__file__).with_name(f"{module}.py").read_text(encoding="utf-8"))
-        (docstring,) = (
-            ast.get_docstring(each) or ""
-            for each in functions.body
-            if isinstance(each, ast.FunctionDef) and each.name == cmd_name
-        )
+        source = Path(__file__).with_name(f"{module}.py").read_text(encoding="utf-8")
+        docstring = source.partition(f"\ndef {cmd_name}(")[2].split('"""', 2)[1]
         example = docstring.partition("Example: ")[2].partition("\n\n")[0]
         summary = f"{docstring.splitlines()[0]}\n[dim]{' '.join(example.split())}[/dim]"
         return TyperCommand(cmd_name, help=summary, short_help=summary, rich_help_panel=group)

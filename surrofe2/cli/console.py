@@ -8,7 +8,7 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
@@ -23,12 +23,10 @@ from rich.text import Text
 
 from surrofe2.base.interruption import interruptible
 from surrofe2.base.units import time_text
+from surrofe2.run.loop import Report, Stage
 
 if TYPE_CHECKING:
     from surrofe2.report.tables import Table
-
-Report = Callable[..., None]
-"""report(done, note="") shows how far work is."""
 
 # Options
 
@@ -224,11 +222,11 @@ def progress(what: str, total: float, unit: str) -> Iterator[Report]:
 
 
 @contextmanager
-def stages() -> Iterator[Callable[[str, float, str], AbstractContextManager[Report]]]:
+def stages() -> Iterator[Stage]:
     """One display for all stages of a command, each a `progress`.
 
-    In a terminal bars on stderr that stay, with their times; elsewhere a plain line now and then,
-    see `SELDOM`.
+    In a terminal bars on stderr, with their times; elsewhere a plain line now and then, see
+    `SELDOM`.
     """
     console = Console(stderr=True)
     bar_width = 20 if console.width >= 100 else 10

@@ -178,9 +178,9 @@ def compare_runs(
     folders: Sequence[str | Path], out: str | Path, *, fresh: bool = False
 ) -> Comparison:
     """Compare the runs in these folders; comparison.json and comparison.png go into `out`."""
-    out, runs = Path(out), order_runs([read_run(folder) for folder in folders])
-    result = compare(runs)
+    out, runs = Path(out), [read_run(folder) for folder in folders]
     of = {run.name: digest(run.folder / "run.json")[:16] for run in runs}
+    result, runs = compare(runs), order_runs(runs)
 
     def make() -> dict[str, Any]:
         panels = [*displacement_panels(runs), *difference_panels(runs), *audit_panels(runs)]

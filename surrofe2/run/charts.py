@@ -155,11 +155,15 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
 
     others = 0
     for curve in panel.curves:
-        style = _STYLES.get(curve.name)
-        if style is None:
-            style = _other_style(others if curve.colour is None else curve.colour, curve.markers)
+        style: dict[str, Any] = {"linewidth": 1.3, "markersize": 4.5, "fillstyle": "none"}
+        if curve.name in _STYLES:
+            style |= _STYLES[curve.name]
+        else:
+            k = others if curve.colour is None else curve.colour
             others += 1
-        style = {"linewidth": 1.3, "markersize": 4.5, "fillstyle": "none", **style}
+            marker, dash = _TURNS[k // len(PALETTE) % len(_TURNS)]
+            dash = dash if curve.markers else _DASHES[k % len(_DASHES)]
+            style |= {"color": PALETTE[k % len(PALETTE)], "marker": marker, "linestyle": dash}
         if not curve.markers:
             style.pop("marker", None)
         if curve.dash:
@@ -185,14 +189,6 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
         axes.axhline(0.0, color="black", linewidth=0.8)
     axes.grid(alpha=0.25)
     axes.margins(x=0.03)
-
-
-def _other_style(k: int, markers: bool) -> dict[str, str]:
-    colour = PALETTE[k % len(PALETTE)]
-    if not markers:
-        return {"color": colour, "linestyle": _DASHES[k % len(_DASHES)]}
-    marker, dash = _TURNS[k // len(PALETTE) % len(_TURNS)]
-    return {"color": colour, "marker": marker, "linestyle": dash}
 
 
 def _draw_legends(figure: Figure, width: float, columns: int) -> float:
