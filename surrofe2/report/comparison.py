@@ -183,7 +183,7 @@ def compare_runs(
     result, runs = compare(runs), order_runs(runs)
 
     def make() -> dict[str, Any]:
-        panels = [*displacement_panels(runs), *difference_panels(runs), *audit_panels(runs)]
+        panels = [*displacement_panels(runs), difference_panel(runs), *audit_panels(runs)]
         figure = draw_panels(panels, title=comparison_title(runs))
         write_bytes(out / COMPARISON_FILES[1], encoded(figure, "png"))
         return asdict(result)
@@ -294,26 +294,26 @@ def displacement_panels(runs: Sequence[StoredRun]) -> list[Panel]:
     label = ", ".join(_label(run, reference) for run in (reference, *(others[k] for k in close)))
     if close:
         label += f" (at most {percent(2)(max(apart[k] for k in close))} apart)"
-    name = "reference" if len(close) < len(others) else ""
+    lines = [("reference" if len(close) < len(others) else "", label, 0, reference.curve)]
+    lines += [
+        ("", _label(run, reference), k, run.curve) for k, run in enumerate(others) if k not in close
+    ]
     panels: list[Panel] = []
     for axis in np.argsort(-largest).tolist():
         if panels and largest[axis] < _SEEN * largest.max():
             continue
-        t, u = reference.curve.t, reference.curve.displacement[:, axis]
-        curves = [Curve(name, t, u, label, markers=False, colour=0)]
-        for k, run in enumerate(others):
-            if k not in close:
-                u = run.curve.displacement[:, axis]
-                what = _label(run, reference)
-                curves.append(Curve("", run.curve.t, u, what, markers=False, colour=k))
+        curves = tuple(
+            Curve(name, curve.t, curve.displacement[:, axis], what, markers=False, colour=k)
+            for name, what, k, curve in lines
+        )
         y_label = f"displacement $u_{'xy'[axis]}$ (µm)"
         title = "" if panels or len(curves) > 1 else label
         height = 0.55 if panels else 1.0
-        panels.append(Panel("time (µs)", y_label, tuple(curves), title, height=height))
+        panels.append(Panel("time (µs)", y_label, curves, title, height=height))
     return panels
 
 
-def difference_panels(runs: Sequence[StoredRun]) -> list[Panel]:
+def difference_panel(runs: Sequence[StoredRun]) -> Panel:
     """How far each run's displacement is from the reference's, relative to the largest."""
     reference, *others = runs
     t, there = reference.curve.t, reference.curve.displacement
@@ -327,7 +327,7 @@ def difference_panels(runs: Sequence[StoredRun]) -> list[Panel]:
         differences.append(Curve("", run.curve.t, relative, label, markers=False, colour=k))
     names = f"{differences[0].label} and " if len(differences) == 1 else "each run and "
     title = f"Difference of {names}{reference.name}, relative to the largest displacement"
-    return [Panel("time (µs)", "difference (%)", tuple(differences), title, height=0.6)]
+    return Panel("time (µs)", "difference (%)", tuple(differences), title, height=0.6)
 
 
 def audit_panels(runs: Sequence[StoredRun]) -> list[Panel]:
@@ -346,13 +346,12 @@ def audit_panels(runs: Sequence[StoredRun]) -> list[Panel]:
 def audit_curves(audit: Mapping[str, Any], k: int, of: str) -> list[Curve]:
     """Audited answers of run k with at most an error over that error, and the tolerance."""
     histogram = audit["histogram"]
-    bins = np.array(histogram["bins"])
-    order = np.argsort(bins)
-    counts = np.array(histogram["counts"], dtype=np.float64)[order]
-    bins = np.concatenate([bins[order][:1] - 1, bins[order]])
+    first, *others = histogram["bins"]
+    bins = np.array([first - 1, first, *others])
     # Bin k ends at the smallest edge times 10^(k / bins a decade).
     errors = histogram["smallest_edge"] * 10.0 ** (bins / histogram["bins_a_decade"])
-    below = 100.0 * np.concatenate([[0.0], np.cumsum(counts) / counts.sum()])
+    counts = np.cumsum([0.0, *histogram["counts"]])
+    below = 100.0 * (counts / counts[-1])
     curves = [Curve("", errors, below, f"{of}: audited errors", False, k, "-")]
     if np.isfinite(tolerance := float(audit["tolerance"])):
         label = f"tolerance: {audit['violations']} of {audit['audited']:,} above"

@@ -34,7 +34,7 @@ from surrofe2.report.comparison import (
     audit_sentence,
     compare,
     comparison_title,
-    difference_panels,
+    difference_panel,
     displacement_panels,
     fallback_reasons,
     made_for,
@@ -156,7 +156,7 @@ def _displacement(runs: Sequence[StoredRun], comparison: Comparison | str) -> It
         yield _grid(figures)
         return
     caption = f"Difference from {comparison.reference}, at each time"
-    yield _grid([*figures, *(_chart(panel, caption) for panel in difference_panels(runs))])
+    yield _grid([*figures, _chart(difference_panel(runs), caption)])
     yield _table(*comparison.table.for_people())
     if comparison.force_table.rows:
         yield "<h3>Forces on the tissue</h3>"
