@@ -94,16 +94,16 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> Path:
         ("origin", "Provenance", "Configuration and provenance", _origin(runs), ""),
     )  # fmt: skip
     """Key, link, heading, parts, and what is said where there are none."""
-    folder = files("surrofe2.report")
-    style, script, template = (
-        folder.joinpath(f"page.{kind}").read_text("utf-8") for kind in ("css", "js", "html")
+    html, css, js = (
+        files("surrofe2.report").joinpath(f"page.{kind}").read_text("utf-8")
+        for kind in ("html", "css", "js")
     )
-    page = Template(template).substitute(
+    page = Template(html).substitute(
         title=escape("surrofe2: " + ", ".join(run.name for run in runs)),
-        style=style,
-        style_digest=_digest(style),
-        script=script,
-        script_digest=_digest(script),
+        css=css,
+        css_digest=_base64(hashlib.sha256(css.encode()).digest()),
+        js=js,
+        js_digest=_base64(hashlib.sha256(js.encode()).digest()),
         links="".join(f'<li><a href="#{key}">{name}</a></li>' for key, name, *_ in sections),
         headlines="".join(_headlines(runs, compared)),
         stills="".join(stills),
@@ -126,8 +126,8 @@ def fields_of(run: StoredRun) -> StoredFields | None:
     return read_fields(run.folder, [DISPLACEMENT_NAME], (VON_MISES, SOURCE_NAME, WALL_STRETCH))
 
 
-def _digest(text: str) -> str:
-    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+def _base64(content: bytes) -> str:
+    return base64.b64encode(content).decode()
 
 
 def _headlines(runs: Sequence[StoredRun], compared: Sequence[ComparedRun]) -> Iterator[str]:
@@ -431,9 +431,9 @@ def _arrays(run: StoredRun, fields: StoredFields, budget: int) -> dict[str, Any]
         "name": run.name,
         "t": fields.t[at].tolist(),
         "corners": len(order),
-        "cells": _base64(fields.cells[:, order].astype("<u4")),
-        "points": _base64(fields.points.astype("<f4")),
-        "motion": _base64(np.rint(32767.0 * u / largest).astype("<i2")),
+        "cells": _base64(fields.cells[:, order].astype("<u4").tobytes()),
+        "points": _base64(fields.points.astype("<f4").tobytes()),
+        "motion": _base64(np.rint(32767.0 * u / largest).astype("<i2").tobytes()),
         "largest": largest,
         "box": [*low.tolist(), *high.tolist()],
         "factor": factor,
@@ -452,18 +452,14 @@ def _colour(name: str, unit: str, values: Array) -> dict[str, Any]:
         codes = np.nan_to_num(values, nan=UNKNOWN).astype(np.int16).astype(np.uint8)
         shown = {int(code) % 256: list(each) for code, each in SOURCES.items()}  # one byte each
         words = {code: shown[code] for code in shown if (codes == code).any()}
-        return {"name": name, "sources": words, "data": _base64(codes)}
+        return {"name": name, "sources": words, "data": _base64(codes.tobytes())}
     colours = Colours.of(unit, values)
     low, high = colours.low, colours.high
     fraction = np.clip((np.nan_to_num(values, nan=low) - low) / (high - low), 0.0, 1.0)
     stored = np.rint(LEVELS * fraction).astype(np.uint8)
     stored[~np.isfinite(values)] = UNKNOWN
     ends = [f"{low:.4g}", f"{high:.4g} {unit}"]
-    return {"name": name, "ends": ends, "stops": STOPS, "data": _base64(stored)}
-
-
-def _base64(values: NDArray[Any]) -> str:
-    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
+    return {"name": name, "ends": ends, "stops": STOPS, "data": _base64(stored.tobytes())}
 
 
 def bodies_of(run: StoredRun, fields: StoredFields) -> list[DrawnBody]:
@@ -524,7 +520,7 @@ def _figure(picture: bytes, words: str, caption: str, form: str = "png") -> str:
     words = re.sub(
         r"\$([^$]*)\$", lambda symbol: symbol[1].replace("_", ""), " ".join(words.split())
     )
-    source = f"data:image/{form};base64,{base64.b64encode(picture).decode()}"
+    source = f"data:image/{form};base64,{_base64(picture)}"
     image = f'<img class="chart" alt="{escape(words)}" src="{source}">'
     return f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>"
 
