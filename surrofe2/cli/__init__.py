@@ -12,7 +12,6 @@ text: here brackets are escaped, and commands made bold.
 
 from __future__ import annotations
 
-import ast
 import atexit
 import errno
 import gc
@@ -78,12 +77,8 @@ class Commands(TyperGroup):
         if cmd_name not in COMMANDS:
             return None
         module, group = COMMANDS[cmd_name]
-        functions = ast.parse(Path(__file__).with_name(f"{module}.py").read_text(encoding="utf-8"))
-        (docstring,) = (
-            ast.get_docstring(each) or ""
-            for each in functions.body
-            if isinstance(each, ast.FunctionDef) and each.name == cmd_name
-        )
+        source = Path(__file__).with_name(f"{module}.py").read_text(encoding="utf-8")
+        docstring = source.partition(f"\ndef {cmd_name}(")[2].split('"""', 2)[1]
         example = docstring.partition("Example: ")[2].partition("\n\n")[0]
         summary = f"{docstring.splitlines()[0]}\n[dim]{' '.join(example.split())}[/dim]"
         return TyperCommand(cmd_name, help=summary, short_help=summary, rich_help_panel=group)
@@ -128,26 +123,20 @@ class Commands(TyperGroup):
         except Surrofe2Error as error:
             if ctx.params.get("traceback"):
                 raise
-            raise _ended(f"error: {error}", 1) from None
+            message, code = f"error: {error}", 1
         except OSError as error:
             if error.errno != errno.ENAMETOOLONG:
                 raise
-            message = shortened(f"{error.filename}: {error.strerror}")
-            raise _ended(f"error: {message}", 1) from None
+            message, code = f"error: {shortened(f'{error.filename}: {error.strerror}')}", 1
         except console.InterruptedWork as work:
-            arguments = ctx.meta["arguments"]
-            kept = [each for each in arguments if each != "--fresh" or not work.has_begun]
-            message = f"interrupted: {work}; resume with: {shlex.join(['surrofe2', *kept])}"
-            raise _ended(message, exit_code()) from None
+            kept, has_begun = work.args
+            words = [each for each in ctx.meta["arguments"] if each != "--fresh" or not has_begun]
+            again = shlex.join(["surrofe2", *words])
+            message, code = f"interrupted: {kept}; resume with: {again}", exit_code()
         except KeyboardInterrupt:
-            message = "interrupted: nothing was changed"
-            raise _ended(message, exit_code()) from None
-
-
-def _ended(message: str, code: int) -> typer.Exit:
-    """Print how a command ended that did not finish."""
-    console.print_warning(message)
-    return typer.Exit(code)
+            message, code = "interrupted: nothing was changed", exit_code()
+        console.print_warning(message)
+        raise typer.Exit(code)
 
 
 def _as_help(docstring: str | None) -> str:

@@ -69,33 +69,25 @@ def moduli(
         if out is None:
             make()
         console.done(out, f"elastic and viscous, of {of}")
-    if memory is not None:
-        remember = partial(memory_of.memory_study, of.cell, period)
-        _study("memory", of, memory, remember, fresh, period=period)
-    if stability is not None:
-        _study("stability", of, stability, partial(stability_of.stability, of.cell), fresh)
-
-
-def _study(
-    name: str, of: NamedCell, folder: Path, make: Callable[..., Study], fresh: bool, **asked: Any
-) -> None:
-    """Make a study of the cell unless it is in the folder, and show it."""
-
-    def compute() -> Study:
-        with console.progress(name, 1.0, "parts") as report:
-            return make(progress=report)
-
-    with console.on_interrupt("nothing was changed"):
-        study, paths = keep_study(folder, name, of, asked, compute, fresh=fresh)
-    files = ", ".join(path.name for path in paths)
-    if study is None:
-        console.print_line(f"{folder}: {files}, there already")
-        return
-    console.show_table(f"{' '.join(study.title.split())}, {of}", study.table)
-    for row in study.table.to_records():
-        if "verdict" in row:
-            console.print_line(row["verdict"])
-    console.print_line(f"{folder}: {files}")
+    questions: tuple[tuple[str, Path | None, dict[str, Any], Callable[..., Study]], ...] = (
+        ("memory", memory, {"period": period}, partial(memory_of.memory_study, of.cell, period)),
+        ("stability", stability, {}, partial(stability_of.stability, of.cell)),
+    )
+    for name, folder, asked, ask in questions:
+        if folder is None:
+            continue
+        with console.working(name, 1.0, "parts", "nothing was changed") as report:
+            compute = partial(ask, progress=report)
+            study, paths = keep_study(folder, name, of, asked, compute, fresh=fresh)
+        files = f"{folder}: {', '.join(path.name for path in paths)}"
+        if study is None:
+            console.print_line(f"{files}, there already")
+            continue
+        console.show_table(f"{' '.join(study.title.split())}, {of}", study.table)
+        for row in study.table.to_records():
+            if "verdict" in row:
+                console.print_line(row["verdict"])
+        console.print_line(files)
 
 
 def _moduli(of: NamedCell, initialisation: str) -> dict[str, Any]:

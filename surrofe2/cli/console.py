@@ -8,7 +8,7 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
@@ -23,12 +23,10 @@ from rich.text import Text
 
 from surrofe2.base.interruption import interruptible
 from surrofe2.base.units import time_text
+from surrofe2.run.loop import Report, Stage
 
 if TYPE_CHECKING:
     from surrofe2.report.tables import Table
-
-Report = Callable[..., None]
-"""report(done, note="") shows how far work is."""
 
 # Options
 
@@ -88,17 +86,12 @@ def folder_of(out: Path | None, recipe: Path) -> Path:
 
 
 _now: dict[str, Any] = {"command": "", "quiet": False, "began": time.perf_counter()}
-"""The command that is at work, and when it began."""
+"""The command that is at work, whether it prints only warnings and errors, and when it began."""
 
 
 def begin(command: str, *, quiet: bool) -> None:
     """A command begins."""
     _now.update(command=command, quiet=quiet, began=time.perf_counter())
-
-
-def is_quiet() -> bool:
-    """Whether only warnings and errors are printed."""
-    return bool(_now["quiet"])
 
 
 class PrintHandler(logging.Handler):
@@ -118,7 +111,7 @@ def print_warning(message: str) -> None:
 
 def print_line(message: str) -> None:
     """One line on stdout."""
-    if not is_quiet():
+    if not _now["quiet"]:
         typer.echo(message)
 
 
@@ -139,32 +132,33 @@ def done(where: str | Path | None, what: str, *, timed: bool = True) -> None:
     print_line(f"{where or _now['command']}: {what}{seconds}")
 
 
-def show_table(title: str, table: Table[Any], names: int = 1) -> None:
-    """A table on stdout; the first columns, so many, name, the others are figures.
-
-    Where it is wider than the terminal, further tables have the other figures.
-    """
-    if is_quiet():
+def show_table(title: str, table: Table[Any]) -> None:
+    """A table on stdout; where it is wider than the terminal, in parts with the same names."""
+    if _now["quiet"]:
         return
+    console, names = Console(), [*range(table.names)]
     columns, rows = table.for_people()
-    console = Console()
     heads = [max(map(len, column.split())) for column in columns]
     widths = [1 + max([head, *(len(row[k]) for row in rows)]) for k, head in enumerate(heads)]
-    parts: list[list[int]] = [[]]
-    for k in range(names, len(columns)):
-        if parts[-1] and sum(widths[j] for j in (*range(names), *parts[-1], k)) >= console.width:
-            parts.append([])
-        parts[-1].append(k)
-    for k, part in enumerate(parts):
-        shown = [*range(names), *part]
-        fits = sum(widths[k] for k in shown) < console.width
-        console.print(Text(f"{title}, continued" if k else title, style="italic"))
+    parts: list[list[int]] = [names]
+    for k in range(table.names, len(columns)):
+        if parts[-1] != names and sum(widths[j] for j in (*parts[-1], k)) >= console.width:
+            parts.append(names)
+        parts[-1] = [*parts[-1], k]
+    for part in parts:
+        fits = sum(widths[k] for k in part) < console.width
+        more = "" if part is parts[0] else ", continued"
+        console.print(Text(f"{title}{more}", style="italic"))
         drawn = ShownTable(box=SIMPLE_HEAD, padding=0)
-        for j in shown:
-            how = {"width": widths[j] - 1} if fits else {"min_width": heads[j]}
-            drawn.add_column(columns[j], justify="right" if j else "left", **how)
+        for k in part:
+            drawn.add_column(
+                columns[k],
+                justify="right" if k else "left",
+                width=widths[k] - 1 if fits else None,
+                min_width=heads[k],
+            )
         for row in rows:
-            drawn.add_row(*(row[j] for j in shown))
+            drawn.add_row(*(row[k] for k in part))
         console.print(drawn)
 
 
@@ -228,64 +222,58 @@ def progress(what: str, total: float, unit: str) -> Iterator[Report]:
 
 
 @contextmanager
-def stages() -> Iterator[Callable[[str, float, str], AbstractContextManager[Report]]]:
+def stages() -> Iterator[Stage]:
     """One display for all stages of a command, each a `progress`.
 
-    In a terminal bars on stderr that stay, with their times; elsewhere a plain line now and then,
-    see `SELDOM`.
+    In a terminal bars on stderr, with their times; elsewhere a plain line now and then, see
+    `SELDOM`.
     """
     console = Console(stderr=True)
-    if is_quiet() or not console.is_terminal or console.is_dumb_terminal:
-        yield partial(_stage, None)
-        return
-    columns = (
+    bar_width = 20 if console.width >= 100 else 10
+    display = Progress(
         TextColumn("{task.description}"),
-        BarColumn(bar_width=_bar_width(console)),
+        BarColumn(bar_width=bar_width),
         TextColumn("{task.percentage:>3.0f} %"),
         TextColumn("{task.fields[status]}"),
+        console=console,
+        transient=True,
+        redirect_stdout=sys.stdout.isatty(),  # what is piped elsewhere goes there
+        disable=_now["quiet"] or not console.is_terminal or console.is_dumb_terminal,
     )
-    # what is piped elsewhere goes there
-    redirected = sys.stdout.isatty()
-    with Progress(*columns, console=console, transient=True, redirect_stdout=redirected) as shown:
-        yield partial(_stage, shown)
+    with display:
+        yield partial(_stage, display, bar_width + len("   100 %  "))
 
 
 @contextmanager
-def _stage(shown: Progress | None, what: str, total: float, unit: str) -> Iterator[Report]:
-    """A bar of a display, or lines without one; work whose total is 1 is reported in percent."""
+def _stage(display: Progress, taken: int, what: str, total: float, unit: str) -> Iterator[Report]:
+    """A bar of a display, where so many characters are taken, or lines where it is disabled; work
+    whose total is 1 is reported in percent."""
     began = last = time.perf_counter()
     first: tuple[float, float] | None = None  # what was done before counts for no rate
-    task = shown.add_task(what, total=total, status="") if shown else None
+    task = display.add_task(what, total=total, status="")
 
     def report(done: float, note: str = "") -> None:
         nonlocal first, last
-        moment, far, parts = time.perf_counter(), [], list[str]()
+        moment, parts = time.perf_counter(), list[str]()
+        far = [f"{_short(done)} of {_short(total)} {unit}"] * (total != 1.0)
         first = first or ((moment, done) if done > 0.0 else None)
         elapsed, more = (moment - first[0], done - first[1]) if first else (0.0, 0.0)
-        if total != 1.0:
-            far = [f"{_short(done)} of {_short(total)} {unit}"]
         if elapsed >= _SETTLED and more > 0.0:
             parts = [f"{time_text(max((total - done) * elapsed / more, 0.0))} left"]
-            parts += [f"{_short(more / elapsed)} {unit}/s"] if far else []
-        parts += [note] if note else []
-        if shown is not None and task is not None:
+            parts += [f"{_short(more / elapsed)} {unit}/s"] * bool(far)
+        parts += [note] * bool(note)
+        if not display.disable:
             parts = far + parts
-            space = shown.console.width - len(what) - _bar_width(shown.console) - len("   100 %  ")
-            while len(", ".join(parts)) > space and parts:
+            while len(", ".join(parts)) > display.console.width - taken - len(what) and parts:
                 parts.pop()
-            shown.update(task, completed=done, status=", ".join(parts))
-        elif not is_quiet() and moment - last >= SELDOM:
+            display.update(task, completed=done, status=", ".join(parts))
+        elif not _now["quiet"] and moment - last >= SELDOM:
             last = moment
             parts = [f"{100.0 * done / total:.0f} %"] * bool(total) + parts
             typer.echo(f"{what}: {', '.join(parts)}", err=True)
 
     yield report
-    if shown is not None and task is not None:
-        shown.update(task, completed=total, status=time_text(time.perf_counter() - began))
-
-
-def _bar_width(console: Console) -> int:
-    return 20 if console.width >= 100 else 10
+    display.update(task, completed=total, status=time_text(time.perf_counter() - began))
 
 
 def _short(number: float) -> str:
@@ -297,15 +285,8 @@ def _short(number: float) -> str:
 
 
 class InterruptedWork(KeyboardInterrupt):
-    """Ctrl-C; the message says what was kept.
-
-    Attributes:
-        has_begun: whether work is there to resume from; else --fresh is as needed as before.
-    """
-
-    def __init__(self, what: str, has_begun: bool) -> None:
-        super().__init__(what)
-        self.has_begun = has_begun
+    """Ctrl-C; its arguments are what was kept, and whether work is there to resume from: else
+    --fresh is as needed as before."""
 
 
 @contextmanager

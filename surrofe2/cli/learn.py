@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,7 +9,6 @@ import typer
 
 from surrofe2.base.errors import InputError
 from surrofe2.cli import console
-from surrofe2.recipe.recipe import Recipe
 from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.store.c_source import c_header, c_source
 from surrofe2.store.store import read_bytes, write_text
@@ -94,29 +92,24 @@ def train(
         raise InputError(
             f"--add: a harvest is of one cell; choose --cell, one of {', '.join(parts)}"
         )
-    for part in parts.values():
-        _train(part, add or (), fresh)
-
-
-def _train(study: Recipe, add: Sequence[Path], fresh: bool) -> None:
-    begun = (unfinished_training(study), study.training_path())
-    with console.on_interrupt("the iterations so far are kept", begun):
-        trained = train_surrogate(study, fresh=fresh, add=add, stage=console.progress)
-    errors = trained.surrogate.errors
-    quantities: list[Quantity[str]] = [
-        Quantity("stress", "", "", lambda name: name),
-        Quantity("spread", "µN/µm", ".3g", lambda name: errors["spread"][name]),
-        Quantity("RMS", "", percent(2), lambda name: errors["rms"][name]),
-        Quantity("worst", "", percent(2), lambda name: errors["worst"][name]),
-    ]
-    of = study.cell_name and f" of {study.cell_name}"
-    title = f"Held-out errors{of}, {errors['points']} samples"
-    console.show_table(title, Table(quantities, STRESSES))
-    console.print_line(trained.bound)
-    console.done(trained.path, training_summary(trained))
-    warning = large_errors(study, trained)
-    if warning is not None:
-        console.print_warning(warning)
+    for name, part in parts.items():
+        begun = (unfinished_training(part), part.training_path())
+        with console.on_interrupt("the iterations so far are kept", begun):
+            trained = train_surrogate(part, fresh=fresh, add=add or (), stage=console.progress)
+        errors = trained.surrogate.errors
+        quantities: list[Quantity[str]] = [
+            Quantity("stress", "", "", str),
+            Quantity("spread", "µN/µm", ".3g", errors["spread"].get),
+            Quantity("RMS", "", percent(2), errors["rms"].get),
+            Quantity("worst", "", percent(2), errors["worst"].get),
+        ]
+        title = f"Held-out errors{name and f' of {name}'}, {errors['points']} samples"
+        console.show_table(title, Table(quantities, STRESSES))
+        console.print_line(trained.bound)
+        console.done(trained.path, training_summary(trained))
+        warning = large_errors(part, trained)
+        if warning is not None:
+            console.print_warning(warning)
 
 
 def refine(

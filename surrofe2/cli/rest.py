@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from operator import itemgetter
 from typing import Annotated, Any
 
 import typer
@@ -74,7 +75,12 @@ def modes(
     n = study.problem().mesh.nelements
     for state, of_state in record["states"].items():
         title = f"{state.capitalize()}, {n} elements, preset {study.cells[study.cell_name].preset}"
-        console.show_table(title, _table(of_state))
+        rows = [
+            (method, numbers["watched"][1], k, *each)
+            for method, numbers in of_state.items()
+            for k, each in enumerate(zip(*(numbers[name] for name in _OF_MODES), strict=True), 1)
+        ]
+        console.show_table(title, Table(_COLUMNS, rows))
         for method, numbers in of_state.items():
             if not numbers["stable"]:
                 console.print_warning(
@@ -83,21 +89,12 @@ def modes(
     console.done(out, f"by {', '.join(methods)}")
 
 
+_OF_MODES = ("period", "decrement", "damping_ratio")
 _COLUMNS: tuple[Quantity[Any], ...] = (
-    Quantity("initialisation", "", ""),
-    Quantity("u_y", "µm", ".2f"),
-    Quantity("mode", "", ""),
-    Quantity("period", "µs", ".3f"),
-    Quantity("decrement", "", ".4f"),
-    Quantity("damping ratio", "", ".5f"),
+    Quantity("initialisation", "", "", itemgetter(0)),
+    Quantity("u_y", "µm", ".2f", itemgetter(1)),
+    Quantity("mode", "", "", itemgetter(2)),
+    Quantity("period", "µs", ".3f", itemgetter(3)),
+    Quantity("decrement", "", ".4f", itemgetter(4)),
+    Quantity("damping ratio", "", ".5f", itemgetter(5)),
 )
-
-
-def _table(by_method: dict[str, dict[str, Any]]) -> Table[Any]:
-    rows = []
-    for method, numbers in by_method.items():
-        figures = zip(*(numbers[k] for k in ("period", "decrement", "damping_ratio")), strict=True)
-        for k, each in enumerate(figures):
-            values = method, numbers["watched"][1], k + 1, *each
-            rows.append(dict(zip((column.name for column in _COLUMNS), values, strict=True)))
-    return Table(_COLUMNS, rows)

@@ -101,22 +101,10 @@ def check(
     with console.working("dry run", study.duration, "µs", "nothing was changed") as report:
         run = checking.dry_run(study, seconds, report)
         by_rves = checking.seconds_by_rves(study, run)
-    _show_ranges(run, margin)
-    console.print_line(
-        f"{run.points:,} points, about {rough_number(run.calls, 2)} evaluations of the stress: "
-        f"{rough_number(run.solves)} RVE solves. The run would take "
-        f"about {rough_time(by_rves / 2.0)} to {rough_time(2.0 * by_rves)} by --law rve"
-    )
-    # without the seconds of the check, which would read as those of the law
-    console.done(recipe, f"use --law {checking.advised_law(study, by_rves)}", timed=False)
-
-
-def _show_ranges(run: checking.DryRun, margin: float) -> None:
     for cell, met in run.met.items():
         low, high = met.stretch
         try:
-            proposed = checking.proposed_range(met, margin)
-            console.print_line(checking.range_section(proposed, cell))
+            console.print_line(checking.range_section(checking.proposed_range(met, margin), cell))
         except InputError as error:
             console.print_warning(str(error))
         console.print_line(
@@ -125,6 +113,13 @@ def _show_ranges(run: checking.DryRun, margin: float) -> None:
         )
     if run.omitted:
         console.print_line(f"# left out, for lack of time: {run.omitted}")
+    console.print_line(
+        f"{run.points:,} points, about {rough_number(run.calls, 2)} evaluations of the stress: "
+        f"{rough_number(run.solves)} RVE solves. The run would take "
+        f"about {rough_time(by_rves / 2.0)} to {rough_time(2.0 * by_rves)} by --law rve"
+    )
+    # without the seconds of the check, which would read as those of the law
+    console.done(recipe, f"use --law {checking.advised_law(study, by_rves)}", timed=False)
 
 
 def study(
@@ -257,7 +252,7 @@ def grid(
             stage=console.progress,
         )
     title = f"{recipe.name}, {len(result.rows)} runs"
-    console.show_table(title, result.table, names=result.names)
+    console.show_table(title, result.table)
     console.done(folder, f"{len(result.rows)} runs, {', '.join(GRID_FILES)}")
     if result.failed:
         name, message = next(iter(result.failed.items()))

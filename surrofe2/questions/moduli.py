@@ -91,11 +91,8 @@ class Turgor:
 def turgor(cell: CellParameters) -> Turgor:
     """Fluid pressure of the undeformed cell."""
     unit, still = RveLaw(cell).unit_cell, np.zeros((1, 2, 2))
-    position = unit.position[None]
-    seen, t = (
-        look_into(unit, np.eye(2)[None], still, position, 0.0 * position),
-        cell.tissue_thickness,
-    )
+    position, t = unit.position[None], cell.tissue_thickness
+    seen = look_into(unit, np.eye(2)[None], still, position, 0.0 * position)
     return Turgor(
         mean=float(seen.pressure.mean()) / t,
         virial=-float(np.trace(seen.fluid_stress[0])) / 2.0 / t,
@@ -137,14 +134,11 @@ def moduli_tables(cell: CellParameters, found: Mapping[str, CellModuli]) -> dict
     for kind, unit in (("elastic", ""), ("viscous", " µs")):
         for of, over in (("N/m", 1.0), ("MPa", cell.tissue_thickness)):
             rows = [
-                {"initialisation": method, **_moduli_of(getattr(each, kind) / over)}
+                {"initialisation": method}
+                | {name: float(of_C(getattr(each, kind) / over)) for name, of_C in MODULI.items()}
                 for method, each in found.items()
             ]
             columns: list[Quantity[Any]] = [Quantity("initialisation", "", "")]
             columns += [Quantity(name, "", ".4g") for name in MODULI]
             tables[f"{kind.capitalize()} moduli, {of}{unit}"] = Table(columns, rows)
     return tables
-
-
-def _moduli_of(C: Array) -> dict[str, float]:
-    return {name: float(modulus(C)) for name, modulus in MODULI.items()}

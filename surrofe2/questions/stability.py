@@ -62,43 +62,36 @@ def stability(
     cell: CellParameters, points: int = 41, *, progress: Callable[[float], None] = lambda _: None
 ) -> Study:
     """What becomes of RVEs on points × points deformations of two planes, and the onset by way."""
-    F = np.tile(np.eye(2), (len(PLANES), points, points, 1, 1))
-    for plane, (_, _, index, span) in zip(F, PLANES.values(), strict=True):
-        plane[:, :, 0, 0] = np.linspace(*STRETCH, points)[:, None]
-        plane[:, :, *index] = np.linspace(*span, points)
-    F, parts = F.reshape(-1, 2, 2), []
-    for first in range(0, len(F), _BATCH):
-        parts.append(categories(cell, F[first : first + _BATCH]))
-        progress(min(first + _BATCH, len(F)) / len(F))
-    category = np.concatenate(parts)
-    planes = dict(zip(PLANES, np.split(np.arange(len(F)), len(PLANES)), strict=True))
+    panels, counts, done = [], {}, 0
+    for name, (title, y_label, index, span) in PLANES.items():
+        F = np.tile(np.eye(2), (points, points, 1, 1))
+        F[:, :, 0, 0] = np.linspace(*STRETCH, points)[:, None]
+        F[:, :, *index] = np.linspace(*span, points)
+        F, parts = F.reshape(-1, 2, 2), []
+        for first in range(0, len(F), _BATCH):
+            parts.append(categories(cell, F[first : first + _BATCH]))
+            done += len(parts[-1])
+            progress(done / (len(PLANES) * len(F)))
+        chosen = np.concatenate(parts) == np.arange(len(CATEGORIES))[:, None]
+        counts[name] = dict(zip(CATEGORIES, chosen.sum(axis=1).tolist(), strict=True))
+        curves = (
+            Curve(category, F[these, 0, 0], F[these][:, *index])
+            for category, these in zip(CATEGORIES, chosen, strict=True)
+            if these.any()
+        )
+        panels.append(Panel("stretch $F_{xx}$", y_label, tuple(curves), title))
     rows = []
     for way, (direction, length) in WAYS.items():
         onset = find_onset(cell, direction, length)
-        known = (way, length if onset is None else onset, onset is not None)
-        rows.append(dict(zip([column.name for column in COLUMNS], known, strict=True)))
+        up_to, loses = length if onset is None else onset, onset is not None
+        rows.append({"way": way, "stable up to": up_to, "loses stability": loses})
     return Study(
         title="Stable equilibria of the plant cell at rest",
-        panels=tuple(_panel(name, F[at], category[at]) for name, at in planes.items()),
+        panels=tuple(panels),
         columns=2,
         table=Table(COLUMNS, rows),
-        results={
-            "counts": {
-                name: {label: int((category[at] == k).sum()) for k, label in enumerate(CATEGORIES)}
-                for name, at in planes.items()
-            }
-        },
+        results={"counts": counts},
     )
-
-
-def _panel(name: str, F: Array, category: NDArray[np.int_]) -> Panel:
-    title, y_label, index, _ = PLANES[name]
-    curves = (
-        Curve(CATEGORIES[k], F[chosen, 0, 0], F[chosen][:, *index])
-        for k in range(len(CATEGORIES))
-        if (chosen := category == k).any()
-    )
-    return Panel("stretch $F_{xx}$", y_label, tuple(curves), title)
 
 
 def categories(cell: CellParameters, F: Array) -> NDArray[np.int_]:

@@ -5,5 +5,5 @@ figures     tissues with supports and rigid bodies, and plant cells
 study       what a study hands over, and its files
 comparison  runs against a reference, and its picture
 grid        a parameter study
-page        runs as one HTML file, with `page.css` and `page.js`
+page        runs as one HTML file, with `page.html`, `page.css` and `page.js`
 """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,7 @@ from surrofe2.plant_cell.parameters import PRESETS
 from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.run.charts import Curve, Panel, draw_panels, encoded
 from surrofe2.run.displacement_curve import CurveDifference, DisplacementCurve, difference
-from surrofe2.store.run_folder import (
-    RunRecord,
-    StoredRun,
-    read_run,
-)
+from surrofe2.store.run_folder import RunRecord, StoredRun, read_run
 from surrofe2.store.store import digest, flat, keep, write_bytes
 
 COMPARISON_FILES = ("comparison.json", "comparison.png")
@@ -54,14 +50,11 @@ class Balance:
     @property
     def sentence(self) -> str:
         """What it comes to."""
-        if self.made is None:
+        if self.made is None or self.gain is None:
             return "the time to make its surrogate is not known; train again to have it counted"
-        gain = self.true / (self.made + self.run)
-        text = f"including data and training ({number(self.made)} s), " + (
-            f"{number(gain, 2)} times faster than full FE²"
-            if gain >= 1.0
-            else f"{number(1.0 / gain, 2)} times slower than full FE²"
-        )
+        ratio, what = (self.gain, "faster") if self.gain >= 1.0 else (1.0 / self.gain, "slower")
+        text = f"{number(ratio, 2)} times {what} than full FE²"
+        text = f"including data and training ({number(self.made)} s), {text}"
         if self.pays_from is None:
             return f"{text}; it never pays off, since full FE² is faster"
         if self.pays_from == 1:
@@ -78,14 +71,6 @@ def made_for(record: RunRecord) -> float | None:
     seconds = record.surrogate.get("seconds", {})
     is_known = record.law == "table" or any(name.startswith("data") for name in seconds)
     return float(sum(seconds.values())) if seconds and is_known else None
-
-
-def balance_of(record: RunRecord, true: RunRecord) -> Balance | None:
-    """A run through a cache or a surrogate against one by RVEs; None of other runs."""
-    if record.law not in ("cached", "table", "surrogate") or true.law not in ("rve", "tissue"):
-        return None
-    run, reference = (each.wall_time.get("total", 0.0) for each in (record, true))
-    return Balance(made=made_for(record), run=run, true=reference)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,9 +92,9 @@ class ComparedRun:
     wall_time: float
     counts: Mapping[str, int]
     speed_up: Mapping[str, float | None]
-    cache: Mapping[str, Any] = field(default_factory=dict)
-    forces: Mapping[str, CurveDifference] = field(default_factory=dict)
-    balance: Balance | None = None
+    cache: Mapping[str, Any]
+    forces: Mapping[str, CurveDifference]
+    balance: Balance | None
 
 
 QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
@@ -119,15 +104,11 @@ QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
     Quantity("RMS", "", percent(3), lambda run: run.difference.rms),
     Quantity("wall time", "s", ".3g", lambda run: run.wall_time),
     Quantity("speed-up", "×", ".3g", lambda run: run.speed_up["wall_time"]),
-    Quantity(
-        "first run", "×", ".3g", lambda run: None if run.balance is None else run.balance.gain
-    ),
+    Quantity("first run", "×", ".3g", lambda run: run.balance and run.balance.gain),
     Quantity("RVE solves", "", ",", lambda run: run.counts.get("rve_solves", 0)),
     Quantity("fewer solves", "×", None, lambda run: run.speed_up["rve_solves"]),
     Quantity("fallbacks", "", ",", lambda run: run.counts.get("fallbacks")),
 )
-
-
 FORCE_QUANTITIES: tuple[Quantity[Mapping[str, Any]], ...] = (
     Quantity("run", "", ""),
     Quantity("force", "", ""),
@@ -179,9 +160,9 @@ def compare(runs: Sequence[StoredRun]) -> Comparison:
     """
     if len(runs) < 2:
         raise InputError(f"compare: {len(runs)} run folder; give at least two")
-    reference, *others = order_runs(runs)
-    load = _load_of(reference)
-    for run in others:
+    runs = order_runs(runs)
+    reference, load = runs[0], _load_of(runs[0])
+    for run in runs[1:]:
         here = _load_of(run)
         for key in {**load, **here}:
             if here.get(key) != load.get(key):
@@ -189,8 +170,8 @@ def compare(runs: Sequence[StoredRun]) -> Comparison:
                     f"{run.folder}: {key} is {here.get(key)}, in {reference.folder} "
                     f"{load.get(key)}; compare runs of one load case"
                 )
-    compared = (compared_run(run, reference) for run in (reference, *others))
-    return Comparison(reference.name, load, next(compared), tuple(compared))
+    first, *others = (compared_run(run, reference) for run in runs)
+    return Comparison(reference.name, load, first, tuple(others))
 
 
 def compare_runs(
@@ -198,11 +179,13 @@ def compare_runs(
 ) -> Comparison:
     """Compare the runs in these folders; comparison.json and comparison.png go into `out`."""
     out, runs = Path(out), [read_run(folder) for folder in folders]
-    result = compare(runs)
     of = {run.name: digest(run.folder / "run.json")[:16] for run in runs}
+    result, runs = compare(runs), order_runs(runs)
 
     def make() -> dict[str, Any]:
-        write_comparison_plot(out / COMPARISON_FILES[1], runs)
+        panels = [*displacement_panels(runs), difference_panel(runs), *audit_panels(runs)]
+        figure = draw_panels(panels, title=comparison_title(runs))
+        write_bytes(out / COMPARISON_FILES[1], encoded(figure, "png"))
         return asdict(result)
 
     keep(out / COMPARISON_FILES[0], {"of": of}, make, fresh=fresh)
@@ -233,34 +216,32 @@ def force_curves(run: StoredRun) -> dict[str, DisplacementCurve]:
 def compared_run(run: StoredRun, reference: StoredRun) -> ComparedRun:
     """Difference and speed-up of a run against another of its load case."""
     there, apart = force_curves(reference), difference(run.curve, reference.curve)
-    before = _costs(reference.record)
     if not apart.scale:
         raise InputError(f"{reference.folder}: the watched point does not move; nothing to compare")
+    record, full = run.record, reference.record
+    seconds, full_seconds = record.wall_time["total"], full.wall_time["total"]
+    solves, full_solves = (each.spent.get("rve_solves", 0) for each in (record, full))
+    balance = None
+    if record.law in ("cached", "table", "surrogate") and full.law in ("rve", "tissue"):
+        balance = Balance(made=made_for(record), run=seconds, true=full_seconds)
     return ComparedRun(
         name=run.name,
-        law=run.record.law,
+        law=record.law,
         difference=apart,
-        wall_time=run.record.wall_time["total"],
-        counts=run.record.spent,
+        wall_time=seconds,
+        counts=record.spent,
         speed_up={
-            name: before[name] / cost if cost and before[name] else None
-            for name, cost in _costs(run.record).items()
+            "wall_time": full_seconds / seconds if seconds and full_seconds else None,
+            "rve_solves": full_solves / solves if solves and full_solves else None,
         },
-        cache=run.record.cache or {},
+        cache=record.cache or {},
         forces={
             name: difference(force, there[name])
             for name, force in force_curves(run).items()
             if name in there
         },
-        balance=balance_of(run.record, reference.record),
+        balance=balance,
     )
-
-
-def _costs(record: RunRecord) -> dict[str, float]:
-    return {
-        "wall_time": record.wall_time["total"],
-        "rve_solves": record.spent.get("rve_solves", 0),
-    }
 
 
 def audit_sentence(cache: Mapping[str, Any]) -> str:
@@ -292,7 +273,7 @@ def fallback_reasons(counts: Mapping[str, int]) -> str:
     return f" ({', '.join(reasons)})" if reasons else ""
 
 
-# The picture.
+# The picture, of runs of which the reference is the first.
 
 _SEEN = 0.02
 """Relative to the largest displacement: from there on a component has a panel."""
@@ -301,46 +282,40 @@ _TOGETHER = 0.003
 _MOST_NAMED = 3
 
 
-def write_comparison_plot(path: Path, runs: Sequence[StoredRun]) -> None:
-    """Draw displacements, their differences and audited errors."""
-    panels = [*displacement_panels(runs), *difference_panels(runs), *audit_panels(runs)]
-    write_bytes(path, encoded(draw_panels(panels, title=comparison_title(runs)), "png"))
-
-
 def displacement_panels(runs: Sequence[StoredRun]) -> list[Panel]:
     """The watched point's displacement by all runs, each component that counts in a panel.
 
     Runs that nobody could tell from the reference are named at its line.
     """
-    reference, *others = order_runs(runs)
+    reference, *others = runs
     largest = abs(reference.curve.displacement).max(axis=0)
     apart = {k: difference(run.curve, reference.curve).largest for k, run in enumerate(others)}
     close = [k for k in apart if apart[k] < _TOGETHER]
     label = ", ".join(_label(run, reference) for run in (reference, *(others[k] for k in close)))
     if close:
         label += f" (at most {percent(2)(max(apart[k] for k in close))} apart)"
-    name = "reference" if len(close) < len(others) else ""
+    lines = [("reference" if len(close) < len(others) else "", label, 0, reference.curve)]
+    lines += [
+        ("", _label(run, reference), k, run.curve) for k, run in enumerate(others) if k not in close
+    ]
     panels: list[Panel] = []
     for axis in np.argsort(-largest).tolist():
         if panels and largest[axis] < _SEEN * largest.max():
             continue
-        t, u = reference.curve.t, reference.curve.displacement[:, axis]
-        curves = [Curve(name, t, u, label, markers=False, colour=0)]
-        for k, run in enumerate(others):
-            if k not in close:
-                u = run.curve.displacement[:, axis]
-                what = _label(run, reference)
-                curves.append(Curve("", run.curve.t, u, what, markers=False, colour=k))
-        y_label, title = f"displacement $u_{'xy'[axis]}$ (µm)", "" if panels else label
-        title = "" if len(curves) > 1 else title
+        curves = tuple(
+            Curve(name, curve.t, curve.displacement[:, axis], what, markers=False, colour=k)
+            for name, what, k, curve in lines
+        )
+        y_label = f"displacement $u_{'xy'[axis]}$ (µm)"
+        title = "" if panels or len(curves) > 1 else label
         height = 0.55 if panels else 1.0
-        panels.append(Panel(clock_of(reference), y_label, tuple(curves), title, height=height))
+        panels.append(Panel("time (µs)", y_label, curves, title, height=height))
     return panels
 
 
-def difference_panels(runs: Sequence[StoredRun]) -> list[Panel]:
+def difference_panel(runs: Sequence[StoredRun]) -> Panel:
     """How far each run's displacement is from the reference's, relative to the largest."""
-    reference, *others = order_runs(runs)
+    reference, *others = runs
     t, there = reference.curve.t, reference.curve.displacement
     scale = np.linalg.norm(there, axis=1).max() or 1.0
     differences = []
@@ -352,14 +327,13 @@ def difference_panels(runs: Sequence[StoredRun]) -> list[Panel]:
         differences.append(Curve("", run.curve.t, relative, label, markers=False, colour=k))
     names = f"{differences[0].label} and " if len(differences) == 1 else "each run and "
     title = f"Difference of {names}{reference.name}, relative to the largest displacement"
-    panel = Panel(clock_of(reference), "difference (%)", tuple(differences), title, height=0.6)
-    return [panel]
+    return Panel("time (µs)", "difference (%)", tuple(differences), title, height=0.6)
 
 
 def audit_panels(runs: Sequence[StoredRun]) -> list[Panel]:
     """How many audited answers of the caches have at most which error; none without audits."""
     curves: list[Curve] = []
-    for k, run in enumerate(order_runs(runs)[1:] or runs):
+    for k, run in enumerate(runs[1:] or runs):
         for of, cache in run.caches.items():
             if cache["audit"]["quantiles"]:
                 curves += audit_curves(cache["audit"], k, of)
@@ -372,13 +346,12 @@ def audit_panels(runs: Sequence[StoredRun]) -> list[Panel]:
 def audit_curves(audit: Mapping[str, Any], k: int, of: str) -> list[Curve]:
     """Audited answers of run k with at most an error over that error, and the tolerance."""
     histogram = audit["histogram"]
-    bins = np.array(histogram["bins"])
-    order = np.argsort(bins)
-    counts = np.array(histogram["counts"], dtype=np.float64)[order]
-    bins = np.concatenate([bins[order][:1] - 1, bins[order]])
+    first, *others = histogram["bins"]
+    bins = np.array([first - 1, first, *others])
     # Bin k ends at the smallest edge times 10^(k / bins a decade).
     errors = histogram["smallest_edge"] * 10.0 ** (bins / histogram["bins_a_decade"])
-    below = 100.0 * np.concatenate([[0.0], np.cumsum(counts) / counts.sum()])
+    counts = np.cumsum([0.0, *histogram["counts"]])
+    below = 100.0 * (counts / counts[-1])
     curves = [Curve("", errors, below, f"{of}: audited errors", False, k, "-")]
     if np.isfinite(tolerance := float(audit["tolerance"])):
         label = f"tolerance: {audit['violations']} of {audit['audited']:,} above"
@@ -387,21 +360,15 @@ def audit_curves(audit: Mapping[str, Any], k: int, of: str) -> list[Curve]:
     return curves
 
 
-def clock_of(run: StoredRun) -> str:
-    """What a run's curves are over."""
-    return "load factor" if "rest" in run.record.recipe else "time (µs)"
-
-
 def comparison_title(runs: Sequence[StoredRun]) -> str:
     """Watched point, problem, plant cell, and the initialisation that the runs have in common."""
-    reference = order_runs(runs)[0]
-    recipe, usual = reference.record.recipe, reference.record.initialisation
-    watched = reference.record.problem.get("watched") or recipe.get("watch", {})
-    point = "Watched point"
+    record = runs[0].record
+    recipe, point = record.recipe, "Watched point"
+    watched = record.problem.get("watched") or recipe.get("watch", {})
     for name, at in [(name, at) for name, at in watched.items() if at][:1]:
         label = "" if name == "point" else f" “{name}”"
         point = f"Watched point{label} ({at[0]:g}, {at[1]:g}) µm"
-    details = ", ".join(filter(None, [_cells_of(recipe), _words(usual)]))
+    details = ", ".join(filter(None, [_cells_of(recipe), _words(record.initialisation)]))
     return "\n".join(filter(None, [point, _problem_of(recipe), details]))
 
 

@@ -183,14 +183,12 @@ def draw_tissue(
     displacements are drawn `factor` times as large."""
     at, order = fields.points + factor * fields.displacement[k], rim(fields)
     sides = _held_sides(fields)
-    mirrors: list[tuple[int, float]] = []  # axis, and where on it
-    for axis in (0, 1):
-        places = {float(fields.points[side.nodes[0], axis]) for side in sides if side.still == axis}
-        if len(places) == 1 and places <= {*fields.points[:, axis][[*_ends(fields.points, axis)]]}:
-            mirrors.append((axis, places.pop()))
     copies = [at]
-    for axis, place in mirrors:
-        copies += [np.where(np.arange(2) == axis, 2.0 * place - each, each) for each in copies]
+    for axis, x in enumerate(fields.points.T):
+        lines = {x[a] for a, *_, still in sides if still == axis}
+        if len(lines) == 1 and lines <= {x.min(), x.max()}:
+            mirror = 2.0 * lines.pop()
+            copies += [np.where(np.arange(2) == axis, mirror - each, each) for each in copies]
     low, high = box(np.concatenate(copies), bodies)
     for body in bodies:
         axes.fill(*body.at(k, factor).T, facecolor="0.85", edgecolor="0.4", linewidth=1.0)
@@ -202,15 +200,17 @@ def draw_tissue(
             drawn = LineCollection(corners, linewidths=0.8)
         axes.add_collection(colours.paint(drawn, values))
     depth = 0.035 * float(max(high - low))
-    for side in sides:
+    for a, b, inside, still in sides:
         for each in copies:
-            ends = each[[*side.nodes]]
-            if side.still == _BOTH:
-                out = depth * _outward(ends, each[side.inside])
+            ends = each[[a, b]]
+            if still == _BOTH:
+                along, across = ends[1] - ends[0], ends[0] - each[inside]
+                normal = np.array([along[1], -along[0]]) / np.linalg.norm(along)
+                out = depth * np.sign(normal @ across) * normal
                 band = np.vstack([ends, ends[::-1] + out])
                 axes.fill(*band.T, facecolor="none", edgecolor="0.4", hatch="/////", linewidth=0.0)
                 low, high = np.minimum(low, band.min(axis=0)), np.maximum(high, band.max(axis=0))
-            if side.still in (_BOTH, _RIGID):
+            if still in (_BOTH, _RIGID):
                 axes.plot(*ends.T, color="0.15", linewidth=2.5, solid_capstyle="butt")
             else:  # a line of symmetry
                 axes.plot(*ends.T, color="0.15", linewidth=0.8, dashes=(8, 2, 2, 2))
@@ -221,17 +221,9 @@ def draw_tissue(
 _BOTH, _RIGID = 2, 3
 
 
-@dataclass(frozen=True, slots=True)
-class _Side:
-    """A held side, a node `inside` across it, and the component that is `still`; _BOTH; _RIGID."""
-
-    nodes: tuple[int, int]
-    inside: int
-    still: int
-
-
-def _held_sides(fields: StoredFields) -> list[_Side]:
-    """Sides on the boundary that supports or grips hold, by how they move in all of the fields."""
+def _held_sides(fields: StoredFields) -> list[tuple[int, int, int, int]]:
+    """Sides on the boundary that supports or grips hold, by how they move in all of the fields:
+    their nodes, a node inside across each, and the component that is still, or _BOTH, or _RIGID."""
     corners = {3: 3, 4: 4, 6: 3}.get(fields.cells.shape[1], 0)
     u = fields.displacement
     still = _STILL * float(abs(u).max())
@@ -241,27 +233,17 @@ def _held_sides(fields: StoredFields) -> list[_Side]:
     sides = np.stack([np.roll(cells, -k, axis=1) for k in range(3)], axis=-1).reshape(-1, 3)
     ends = np.sort(sides[:, :2], axis=1)
     _, first, owners = np.unique(ends, axis=0, return_index=True, return_counts=True)
-    found = []
+    held = []
     for a, b, inside in sides[first[owners == 1]].tolist():
         along = abs(fields.points[b] - fields.points[a])
         fixed = abs(u[:, [a, b]]).max(axis=(0, 1)) <= still
         if fixed.all():
-            found.append(_Side((a, b), inside, _BOTH))
+            held.append((a, b, inside, _BOTH))
         elif abs(u[:, a] - u[:, b]).max() <= still:
-            found.append(_Side((a, b), inside, _RIGID))
+            held.append((a, b, inside, _RIGID))
         elif fixed.any() and along[fixed.argmax()] < 1e-6 * along.sum():
-            found.append(_Side((a, b), inside, int(fixed.argmax())))
-    return found
-
-
-def _ends(points: Array, axis: int) -> tuple[int, int]:
-    return int(points[:, axis].argmin()), int(points[:, axis].argmax())
-
-
-def _outward(ends: Array, inside: Array) -> Array:
-    along = ends[1] - ends[0]
-    normal = np.array([along[1], -along[0]]) / np.linalg.norm(along)
-    return normal if normal @ (ends[0] - inside) > 0.0 else -normal
+            held.append((a, b, inside, int(fixed.argmax())))
+    return held
 
 
 # Plant cells.
@@ -313,13 +295,13 @@ def cell_figure(
     fields: StoredFields,
     element: int,
     point: Sequence[float],
-    clock: str = "t = {:.4g} µs",
+    is_rest: bool = False,
 ) -> Figure:
     """A look into the plant cells at a point: where it is, wall stretch over time, six times.
 
-    `seen` is the RVE of an element at the times of the fields, `point` in the undeformed tissue,
-    µm, and `clock` how a time is written."""
-    t = fields.t
+    `seen` is the RVE of an element at the times of the fields, of a rest the factors of its load,
+    and `point` in the undeformed tissue, µm."""
+    t, clock = fields.t, "load factor {:.4g}" if is_rest else "t = {:.4g} µs"
     chosen = np.unique(np.linspace(0, len(t) - 1, min(_PANELS, len(t))).round().astype(int))
     columns = min(3, len(chosen))
     rows = -(-len(chosen) // columns)
@@ -339,7 +321,7 @@ def cell_figure(
     stretch = seen.extremes()["largest_wall_stretch"]
     curve.plot(t, stretch, color="0.3", linewidth=1.2)
     curve.plot(t[chosen], stretch[chosen], "o", color=VERMILION, markersize=5.0)
-    curve.set_xlabel("time (µs)" if "µs" in clock else "load factor")
+    curve.set_xlabel("load factor" if is_rest else "time (µs)")
     curve.set_ylabel("largest wall length\n/ rest length")
     curve.ticklabel_format(useOffset=False)
     curve.set_title("dots: the times below", fontsize=9)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,19 +23,19 @@ _MOST_CURVES = 12
 _DECADE = 10.0
 """Positive values that are so many times apart stand on a logarithm."""
 
+Facts = Mapping[str, Any]
 
-@dataclass(frozen=True, slots=True)
-class GridRow:
-    """One run of a grid, by its law; None where it failed.
 
-    `values` of the entries that change and that it depends on are by dotted name; `facts` are what
-    the columns of the table have of it, and the `tolerance` of its cache over the spread of stress.
+class GridRow(NamedTuple):
+    """A run of a grid, None where it failed, and what is known of it.
+
+    `facts` are the values of the entries that change and that it depends on, by dotted name, what
+    the columns of `QUANTITIES` show, the "law", and the "tolerance" of its cache over the spread of
+    stress.
     """
 
-    values: Mapping[str, Any]
-    law: str
+    facts: Facts
     run: StoredRun | None
-    facts: Mapping[str, Any]
 
 
 def grid_row(
@@ -47,9 +47,9 @@ def grid_row(
     error: str | None,
 ) -> GridRow:
     """A row; true: the run of the same values by RVEs, if there is one."""
-    facts: dict[str, Any] = {"run": name, "error": error}
+    facts: dict[str, Any] = {**values, "law": law, "run": name, "error": error}
     if run is None:
-        return GridRow(values, law, run, facts)
+        return GridRow(facts, run)
     counts, caches = run.record.counts, [*caches_of(run.record.cache).values()]
     facts |= {
         "largest displacement": float(np.linalg.norm(run.curve.displacement, axis=1).max()),
@@ -80,26 +80,22 @@ def grid_row(
             "speed-up": against.speed_up["wall_time"],
             "all counted": against.balance and against.balance.gain,
         }
-    return GridRow(values, law, run, facts)
+    return GridRow(facts, run)
 
 
-def _fact(name: str, unit: str, format: str | Callable[[Any], str] | None) -> Quantity[GridRow]:
-    return Quantity(name, unit, format, lambda row: row.facts.get(name))
-
-
-QUANTITIES = (
-    _fact("largest displacement", "µm", ".5g"),
-    _fact("displacement error", "", percent(2)),
-    _fact("stress error", "", percent(2)),
-    _fact("above", "", None),
-    _fact("hits", "", percent(3)),
-    _fact("wall time", "s", ".3g"),
-    _fact("speed-up", "×", ".3g"),
-    _fact("all counted", "×", ".3g"),
-    _fact("RVE solves", "", None),
-    _fact("switched off", "", lambda off: "yes"),
-    _fact("run", "", None),
-    _fact("error", "", lambda message: "failed"),
+QUANTITIES: tuple[Quantity[Facts], ...] = (
+    Quantity("largest displacement", "µm", ".5g"),
+    Quantity("displacement error", "", percent(2)),
+    Quantity("stress error", "", percent(2)),
+    Quantity("above", "", None),
+    Quantity("hits", "", percent(3)),
+    Quantity("wall time", "s", ".3g"),
+    Quantity("speed-up", "×", ".3g"),
+    Quantity("all counted", "×", ".3g"),
+    Quantity("RVE solves", "", None),
+    Quantity("switched off", "", lambda off: "yes"),
+    Quantity("run", "", None),
+    Quantity("error", "", lambda message: "failed"),
 )
 """The stress error is what 99 % of the audited answers keep, relative to the spread of stress."""
 
@@ -115,24 +111,19 @@ class Grid:
     @property
     def has_laws(self) -> bool:
         """Whether there are runs by more than one law."""
-        return len({row.law for row in self.rows}) > 1
+        return len({row.facts["law"] for row in self.rows}) > 1
 
     @property
-    def names(self) -> int:
-        """How many columns of the table say which run it is."""
-        return len(self.values) + self.has_laws
-
-    @property
-    def table(self) -> Table[GridRow]:
+    def table(self) -> Table[Facts]:
         """What people read of it."""
-        law: Quantity[GridRow] = Quantity("law", "", "", lambda row: row.law)
-        entries = [_of_entry(name, self.values) for name in self.values] + [law] * self.has_laws
+        naming = [_of_entry(name, self.values) for name in self.values]
+        naming += [Quantity("law", "", "")] * self.has_laws
         known = {fact for row in self.rows for fact in row.facts}
         shown = (  # either seconds or how many times faster: a line has 80 columns
             replace(each, format=None) if each.name == "wall time" and "speed-up" in known else each
             for each in QUANTITIES
         )
-        return Table((*entries, *shown), self.rows)
+        return Table((*naming, *shown), [row.facts for row in self.rows], len(naming))
 
     @property
     def failed(self) -> dict[str, str]:
@@ -155,7 +146,7 @@ def _short(name: str, among: Iterable[str]) -> str:
     return key if sum(other.partition(".")[2] == key for other in among) == 1 else name
 
 
-def _of_entry(name: str, among: Iterable[str]) -> Quantity[GridRow]:
+def _of_entry(name: str, among: Iterable[str]) -> Quantity[Facts]:
     """The column of an entry."""
     section, *parts = name.split(".")
     if section == "cells":
@@ -164,8 +155,8 @@ def _of_entry(name: str, among: Iterable[str]) -> Quantity[GridRow]:
     units = [each.metadata.get("unit", NONE) for each in items if each.name == parts[0]]
     unit = next((each for each in units if each != NONE), "")
 
-    def get(row: GridRow) -> Any:
-        value = row.values.get(name)
+    def get(facts: Facts) -> Any:
+        value = facts.get(name)
         return value if value is None or _is_number(value) else text_of(value)
 
     def shown(value: Any) -> str:
@@ -191,82 +182,74 @@ _PANELS = (
 
 def write_grid_plot(path: Path, grid: Grid) -> None:
     """Draw displacements over time, and what runs came to over the first entry that changes."""
+    law = grid.rows[0].facts["law"]
     changing = [name for name, values in grid.values.items() if len(values) > 1]
 
-    def label(row: GridRow, names: list[str], law: bool = grid.has_laws) -> str:
-        known = [name for name in names if name in row.values]
-        parts = [f"{_short(name, grid.values)} {text_of(row.values[name])}" for name in known]
-        return ", ".join([*parts, *([row.law] if law else [])])
+    def words(facts: Facts, names: Sequence[str]) -> str:
+        known = [name for name in names if name in facts]
+        return ", ".join(f"{_short(name, grid.values)} {text_of(facts[name])}" for name in known)
 
-    # the curves of other laws would lie on those of the first
-    finished = [row for row in grid.rows if row.run is not None and row.law == grid.rows[0].law]
-    some = np.linspace(0, len(finished) - 1, min(len(finished), _MOST_CURVES)).round()
-    shown = [finished[int(k)] for k in np.unique(some)]
-    lines = {label(row, changing, law=not changing): row.run for row in shown}
-    panels = [_over_time({name: run for name, run in lines.items() if run})] if lines else []
-    groups: dict[str, list[GridRow]] = {}
-    for row in grid.rows if changing else ():
-        if changing[0] in row.values:
-            groups.setdefault(label(row, changing[1:]), []).append(row)
-    drawn: set[str] = set()
-    for name, axis, log_y in _PANELS if groups else ():
-        if name == "wall time" and "speed-up" in drawn:
-            continue
-        panel = _over_values(grid, changing[0], groups, name, axis, log_y)
-        if panel.curves:
-            drawn.add(name)
-            panels.append(panel)
-    of = ", ".join(f"{name} {_ends(values)}" for name, values in grid.values.items())
+    panels: list[Panel] = []
+    finished = [  # the curves of other laws would lie on those of the first
+        (words(row.facts, changing) or law, row.run.curve)
+        for row in grid.rows
+        if row.run is not None and row.facts["law"] == law
+    ]
+    if finished:
+        some = np.linspace(0, len(finished) - 1, min(len(finished), _MOST_CURVES)).round()
+        shown = [finished[int(k)] for k in np.unique(some)]
+        sizes = np.array([abs(curve.displacement).max(axis=0) for _, curve in shown])
+        axis = int(sizes.max(axis=0).argmax())  # the larger component of the watched displacement
+        lines = (
+            Curve("", curve.t, curve.displacement[:, axis], label, markers=False)
+            for label, curve in shown
+        )
+        panels.append(Panel("time (µs)", f"displacement $u_{'xy'[axis]}$ (µm)", tuple(lines)))
+    groups: dict[str, list[Facts]] = {}
+    for facts, _ in grid.rows if changing else ():
+        if changing[0] in facts:
+            parts = words(facts, changing[1:]), facts["law"] if grid.has_laws else ""
+            groups.setdefault(", ".join(filter(None, parts)) or grid.recipe, []).append(facts)
+    if groups:
+        panels += _over_values(grid, changing[0], groups)
+    spans = ([text_of(each) for each in values] for values in grid.values.values())
+    ends = (span[0] if len(span) == 1 else f"{span[0]} … {span[-1]}" for span in spans)
+    of = ", ".join(f"{name} {span}" for name, span in zip(grid.values, ends, strict=True))
     figure = draw_panels(panels, 2, title=f"{grid.recipe}: {of}")
     write_bytes(path, encoded(figure, "png"))
 
 
-def _ends(values: tuple[Any, ...]) -> str:
-    first, last = text_of(values[0]), text_of(values[-1])
-    return first if len(values) == 1 else f"{first} … {last}"
-
-
-def _over_time(runs: Mapping[str, StoredRun]) -> Panel:
-    """The larger component of the watched displacement."""
-    curves = [run.curve for run in runs.values()]
-    sizes = np.array([abs(curve.displacement).max(axis=0) for curve in curves])
-    axis = int(sizes.max(axis=0).argmax())
-    lines = (
-        Curve("", curve.t, curve.displacement[:, axis], label, markers=False)
-        for label, curve in zip(runs, curves, strict=True)
-    )
-    return Panel("time (µs)", f"displacement $u_{'xy'[axis]}$ (µm)", tuple(lines))
-
-
-def _over_values(
-    grid: Grid, over: str, groups: Mapping[str, list[GridRow]], name: str, axis: str, log_y: bool
-) -> Panel:
-    """A quantity over an entry, whose values are marked one by one where they are no numbers."""
+def _over_values(grid: Grid, over: str, groups: Mapping[str, list[Facts]]) -> list[Panel]:
+    """The quantities over an entry, whose values are marked one by one where they are no numbers;
+    a curve for each group."""
     values = grid.values[over]
     are_numbers = all(map(_is_number, values))
     places = {text_of(each): float(each if are_numbers else k) for k, each in enumerate(values)}
-    curves = []
-    for k, (label, rows) in enumerate(groups.items()):
-        if name == "largest displacement" and rows[0].law != grid.rows[0].law:
-            continue
-        rows = sorted(rows, key=lambda row: places[text_of(row.values[over])])
-        x = np.array([places[text_of(row.values[over])] for row in rows])
-        y, tolerance = (
-            np.array([row.facts.get(fact) for row in rows], dtype=np.float64)  # None: NaN
-            for fact in (name, "tolerance")
-        )
-        if not np.isnan(y).all():
-            curves.append(Curve("", x, y, label or grid.recipe, colour=k))
-            if name == "stress error":
-                curves.append(Curve("reference", x, tolerance, "tolerance of stress"))
-    x_ticks = [*places.values()]
-    return Panel(
-        _of_entry(over, grid.values).heading,
-        axis,
-        tuple(curves),
-        log_x=are_numbers and min(x_ticks) > 0.0 and max(x_ticks) > _DECADE * min(x_ticks),
-        log_y=log_y,
-        x_ticks=() if are_numbers else tuple(x_ticks),
-        x_names=() if are_numbers else tuple(places),
-        zero=not log_y and name != "largest displacement",
-    )
+    x_ticks, panels = [*places.values()], dict[str, Panel]()
+    for name, y_label, log_y in _PANELS:
+        curves = []
+        for k, (label, rows) in enumerate(groups.items()):
+            if name == "largest displacement" and rows[0]["law"] != grid.rows[0].facts["law"]:
+                continue
+            rows = sorted(rows, key=lambda facts: places[text_of(facts[over])])
+            x = np.array([places[text_of(facts[over])] for facts in rows])
+            y, tolerance = (
+                np.array([facts.get(fact) for facts in rows], dtype=np.float64)  # None: NaN
+                for fact in (name, "tolerance")
+            )
+            if not np.isnan(y).all():
+                curves.append(Curve("", x, y, label, colour=k))
+                if name == "stress error":
+                    curves.append(Curve("reference", x, tolerance, "tolerance of stress"))
+        if curves and not (name == "wall time" and "speed-up" in panels):
+            panels[name] = Panel(
+                _of_entry(over, grid.values).heading,
+                y_label,
+                tuple(curves),
+                log_x=are_numbers and min(x_ticks) > 0.0 and max(x_ticks) > _DECADE * min(x_ticks),
+                log_y=log_y,
+                x_ticks=() if are_numbers else tuple(x_ticks),
+                x_names=() if are_numbers else tuple(places),
+                zero=not log_y and name != "largest displacement",
+            )
+    return [*panels.values()]

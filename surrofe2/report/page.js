@@ -111,8 +111,7 @@
       } else context.strokeStyle = level;
       context.stroke();
     }
-    const t = run.t[k].toPrecision(4);
-    $("clock").textContent = run.clock === "µs" ? `t = ${t} µs` : `${run.clock} ${t}`;
+    $("clock").textContent = `t = ${run.t[k].toPrecision(4)} µs`;
     slider.setAttribute("aria-valuetext", $("clock").textContent);
     canvas.setAttribute("aria-label", `${run.name}, ${colour.name}, ${$("clock").textContent}`);
   }

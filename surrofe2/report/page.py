@@ -1,4 +1,4 @@
-"""Runs on one HTML page that needs nothing else: what it has of them, its sections, its elements.
+"""Runs on one HTML page that needs nothing else: `page.html`, and what its sections say.
 
 The tissue in motion is arrays for the script `page.js`, and a picture for paper.
 """
@@ -10,11 +10,11 @@ import hashlib
 import json
 import re
 import shlex
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from pathlib import Path
+from string import Template
 from typing import Any
 
 import numpy as np
@@ -28,53 +28,30 @@ from surrofe2.base.units import number
 from surrofe2.law.stress_law import SURROGATE, TABLE, Status
 from surrofe2.problem.rigid_bodies import RigidBody
 from surrofe2.report.comparison import (
+    ComparedRun,
     Comparison,
     audit_panels,
     audit_sentence,
-    clock_of,
     compare,
     comparison_title,
-    difference_panels,
+    difference_panel,
     displacement_panels,
     fallback_reasons,
     made_for,
     order_runs,
 )
 from surrofe2.report.figures import Colours, DrawnBody, box, draw_tissue, drawn_bodies, rim
-from surrofe2.report.tables import Table, percent
+from surrofe2.report.tables import percent
 from surrofe2.run.charts import Curve, Panel, draw_panels, encoded
 from surrofe2.store.fields import DISPLACEMENT_NAME, FIELDS, SOURCE_NAME, StoredFields, read_fields
 from surrofe2.store.run_folder import EVENTS, StoredRun, read_run
 from surrofe2.store.store import check_replaceable, flat, read_bytes, write_text
 
 Array = NDArray[np.float64]
+RunFields = tuple[StoredRun, StoredFields | None]
+"""A run and its fields, None where its folder has none."""
 
 VON_MISES, WALL_STRETCH = "von_mises_in_plane_uN_per_um", "largest_wall_stretch"
-OF_ELEMENTS = (VON_MISES, SOURCE_NAME, WALL_STRETCH)
-"""What a page shows of elements."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class RunData(StoredRun):
-    """A run as a page shows it; what its folder lacks is None or empty.
-
-    `particles` are PNGs of looks into the plant cells, by the names of their folders."""
-
-    fields: StoredFields | None = None
-    events: Sequence[Mapping[str, Any]] = ()
-    particles: Mapping[str, bytes] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class ReportData:
-    """All that a page is made of: runs, the reference first, and their comparison or why there is
-    none."""
-
-    runs: tuple[RunData, ...]
-    comparison: Comparison | None = None
-    why_not: str = ""
-
-
 _CACHE = (SURROGATE, TABLE)
 _MOST_EVENTS, _MOST_PICTURES = 200, 4
 
@@ -91,149 +68,118 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> Path:
     """
     if not folders:
         raise InputError("report: no run folder; give at least one")
-    path, page = Path(out), page_of(load_runs(folders))
-    check_replaceable(path, "page", "<!doctype html>", "surrofe2")
-    write_text(path, page)
-    return path
-
-
-def load_runs(folders: Sequence[str | Path]) -> ReportData:
-    """What these run folders hold, the reference first."""
-    runs = [read_run(folder, finished=False) for folder in folders]
-    seen = tuple(_load(run) for run in order_runs(runs))
-    if len(runs) == 1:
-        return ReportData(seen, None, "One run, so there is nothing to compare it with.")
-    try:
-        return ReportData(seen, compare(runs))
-    except MismatchError as error:
-        return ReportData(seen, None, f"Not compared: {error}.")
-
-
-def _load(run: StoredRun) -> RunData:
-    folder = run.folder
-    has_fields = (folder / f"{FIELDS}.h5").exists()
-    events = folder / EVENTS
-    lines = read_bytes(events).decode("utf-8").splitlines() if events.exists() else []
-    zooms = sorted(folder.glob("zoom-*/zoom.png"))[:_MOST_PICTURES]
-    return RunData(
-        **{item.name: getattr(run, item.name) for item in fields(run)},
-        fields=read_fields(folder, [DISPLACEMENT_NAME], OF_ELEMENTS) if has_fields else None,
-        events=[json.loads(line) for line in lines],
-        particles={path.parent.name: read_bytes(path) for path in zooms},
+    runs = order_runs([read_run(folder, finished=False) for folder in folders])
+    comparison: Comparison | str = "One run, so there is nothing to compare it with."
+    if len(runs) > 1:
+        try:
+            comparison = compare(runs)
+        except MismatchError as error:
+            comparison = f"Not compared: {error}."
+    compared = () if isinstance(comparison, str) else comparison.runs
+    shown = [(run, fields_of(run)) for run in runs]
+    stills, motion = motion_section(shown)
+    look = f"surrofe2 zoom {shlex.quote(str(runs[0].folder))} --point X,Y"
+    sections: tuple[tuple[str, str, str, Iterable[str], str], ...] = (
+        ("displacement", "Displacement", "Displacement", _displacement(runs, comparison), ""),
+        ("cost", "Time and speed-up", "Time and speed-up", _cost(runs, compared), ""),
+        ("fallback", "Fallbacks", "Where the cache fell back", _fallback(shown),
+         "No run through a cache, so nothing fell back."),
+        ("audit", "Audits", "Audits", _audits(runs),
+         "No run through a cache, so nothing was audited."),
+        ("range", "Range", "Range that was met", _range(runs), "No run recorded what it met."),
+        ("energy", "Energies", "Energies", _energies(runs), ""),
+        ("cells", "Plant cells", "Plant cells", _plant_cells(runs),
+         f"No look into the plant cells in the folders; make one with: {look}"),
+        ("events", "Events", "Events", _events(runs), ""),
+        ("origin", "Provenance", "Configuration and provenance", _origin(runs), ""),
+    )  # fmt: skip
+    """Key, link, heading, parts, and what is said where there are none."""
+    html, css, js = (
+        files("surrofe2.report").joinpath(f"page.{kind}").read_text("utf-8")
+        for kind in ("html", "css", "js")
     )
-
-
-def page_of(seen: ReportData) -> str:
-    """One HTML file that needs nothing else."""
-    motion, data = motion_section(seen.runs)
-    title = "surrofe2: " + ", ".join(each.name for each in seen.runs)
-    sections = (
-        ("motion", "Motion", "The tissue in motion", [*_headlines(seen), *motion]),
-        ("displacement", "Displacement", "Displacement", _displacement(seen)),
-        ("cost", "Time and speed-up", "Time and speed-up", _cost(seen)),
-        ("fallback", "Fallbacks", "Where the cache fell back", _fallback(seen)),
-        ("audit", "Audits", "Audits", _audits(seen)),
-        ("range", "Range", "Range that was met", _range(seen)),
-        ("energy", "Energies", "Energies", _energies(seen)),
-        ("cells", "Plant cells", "Plant cells", _plant_cells(seen)),
-        ("events", "Events", "Events", _events(seen)),
-        ("origin", "Provenance", "Configuration and provenance", _origin(seen)),
+    page = Template(html).substitute(
+        title=escape("surrofe2: " + ", ".join(run.name for run in runs)),
+        css=css,
+        css_digest=_base64(hashlib.sha256(css.encode()).digest()),
+        js=js,
+        js_digest=_base64(hashlib.sha256(js.encode()).digest()),
+        links="".join(f'<li><a href="#{key}">{name}</a></li>' for key, name, *_ in sections),
+        headlines="".join(_headlines(runs, compared)),
+        stills="".join(stills),
+        sections="\n".join(
+            f'<section id="{key}"><h2>{heading}</h2>{"".join(parts) or _missing(none)}</section>'
+            for key, _, heading, parts, none in sections
+        ),
+        # a JSON string has no "<" that could end the element early
+        data=json.dumps({"runs": motion}).replace("<", "\\u003c"),
     )
-    return _document(title, sections, json.dumps({"runs": data}))
+    check_replaceable(Path(out), "page", "<!doctype html>", "surrofe2")
+    write_text(Path(out), page)
+    return Path(out)
 
 
-def _document(
-    title: str, sections: Sequence[tuple[str, str, str, Sequence[str]]], data: str
-) -> str:
-    """The whole page of sections (key, link, heading, parts), and JSON for the script."""
-    folder = files("surrofe2.report")
-    style, script = (
-        folder.joinpath(f"page.{kind}").read_text(encoding="utf-8") for kind in ("css", "js")
-    )
-    policy = (
-        f"default-src 'none'; img-src data:; style-src {_digest(style)}; "
-        f"script-src {_digest(script)}; base-uri 'none'; form-action 'none'"
-    )
-    links = "".join(f'<li><a href="#{key}">{escape(name)}</a></li>' for key, name, *_ in sections)
-    content = "".join(
-        f'<section id="{key}"><h2>{escape(heading)}</h2>{"".join(parts)}</section>'
-        for key, _, heading, parts in sections
-    )
-    # A JSON string has no "<" that could end the element early.
-    safe = data.replace("<", "\\u003c")
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>{style}</style></head>\n<body>\n"
-        f'<header><h1>{escape(title)}</h1><nav aria-label="Sections"><ul>{links}</ul></nav>'
-        f"</header>\n<main>{content}</main>\n"
-        f'<script type="application/json" id="data">{safe}</script>\n'
-        f"<script>{script}</script>\n</body></html>\n"
-    )
+def fields_of(run: StoredRun) -> StoredFields | None:
+    """What the page shows of the elements of a run."""
+    if not (run.folder / f"{FIELDS}.h5").exists():
+        return None
+    return read_fields(run.folder, [DISPLACEMENT_NAME], (VON_MISES, SOURCE_NAME, WALL_STRETCH))
 
 
-def _digest(text: str) -> str:
-    digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
-    return f"'sha256-{digest}'"
+def _base64(content: bytes) -> str:
+    return base64.b64encode(content).decode()
 
 
-def _headlines(seen: ReportData) -> list[str]:
+def _headlines(runs: Sequence[StoredRun], compared: Sequence[ComparedRun]) -> Iterator[str]:
     """What was run, and what came out of it."""
-    parts = [_paragraph(" ".join(comparison_title(seen.runs).split()))]
-    for run in seen.comparison.runs if seen.comparison else ():
+    yield _paragraph(" ".join(comparison_title(runs).split()))
+    for run in compared:
         faster = run.speed_up["wall_time"]
-        parts.append(
-            _paragraph(
-                f"{run.name} differs from {seen.runs[0].name} by at most "
-                f"{percent(2)(run.difference.largest)} of the largest displacement"
-                + (f" and is {number(faster)} times faster by itself." if faster else "."),
-                "headline",
-            )
+        yield _paragraph(
+            f"{run.name} differs from {runs[0].name} by at most "
+            f"{percent(2)(run.difference.largest)} of the largest displacement"
+            + (f" and is {number(faster)} times faster by itself." if faster else "."),
+            "headline",
         )
-    return parts + [
-        _missing(f"{each.name}: {each.record.status}; {each.record.error or 'it is not whole'}")
-        for each in seen.runs
-        if each.record.status != "finished"
-    ]
+    for each in runs:
+        if each.record.status != "finished":
+            why = each.record.error or "it is not whole"
+            yield _missing(f"{each.name}: {each.record.status}; {why}")
 
 
-def _displacement(seen: ReportData) -> list[str]:
+def _displacement(runs: Sequence[StoredRun], comparison: Comparison | str) -> Iterator[str]:
     """Curves of all runs, their differences and the forces on the tissue."""
-    runs = seen.runs
     caption = "Displacement of the watched point" + (" by all runs" if len(runs) > 1 else "")
-    figures = [_figure(_chart(panel), caption) for panel in displacement_panels(runs)]
-    comparison = seen.comparison
-    if comparison is None:
-        return [_missing(seen.why_not), _grid(figures)]
+    figures = [_chart(panel, caption) for panel in displacement_panels(runs)]
+    if isinstance(comparison, str):
+        yield _missing(comparison)
+        yield _grid(figures)
+        return
     caption = f"Difference from {comparison.reference}, at each time"
-    figures += [_figure(_chart(panel), caption) for panel in difference_panels(runs)]
-    parts = [_grid(figures), _table_of(comparison.table)]
+    yield _grid([*figures, _chart(difference_panel(runs), caption)])
+    yield _table(*comparison.table.for_people())
     if comparison.force_table.rows:
-        parts += ["<h3>Forces on the tissue</h3>", _table_of(comparison.force_table)]
-    return parts
+        yield "<h3>Forces on the tissue</h3>"
+        yield _table(*comparison.force_table.for_people())
 
 
-def _cost(seen: ReportData) -> list[str]:
+def _cost(runs: Sequence[StoredRun], compared: Sequence[ComparedRun]) -> Iterator[str]:
     """Seconds of each run and of what was made for it, and from when the cache pays off."""
-    compared = seen.comparison.runs if seen.comparison else ()
-    parts = [
-        _paragraph(f"{run.name}: {run.balance.sentence}.", "headline")
-        for run in compared
-        if run.balance is not None
-    ]
-    if not parts:
-        parts = [_missing("No run through a cache beside one by RVEs, so there is no speed-up.")]
-    seconds = [_seconds(each) for each in seen.runs]
+    balances = [(run.name, run.balance) for run in compared if run.balance is not None]
+    for name, balance in balances:
+        yield _paragraph(f"{name}: {balance.sentence}.", "headline")
+    if not balances:
+        yield _missing("No run through a cache beside one by RVEs, so there is no speed-up.")
+    seconds = [_seconds(run) for run in runs]
     names = list(dict.fromkeys(name for each in seconds for name in each))
     rows = [
         [run.name, *(number(each[name]) if name in each else "–" for name in names)]
-        for run, each in zip(seen.runs, seconds, strict=True)
+        for run, each in zip(runs, seconds, strict=True)
     ]
-    return [*parts, _table(["run", *(f"{name} (s)" for name in names)], rows)]
+    yield _table(["run", *(f"{name} (s)" for name in names)], rows)
 
 
-def _seconds(run: RunData) -> dict[str, float]:
+def _seconds(run: StoredRun) -> dict[str, float]:
     """In the law, in the macro scale, loading kernels before it, making what its cache needs."""
     wall = run.record.wall_time
     law, macro = wall.get("law", 0.0), wall.get("macro", 0.0)
@@ -247,33 +193,22 @@ def _seconds(run: RunData) -> dict[str, float]:
     )
 
 
-def _fallback(seen: ReportData) -> list[str]:
+def _fallback(shown: Sequence[RunFields]) -> Iterator[str]:
     """Where and when the cache fell back on RVEs."""
-    parts: list[str] = []
-    for each in seen.runs:
-        for of, cache in each.caches.items():
-            parts.append(_paragraph(f"{of}: {_counted(cache['accepted'])}"))
-            parts += [
-                _paragraph(f"{of}, step {event['step']}: {event['finding']}.")
-                for event in cache["trust"]["events"]
-            ]
-        if each.fields is not None and SOURCE_NAME in each.fields.values:
-            parts.append(_over_time_and_mesh(each))
-    return parts or [_missing("No run through a cache, so nothing fell back.")]
+    for run, fields in shown:
+        for of, cache in run.caches.items():
+            hits, fallbacks = cache["accepted"]["hits"], cache["accepted"]["fallbacks"]
+            why = fallback_reasons(cache["accepted"])
+            share = percent(3)(fallbacks / max(hits + fallbacks, 1))
+            counts = f"{hits:,} answers of kept steps came from the cache, {fallbacks:,} from RVEs"
+            yield _paragraph(f"{of}: {counts}{why}, {share}.")
+            for event in cache["trust"]["events"]:
+                yield _paragraph(f"{of}, step {event['step']}: {event['finding']}.")
+        if fields is not None and SOURCE_NAME in fields.values:
+            yield _over_time_and_mesh(run, fields)
 
 
-def _counted(accepted: Mapping[str, int]) -> str:
-    hits, fallbacks = accepted["hits"], accepted["fallbacks"]
-    why = fallback_reasons(accepted)
-    return (
-        f"{hits:,} answers of kept steps came from the cache, {fallbacks:,} from RVEs{why}, "
-        f"{percent(3)(fallbacks / max(hits + fallbacks, 1))}."
-    )
-
-
-def _over_time_and_mesh(run: RunData) -> str:
-    fields = run.fields
-    assert fields is not None
+def _over_time_and_mesh(run: StoredRun, fields: StoredFields) -> str:
     source = fields.values[SOURCE_NAME]
     by_rve = ~np.isin(source, _CACHE)
     if not by_rve.any():
@@ -285,106 +220,95 @@ def _over_time_and_mesh(run: RunData) -> str:
         for k, (code, (words, _)) in enumerate(SOURCES.items())
         if (source == code).any()
     )
-    panel = Panel(clock_of(run), "elements (%)", curves, zero=True)
+    panel = Panel("time (µs)", "elements (%)", curves, zero=True)
     often = 100.0 * by_rve.mean(axis=0)
     colours = Colours.of("stored times with an RVE (%)", np.append(often, 0.0), "Oranges")
+    caption = f"{run.name}: at how many of the stored times an element had a point on RVEs"
     return _grid(
         [
-            _figure(_chart(panel), f"{run.name}: who answered at the stored times"),
-            _figure(
-                tissue_image(run, 0, often, colours),
-                f"{run.name}: at how many of the stored times an element had a point on RVEs",
-            ),
+            _chart(panel, f"{run.name}: who answered at the stored times"),
+            _tissue(run, fields, 0, often, colours, caption),
         ]
     )
 
 
-def _audits(seen: ReportData) -> list[str]:
+def _audits(runs: Sequence[StoredRun]) -> Iterator[str]:
     """Audited errors with the tolerance."""
-    figures, parts = [], []
-    for each in seen.runs:
-        panels = audit_panels([each])
-        figures += [_figure(_chart(panel), f"{each.name}: audited errors") for panel in panels]
-        for of, cache in each.caches.items():
-            worst = cache["audit"]["worst"]
-            parts.append(_paragraph(f"{of}: audited: {audit_sentence(cache)}."))
-            if isinstance(worst, Mapping):
-                where = f"step {worst['step']}, point {worst['point']}"
-                risk = f"where the risk was {number(worst['risk'])} ({where})"
-                error = f"{number(worst['error'])} µN/µm"
-                parts.append(_paragraph(f"{of}: the worst error is {error}, {risk}."))
-    if not parts:
-        parts = [_missing("No run through a cache, so nothing was audited.")]
-    return [*parts, _grid(figures)]
+    for of, cache in (each for run in runs for each in run.caches.items()):
+        worst = cache["audit"]["worst"]
+        yield _paragraph(f"{of}: audited: {audit_sentence(cache)}.")
+        if isinstance(worst, Mapping):
+            where = f"step {worst['step']}, point {worst['point']}"
+            risk = f"where the risk was {number(worst['risk'])} ({where})"
+            error = f"{number(worst['error'])} µN/µm"
+            yield _paragraph(f"{of}: the worst error is {error}, {risk}.")
+    yield _grid(
+        [
+            _chart(panel, f"{run.name}: audited errors")
+            for run in runs
+            for panel in audit_panels([run])
+        ]
+    )
 
 
-def _range(seen: ReportData) -> list[str]:
+def _range(runs: Sequence[StoredRun]) -> Iterator[str]:
     """What each run met at any point and step, beside the range of the samples."""
-    limits = seen.runs[0].record.recipe.get("range") or {}
-    ranges = [*((each.name, each.record.met) for each in seen.runs), ("range of samples", limits)]
+    limits = runs[0].record.recipe.get("range") or {}
+    ranges = [*((run.name, run.record.met) for run in runs), ("range of samples", limits)]
     rows = [
         [name, "{:.4g} … {:.4g}".format(*of["stretch"]), number(of["shear"]), number(of["rate"])]
         for name, of in ranges
         if {"stretch", "shear", "rate"} <= of.keys()
     ]
-    heads = ["met at any point and step", "stretch (1)", "shear (1)", "rate (1/µs)"]
-    return [_table(heads, rows) if rows else _missing("No run recorded what it met.")]
+    if rows:
+        yield _table(["met at any point and step", "stretch (1)", "shear (1)", "rate (1/µs)"], rows)
 
 
-def _energies(seen: ReportData) -> list[str]:
+def _energies(runs: Sequence[StoredRun]) -> list[str]:
     """Energies over time and how well they balance."""
     figures, lacking = [], []
-    for each in seen.runs:
-        named = {name: e for name, e in each.energies.items() if np.isfinite(e).any()}
+    for run in runs:
+        named = {name: e for name, e in run.energies.items() if np.isfinite(e).any()}
         if not named:
-            lacking.append(_missing(f"{each.name}: no energies.csv in its folder."))
+            lacking.append(_missing(f"{run.name}: no energies.csv in its folder."))
             continue
         balance = named.pop("balance", None)
-        curves = tuple(
-            Curve("", each.curve.t, values, name, False) for name, values in named.items()
-        )
-        caption = f"{each.name}: energies and works"
+        curves = tuple(Curve("", run.curve.t, each, name, False) for name, each in named.items())
+        caption = f"{run.name}: energies and works"
         largest = max((float(np.nanmax(abs(values))) for values in named.values()), default=0.0)
         if balance is not None and largest:
             error = float(np.nanmax(abs(balance))) / largest
             caption += f"; they balance within {percent(2)(error)} of the largest"
-        panel = Panel(clock_of(each), "energy (pJ)", curves)
-        figures.append(_figure(_chart(panel), caption))
+        figures.append(_chart(Panel("time (µs)", "energy (pJ)", curves), caption))
     return [_grid(figures), *lacking]
 
 
-def _plant_cells(seen: ReportData) -> list[str]:
+def _plant_cells(runs: Sequence[StoredRun]) -> Iterator[str]:
     """The plant cells that `surrofe2 zoom` looked into."""
-    figures = [
-        _figure(
-            _image(png, "particles of a plant cell at six times", "png"),
-            f"{each.name}, {name}: the plant cells there, walls by stretch and fluid by turgor",
-        )
-        for each in seen.runs
-        for name, png in each.particles.items()
-    ]
-    folder = shlex.quote(str(seen.runs[0].folder))
-    look = f"surrofe2 zoom {folder} --point X,Y"
-    return figures or [
-        _missing(f"No look into the plant cells in the folders; make one with: {look}")
-    ]
+    for run in runs:
+        for path in sorted(run.folder.glob("zoom-*/zoom.png"))[:_MOST_PICTURES]:
+            of = f"{run.name}, {path.parent.name}: the plant cells there"
+            yield _figure(
+                read_bytes(path),
+                "particles of a plant cell at six times",
+                f"{of}, walls by stretch and fluid by turgor",
+            )
 
 
-def _events(seen: ReportData) -> list[str]:
+def _events(runs: Sequence[StoredRun]) -> Iterator[str]:
     """The events of all runs, the last ones where there are many."""
-    parts = []
-    for each in seen.runs:
-        if not each.events:
-            parts.append(_missing(f"{each.name}: no log of events in its folder."))
+    for run in runs:
+        path = run.folder / EVENTS
+        events = read_bytes(path).decode("utf-8").splitlines() if path.exists() else []
+        if not events:
+            yield _missing(f"{run.name}: no log of events in its folder.")
             continue
-        shown = each.events[-_MOST_EVENTS:]
+        shown = [json.loads(line) for line in events[-_MOST_EVENTS:]]
         keys = list(dict.fromkeys(key for event in shown for key in event))
         rows = [[_short(event.get(key, "")) for key in keys] for event in shown]
-        if len(shown) < len(each.events):
-            parts.append(_paragraph(f"{each.name}: the last {len(shown)} of {len(each.events)}."))
-        listed = _table(keys, rows, words=True)
-        parts.append(_folded(f"{each.name}, events: {len(each.events)}", listed))
-    return parts
+        if len(shown) < len(events):
+            yield _paragraph(f"{run.name}: the last {len(shown)} of {len(events)}.")
+        yield _folded(f"{run.name}, events: {len(events)}", keys, rows)
 
 
 def _short(value: Any) -> str:
@@ -393,18 +317,18 @@ def _short(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
-def _origin(seen: ReportData) -> list[str]:
+def _origin(runs: Sequence[StoredRun]) -> Iterator[str]:
     """Settings, by what and when each run was made, and the digests of its files."""
-    names = [each.name for each in seen.runs]
-    settings = _side_by_side([flat(each.record.recipe) for each in seen.runs])
+    names = [run.name for run in runs]
+    settings = _side_by_side([flat(run.record.recipe) for run in runs])
     apart = [row for row in settings if len(set(row[1:])) > 1]
-    parts = [_table(["", *names], _side_by_side([*map(_provenance, seen.runs)]), words=True)]
-    if len(names) > 1:
-        same = _paragraph("All entries of the recipe are the same in all runs.")
-        parts.append(_table(["entry that differs", *names], apart, words=True) if apart else same)
+    yield _table(["", *names], _side_by_side([*map(_provenance, runs)]), words=True)
+    if apart:
+        yield _table(["entry that differs", *names], apart, words=True)
+    elif len(names) > 1:
+        yield _paragraph("All entries of the recipe are the same in all runs.")
     whole = [row if row in apart else row[:2] for row in settings]
-    summary = f"The whole recipe: {len(settings)} entries"
-    return [*parts, _folded(summary, _table(["entry", "value"], whole, words=True))]
+    yield _folded(f"The whole recipe: {len(settings)} entries", ["entry", "value"], whole)
 
 
 def _side_by_side(columns: Sequence[Mapping[str, Any]]) -> list[list[str]]:
@@ -412,7 +336,7 @@ def _side_by_side(columns: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     return [[key, *(_short(column.get(key, "–")) for column in columns)] for key in keys]
 
 
-def _provenance(run: RunData) -> dict[str, Any]:
+def _provenance(run: StoredRun) -> dict[str, Any]:
     record, problem = run.record, run.record.problem
     return {
         "status": record.status,
@@ -458,37 +382,20 @@ _WIDTH = 4.4
 """Of a picture of the tissue, inches."""
 
 
-def motion_section(runs: tuple[RunData, ...]) -> tuple[list[str], list[dict[str, Any]]]:
-    """Parts of the section, and what the script needs of each run."""
-    shown = [each for each in runs if each.fields is not None]
-    parts = [
-        _missing(f"{each.name}: no fields in its folder, so its motion is not shown.")
-        for each in runs
-        if each.fields is None
+def motion_section(shown: Sequence[RunFields]) -> tuple[list[str], list[dict[str, Any]]]:
+    """Pictures for paper and without the script, and what the script needs of each run."""
+    known = [(run, fields) for run, fields in shown if fields is not None]
+    data = [_arrays(run, fields, _BUDGET // len(known)) for run, fields in known]
+    lacking = [
+        _missing(f"{run.name}: no fields in its folder, so its motion is not shown.")
+        for run, fields in shown
+        if fields is None
     ]
-    data = [_arrays(each, _BUDGET // len(shown)) for each in shown]
-    if data:
-        parts.insert(0, _PLAYER)
-    stills = [_still(each, arrays["factor"]) for each, arrays in zip(shown, data, strict=True)]
-    return [*parts, f'<div class="still">{_grid(stills)}</div>'], data
-
-
-_PLAYER = (
-    '<div class="player" id="player" hidden><div class="bar">'
-    '<label>Run <select id="which"></select></label>'
-    '<label>Colour <select id="colour"></select></label>'
-    '<label>Displacement <select id="factor"></select></label></div>'
-    '<canvas id="canvas" tabindex="0" role="img" aria-describedby="keys"></canvas>'
-    '<div class="scale"><span id="low"></span><canvas id="ramp" aria-hidden="true"></canvas>'
-    '<span id="high"></span></div><ul class="legend" id="sources" hidden></ul>'
-    '<div class="bar"><button type="button" id="play" aria-pressed="false">Play</button>'
-    '<input type="range" id="frame" min="0" value="0" aria-label="Time">'
-    '<output id="clock" for="frame"></output></div>'
-    '<p class="keys" id="keys">Keys on the picture: space plays and pauses, ← and → step, Home and '
-    "End go to the first and last time. Rigid bodies are grey; their motion has the same factor, "
-    "so above × 1 one that stood apart seems to enter the tissue."
-    "</p></div>"
-)
+    stills = [
+        _still(run, fields, arrays["factor"])
+        for (run, fields), arrays in zip(known, data, strict=True)
+    ]
+    return [*lacking, f'<div class="still">{_grid(stills)}</div>'], data
 
 
 def _quantities(fields: StoredFields) -> dict[str, tuple[str, Array]]:
@@ -505,30 +412,30 @@ def _quantities(fields: StoredFields) -> dict[str, tuple[str, Array]]:
     return found
 
 
-def _arrays(run: RunData, budget: int) -> dict[str, Any]:
+def _arrays(run: StoredRun, fields: StoredFields, budget: int) -> dict[str, Any]:
     """A run for the script, as many times as the budget has room for, as bytes in base64:
     displacements are 16-bit fractions of the largest component, values 8-bit levels."""
-    fields = run.fields
-    assert fields is not None
     quantities = _quantities(fields)
     each = 4 * len(fields.points) + len(quantities) * len(fields.cells)
     kept = max(2, min(len(fields.t), budget // max(each, 1)))
     at = np.unique(np.linspace(0, len(fields.t) - 1, kept).round().astype(int))
     u = fields.displacement[at]
     largest = float(abs(u).max()) or 1.0
-    order, bodies = rim(fields), bodies_of(run)
-    factor = 1 if bodies else _factor(fields)  # multiplied, a gap closes before it should
-    (x0, y0), (x1, y1) = box(fields.points + factor * u, bodies)
+    order, bodies, factor = rim(fields), bodies_of(run, fields), 1
+    if not bodies:  # multiplied, a gap to a body closes before it should
+        size = float(np.ptp(fields.points, axis=0).max())
+        farthest = float(np.linalg.norm(fields.displacement, axis=2).max()) or size
+        factor = max((f for f in _FACTORS if f * farthest <= 1.5 * _SHOWN * size), default=1)
+    low, high = box(fields.points + factor * u, bodies)
     return {
         "name": run.name,
-        "clock": "load factor" if "rest" in run.record.recipe else "µs",
         "t": fields.t[at].tolist(),
         "corners": len(order),
-        "cells": _base64(fields.cells[:, order].astype("<u4")),
-        "points": _base64(fields.points.astype("<f4")),
-        "motion": _base64(np.rint(32767.0 * u / largest).astype("<i2")),
+        "cells": _base64(fields.cells[:, order].astype("<u4").tobytes()),
+        "points": _base64(fields.points.astype("<f4").tobytes()),
+        "motion": _base64(np.rint(32767.0 * u / largest).astype("<i2").tobytes()),
         "largest": largest,
-        "box": [float(value) for value in (x0, y0, x1, y1)],
+        "box": [*low.tolist(), *high.tolist()],
         "factor": factor,
         "factors": list(_FACTORS),
         "bodies": [
@@ -536,7 +443,6 @@ def _arrays(run: RunData, budget: int) -> dict[str, Any]:
             for each in bodies
         ],
         "levels": LEVELS,
-        "unknown": UNKNOWN,
         "colours": [_colour(name, unit, values[at]) for name, (unit, values) in quantities.items()],
     }
 
@@ -546,61 +452,54 @@ def _colour(name: str, unit: str, values: Array) -> dict[str, Any]:
         codes = np.nan_to_num(values, nan=UNKNOWN).astype(np.int16).astype(np.uint8)
         shown = {int(code) % 256: list(each) for code, each in SOURCES.items()}  # one byte each
         words = {code: shown[code] for code in shown if (codes == code).any()}
-        return {"name": name, "sources": words, "data": _base64(codes)}
+        return {"name": name, "sources": words, "data": _base64(codes.tobytes())}
     colours = Colours.of(unit, values)
     low, high = colours.low, colours.high
     fraction = np.clip((np.nan_to_num(values, nan=low) - low) / (high - low), 0.0, 1.0)
     stored = np.rint(LEVELS * fraction).astype(np.uint8)
     stored[~np.isfinite(values)] = UNKNOWN
     ends = [f"{low:.4g}", f"{high:.4g} {unit}"]
-    return {"name": name, "ends": ends, "stops": STOPS, "data": _base64(stored)}
+    return {"name": name, "ends": ends, "stops": STOPS, "data": _base64(stored.tobytes())}
 
 
-def _factor(fields: StoredFields) -> int:
-    """By what displacements are multiplied, so that they are seen."""
-    size = float(np.ptp(fields.points, axis=0).max())
-    largest = float(np.linalg.norm(fields.displacement, axis=2).max()) or size
-    return max((f for f in _FACTORS if f * largest <= 1.5 * _SHOWN * size), default=1)
-
-
-def _base64(values: NDArray[Any]) -> str:
-    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
-
-
-def bodies_of(run: RunData) -> list[DrawnBody]:
-    """The bodies of a run with fields."""
-    if run.fields is None:
-        return []
+def bodies_of(run: StoredRun, fields: StoredFields) -> list[DrawnBody]:
+    """The rigid bodies of a run at the times of its fields."""
     stated = run.record.recipe.get("bodies", {})
     bodies = [RigidBody.read(f"bodies.{name}", table) for name, table in stated.items()]
-    return drawn_bodies(bodies, run.curve.t, run.history, run.fields)
+    return drawn_bodies(bodies, run.curve.t, run.history, fields)
 
 
-def _still(run: RunData, factor: int) -> str:
+def _still(run: StoredRun, fields: StoredFields, factor: int) -> str:
     """The tissue where it has moved farthest, by stress, for paper and without the script."""
-    fields = run.fields
-    assert fields is not None
     k = int(np.linalg.norm(fields.displacement, axis=2).max(axis=1).argmax())
     quantities = _quantities(fields)
     what = "von Mises stress" if "von Mises stress" in quantities else "displacement"
     unit, values = quantities[what]
-    picture = tissue_image(run, k, values[k], Colours.of(f"{what} ({unit})", values[k]), factor)
-    clock = "load factor {:.4g}" if "rest" in run.record.recipe else "t = {:.4g} µs"
-    caption = f"{run.name} where it has moved farthest, {clock.format(fields.t[k])}"
-    return _figure(picture, f"{caption}; displacement × {factor}" if factor > 1 else caption)
+    caption = f"{run.name} where it has moved farthest, t = {fields.t[k]:.4g} µs"
+    if factor > 1:
+        caption += f"; displacement × {factor}"
+    colours = Colours.of(f"{what} ({unit})", values[k])
+    return _tissue(run, fields, k, values[k], colours, caption, factor)
 
 
-def tissue_image(run: RunData, k: int, values: Array, colours: Colours, factor: float = 1.0) -> str:
+def _tissue(
+    run: StoredRun,
+    fields: StoredFields,
+    k: int,
+    values: Array,
+    colours: Colours,
+    caption: str,
+    factor: float = 1.0,
+) -> str:
     """The tissue of a run at time k coloured by the values of its elements, with a colour bar."""
-    fields, bodies = run.fields, bodies_of(run)
-    assert fields is not None
+    bodies = bodies_of(run, fields)
     low, high = box(fields.points + factor * fields.displacement[k], bodies)
     height = float(np.clip((high - low)[1] / ((high - low)[0] or 1.0), 0.3, 1.5)) * (_WIDTH - 1.0)
     shown = Figure(figsize=(_WIDTH, height + 0.4), layout="constrained")
     axes = shown.subplots()
     drawn = draw_tissue(axes, fields, k, values, colours, factor=factor, bodies=bodies)
     colours.bar(axes, drawn)
-    return _image(encoded(shown, "png"), f"the tissue of {run.name} by {colours.label}", "png")
+    return _figure(encoded(shown, "png"), f"the tissue of {run.name} by {colours.label}", caption)
 
 
 # Elements of a page.
@@ -616,25 +515,22 @@ def _missing(text: str) -> str:
     return _paragraph(text, "missing")
 
 
-def _image(picture: bytes, words: str, form: str = "svg+xml") -> str:
-    """A picture, SVG or "png"; its words for those who do not see it."""
-    alternative = re.sub(
+def _figure(picture: bytes, words: str, caption: str, form: str = "png") -> str:
+    """A picture, "png" or "svg+xml", with its caption; words for those who do not see it."""
+    words = re.sub(
         r"\$([^$]*)\$", lambda symbol: symbol[1].replace("_", ""), " ".join(words.split())
     )
-    source = f"data:image/{form};base64,{base64.b64encode(picture).decode()}"
-    return f'<img class="chart" alt="{escape(alternative, quote=True)}" src="{source}">'
+    source = f"data:image/{form};base64,{_base64(picture)}"
+    image = f'<img class="chart" alt="{escape(words)}" src="{source}">'
+    return f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>"
 
 
-def _chart(panel: Panel) -> str:
+def _chart(panel: Panel, caption: str) -> str:
     """The curves of a panel with its axes and legend."""
     named = ", ".join(dict.fromkeys(curve.label for curve in panel.curves if curve.label))
     what = f"{panel.title or panel.y_label} over {panel.x_label}"
-    return _image(encoded(draw_panels([panel])), f"{what}: {named}" if named else what)
-
-
-def _figure(content: str, caption: str) -> str:
-    """A picture with its caption."""
-    return f"<figure>{content}<figcaption>{escape(caption)}</figcaption></figure>"
+    words = f"{what}: {named}" if named else what
+    return _figure(encoded(draw_panels([panel])), words, caption, "svg+xml")
 
 
 def _grid(figures: Sequence[str]) -> str:
@@ -642,17 +538,18 @@ def _grid(figures: Sequence[str]) -> str:
     return f'<div class="grid">{"".join(figures)}</div>' if figures else ""
 
 
-def _folded(summary: str, content: str) -> str:
-    """What is shown when asked for."""
-    return f"<details><summary>{escape(summary)}</summary>{content}</details>"
+def _folded(summary: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table of words that is shown when asked for."""
+    table = _table(headings, rows, words=True)
+    return f"<details><summary>{escape(summary)}</summary>{table}</details>"
 
 
-def _table(headings: Sequence[str], rows: Sequence[Sequence[Any]], *, words: bool = False) -> str:
+def _table(headings: Sequence[str], rows: Sequence[Sequence[str]], *, words: bool = False) -> str:
     """A table that scrolls by itself where it is wider than the page; words: of text, wrapped."""
-    head = "".join(f'<th scope="col">{escape(str(each))}</th>' for each in headings)
+    head = "".join(f'<th scope="col">{escape(each)}</th>' for each in headings)
     body = "".join(
-        f'<tr><th scope="row">{escape(str(name))}</th>'
-        + "".join(f"<td>{escape(str(value))}</td>" for value in values)
+        f'<tr><th scope="row">{escape(name)}</th>'
+        + "".join(f"<td>{escape(value)}</td>" for value in values)
         + "</tr>"
         for name, *values in rows
     )
@@ -661,8 +558,3 @@ def _table(headings: Sequence[str], rows: Sequence[Sequence[Any]], *, words: boo
         f'<div class="{kind}" tabindex="0"><table><thead><tr>'
         f"{head}</tr></thead><tbody>{body}</tbody></table></div>"
     )
-
-
-def _table_of(quantities: Table[Any]) -> str:
-    """What people are shown of a table."""
-    return _table(*quantities.for_people())

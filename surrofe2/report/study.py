@@ -77,14 +77,6 @@ class Study:
         )
         return to_csv(("panel", "x is", "y is", "curve", "x", "y"), rows)
 
-    def to_record(self) -> dict[str, Any]:
-        """The numbers with their units."""
-        return {
-            "title": " ".join(self.title.split()),
-            "units": {"length": "µm", "time": "µs", "mass": "ng", **self.table.units},
-            "results": {**self.results, "rows": self.table.to_records()},
-        }
-
 
 def keep_study(
     out: Path,
@@ -115,7 +107,13 @@ def keep_study(
         title = f"{study.title}, {of}"
         figure = study.drawing or draw_panels(study.panels, study.columns, title=title)
         write_bytes(png, encoded(figure, "png"))
-        return {"study": stem, **study.to_record(), "fingerprint": of.cell.fingerprint}
+        return {
+            "study": stem,
+            "title": " ".join(study.title.split()),
+            "units": {"length": "µm", "time": "µs", "mass": "ng", **study.table.units},
+            "results": {**study.results, "rows": study.table.to_records()},
+            "fingerprint": of.cell.fingerprint,
+        }
 
     keep(json, known, compute, fresh=fresh)
     return next(iter(studies), None), paths

@@ -17,7 +17,6 @@ Row = TypeVar("Row")
 NONE = "–"
 _ROUNDED, _PLAIN = re.compile(r"\.(\d)g"), (1e-4, 1e7)
 """Formats of so many significant digits, and sizes that are written without an exponent."""
-_LEAST_SHARE = 1e-7, "0.00001"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +65,11 @@ class Quantity(Generic[Row]):
 
 @dataclass(frozen=True, slots=True)
 class Table(Generic[Row]):
-    """Rows and the quantities that are read off each."""
+    """Rows and the quantities that are read off each, so many `names` of the row first."""
 
     quantities: Sequence[Quantity[Row]]
     rows: Sequence[Row]
+    names: int = 1
 
     def for_people(self) -> tuple[list[str], list[list[str]]]:
         """(headings, texts row by row) of the columns that are shown and have any value."""
@@ -110,7 +110,8 @@ def to_csv(headings: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(headings)
-    writer.writerows([_field(value) for value in row] for row in rows)
+    for row in rows:
+        writer.writerow(["" if is_missing(v) or v in (np.inf, -np.inf) else v for v in row])
     return text.getvalue()
 
 
@@ -123,15 +124,8 @@ def percent(digits: int) -> Callable[[float], str]:
     """A format of fractions: percent(2)(0.123) is "12 %"; rounding errors are "0 %"."""
 
     def text(fraction: float) -> str:
-        least, words = _LEAST_SHARE
-        if 1e-12 < abs(fraction) < least:
-            return f"< {words} %"
+        if 1e-12 < abs(fraction) < 1e-7:
+            return "< 0.00001 %"
         return f"{number(100.0 * fraction if abs(fraction) > 1e-12 else 0.0, digits)} %"
 
     return text
-
-
-def _field(value: Any) -> str:
-    if isinstance(value, float | np.floating):
-        return repr(float(value)) if np.isfinite(value) else ""
-    return "" if value is None else str(value)

@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.errors import InputError
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -78,11 +76,6 @@ class Curve:
     markers: bool = True
     colour: int | None = None
     dash: str = ""
-
-    def __post_init__(self) -> None:
-        if np.shape(self.x) != np.shape(self.y) or np.ndim(self.x) != 1:
-            shapes = f"x {np.shape(self.x)} and y {np.shape(self.y)}"
-            raise InputError(f"curve {self.name}: {shapes}; both must be (m,)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,11 +155,15 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
 
     others = 0
     for curve in panel.curves:
-        style = _STYLES.get(curve.name)
-        if style is None:
-            style = _other_style(others if curve.colour is None else curve.colour, curve.markers)
+        style: dict[str, Any] = {"linewidth": 1.3, "markersize": 4.5, "fillstyle": "none"}
+        if curve.name in _STYLES:
+            style |= _STYLES[curve.name]
+        else:
+            k = others if curve.colour is None else curve.colour
             others += 1
-        style = {"linewidth": 1.3, "markersize": 4.5, "fillstyle": "none", **style}
+            marker, dash = _TURNS[k // len(PALETTE) % len(_TURNS)]
+            dash = dash if curve.markers else _DASHES[k % len(_DASHES)]
+            style |= {"color": PALETTE[k % len(PALETTE)], "marker": marker, "linestyle": dash}
         if not curve.markers:
             style.pop("marker", None)
         if curve.dash:
@@ -192,14 +189,6 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
         axes.axhline(0.0, color="black", linewidth=0.8)
     axes.grid(alpha=0.25)
     axes.margins(x=0.03)
-
-
-def _other_style(k: int, markers: bool) -> dict[str, str]:
-    colour = PALETTE[k % len(PALETTE)]
-    if not markers:
-        return {"color": colour, "linestyle": _DASHES[k % len(_DASHES)]}
-    marker, dash = _TURNS[k // len(PALETTE) % len(_TURNS)]
-    return {"color": colour, "marker": marker, "linestyle": dash}
 
 
 def _draw_legends(figure: Figure, width: float, columns: int) -> float:

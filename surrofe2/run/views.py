@@ -72,19 +72,17 @@ class ViewedRun(Viewed):
 
     def series(self) -> dict[str, Series]:
         """All quantities over the output times, by name."""
-        found = {
+        series = {
             f"u_{axis} {name}": Series(values, LENGTH, "displacement")
             for name, curve in self.curves.items()
             for axis, values in zip("xy", curve.displacement.T, strict=True)
         }
         for name, values in self.history.items():
-            is_force = name.startswith("force")
-            unit, group = (FORCE, "force") if is_force else (LENGTH, "place")
-            found[name] = Series(values, unit, group)
-        return found | {
-            f"energy {name}": Series(values, ENERGY, "energy")
-            for name, values in self.energies.items()
-        }
+            what = (FORCE, "force") if name.startswith("force") else (LENGTH, "place")
+            series[name] = Series(values, *what)
+        for name, values in self.energies.items():
+            series[f"energy {name}"] = Series(values, ENERGY, "energy")
+        return series
 
     def plot(self) -> Any:
         """Displacements, forces and energies over time, by matplotlib.
@@ -94,26 +92,20 @@ class ViewedRun(Viewed):
         """
         import matplotlib.pyplot as plt
 
-        panels = self.panels()
-        return np.array(draw_panels(panels, figure=plt.figure()).axes)
+        return np.array(draw_panels(self.panels(), figure=plt.figure()).axes)
 
     def panels(self) -> list[Panel]:
         """Displacements, forces and energies over time, where there are any."""
-        found = []
-        for group in ("displacement", "force", "energy"):
-            curves = {
-                name.removeprefix(f"{group} "): each
+        panels = []
+        for group, unit in (("displacement", LENGTH), ("force", FORCE), ("energy", ENERGY)):
+            curves = tuple(
+                Curve("", self.curve.t, each.values, name.removeprefix(f"{group} "), markers=False)
                 for name, each in self.series().items()
                 if each.group == group
-            }
+            )
             if curves:
-                lines = (
-                    Curve("", self.curve.t, each.values, name, markers=False)
-                    for name, each in curves.items()
-                )
-                unit = next(iter(curves.values())).unit
-                found.append(Panel("time (µs)", f"{group} ({unit})", tuple(lines), height=0.8))
-        return found
+                panels.append(Panel("time (µs)", f"{group} ({unit})", curves, height=0.8))
+        return panels
 
     def to_pandas(self) -> Any:
         """A `pandas.DataFrame` over t in µs of displacements, forces and energies.
@@ -123,10 +115,10 @@ class ViewedRun(Viewed):
         Raises:
             InputError: pandas is not installed.
         """
-        pandas, found = _library("pandas", "to_pandas"), self.series()
-        columns = {name: each.values for name, each in found.items()}
+        pandas, series = _library("pandas", "to_pandas"), self.series()
+        columns = {name: each.values for name, each in series.items()}
         frame = pandas.DataFrame(columns, index=pandas.Index(self.curve.t, name="t_us"))
-        frame.attrs["units"] = {"t_us": "µs", **{name: each.unit for name, each in found.items()}}
+        frame.attrs["units"] = {"t_us": "µs", **{name: each.unit for name, each in series.items()}}
         return frame
 
     def to_xarray(self) -> Any:
@@ -147,7 +139,11 @@ class ViewedRun(Viewed):
     def _repr_html_(self) -> str:
         # a dataclass with slots is a second class, which super() without arguments does not know
         facts = super(ViewedRun, self)._repr_html_().removesuffix("</div>")
-        return f"{facts}{_picture(self)}</div>"
+        if self.curve.t.size < 2:
+            return f"{facts}</div>"
+        source = b64encode(encoded(draw_panels(self.panels()[:1]))).decode()
+        image = f'<img alt="displacement over time" src="data:image/svg+xml;base64,{source}"/>'
+        return f"{facts}{image}</div>"
 
 
 def course(curve: DisplacementCurve, wall: Mapping[str, float], counts: Mapping[str, int]) -> Facts:
@@ -158,14 +154,6 @@ def course(curve: DisplacementCurve, wall: Mapping[str, float], counts: Mapping[
         "wall time": f"{wall.get('total', 0.0):.3g} s",
         "largest displacement": f"{largest:.4g} µm",
     }
-
-
-def _picture(run: ViewedRun) -> str:
-    """The displacements over time."""
-    if run.curve.t.size < 2:
-        return ""
-    source = b64encode(encoded(draw_panels(run.panels()[:1]))).decode()
-    return f'<img alt="displacement over time" src="data:image/svg+xml;base64,{source}"/>'
 
 
 def _library(name: str, method: str) -> Any:

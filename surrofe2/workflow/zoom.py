@@ -97,14 +97,15 @@ def write_zoom(found: Zoom, out: str | Path, report: Report = no_report) -> None
     from surrofe2.report.figures import cell_figure  # here, since runs need no matplotlib
 
     out = Path(out)
-    clock = "load factor {:.4g}" if found.is_rest else "t = {:.4g} µs"
     x, y = found.point
     of = found.cell and f" “{found.cell}”"
     title = f"Plant cells{of} at ({x:.4g}, {y:.4g}) µm, element {found.element}"
     columns = {"factor" if found.is_rest else "t_us": found.t, **found.seen.extremes()}
     with locked_folder(out):
         report(0.1, "picture")
-        figure = cell_figure(title, found.seen, found.motion, found.element, found.point, clock)
+        figure = cell_figure(
+            title, found.seen, found.motion, found.element, found.point, found.is_rest
+        )
         write_bytes(out / "zoom.png", encoded(figure, "png"))
         report(0.5, "tables and fields")
         write_columns(out / "zoom.csv", columns)

@@ -1,4 +1,4 @@
-"""Differences and speed-ups against figures worked out by hand."""
+"""Differences and speed-ups against figures worked out by hand, and their picture."""
 
 from __future__ import annotations
 
@@ -10,10 +10,17 @@ import numpy as np
 import pytest
 
 from surrofe2.base.errors import InputError
-from surrofe2.report.comparison import compare
+from surrofe2.cache.audit import ErrorRecord
+from surrofe2.report.comparison import (
+    audit_curves,
+    compare,
+    comparison_title,
+    displacement_panels,
+)
 from surrofe2.run.displacement_curve import DisplacementCurve
-from surrofe2.store.run_folder import StoredRun
+from surrofe2.store.run_folder import StoredRun, read_run
 from surrofe2.store.store import plain
+from tests.report.made_runs import made_runs
 from tests.run_records import finished_record
 
 
@@ -31,17 +38,17 @@ def make_run(recipe):
     return make
 
 
-def test_difference_and_speed_up(make_run):
+def test_difference_and_speed_up_against_the_run_by_rves_wherever_it_stands(make_run):
     # The reference moves by 8 µm at most; the other one is 0.04 µm off throughout.
-    result = compare(
-        [make_run("rve", "rve", 0.0, 30.0, 1000), make_run("cached", "cached", 0.04, 2.0, 10, 50)]
-    )
-    (run,) = result.runs
-    assert (result.reference, run.name) == ("rve", "cached")
-    assert run.difference.largest == pytest.approx(0.005)
-    assert run.difference.rms == pytest.approx(0.005)
-    assert run.speed_up["wall_time"] == pytest.approx(15.0)
-    assert run.speed_up["rve_solves"] == pytest.approx(100.0)
+    runs = make_run("rve", "rve", 0.0, 30.0, 1000), make_run("cached", "cached", 0.04, 2.0, 10, 50)
+    for order in (runs, runs[::-1]):
+        result = compare(order)
+        (run,) = result.runs
+        assert (result.reference, run.name) == ("rve", "cached")
+        assert run.difference.largest == pytest.approx(0.005)
+        assert run.difference.rms == pytest.approx(0.005)
+        assert run.speed_up["wall_time"] == pytest.approx(15.0)
+        assert run.speed_up["rve_solves"] == pytest.approx(100.0)
 
 
 def test_the_largest_are_compared_whenever_they_are_reached(make_run):
@@ -66,14 +73,6 @@ def test_the_largest_are_compared_whenever_they_are_reached(make_run):
     assert (idle["force"], idle["largest"], idle["of_largest"]) == ("idle", 0.0, None)
 
 
-def test_reference_is_the_run_by_rves_wherever_it_stands(make_run):
-    result = compare(
-        [make_run("cached", "cached", 0.04, 2.0, 10), make_run("rve", "rve", 0.0, 30.0, 1000)]
-    )
-    assert result.reference == "rve"
-    assert result.runs[0].speed_up["wall_time"] == pytest.approx(15.0)
-
-
 def test_a_run_without_rve_solves_has_no_ratio(make_run):
     result = compare(
         [make_run("rve", "rve", 0.0, 30.0, 1000), make_run("s", "surrogate", 0.0, 2.0, 0)]
@@ -85,6 +84,34 @@ def test_a_run_without_rve_solves_has_no_ratio(make_run):
 
 
 def test_one_run_is_too_few(make_run):
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=r"^compare: 1 run folder; give at least two$"):
         compare([make_run("a", "rve", 0.0, 1.0, 1)])
-    assert str(caught.value) == "compare: 1 run folder; give at least two"
+
+
+def test_each_audited_error_is_counted_once():
+    errors = 10.0 ** np.random.default_rng(1).uniform(-6.0, 0.0, 1000)
+    record = ErrorRecord(0.1)
+    record.add(errors)
+    curve, tolerance = audit_curves(record.to_dict(), 0, "cached")
+    below = 100.0 * (errors <= curve.x[:, None]).mean(axis=1)
+    np.testing.assert_allclose(curve.y, below, atol=1e-9)
+    assert (tolerance.x == 0.1).all()
+
+
+def test_curves_that_coincide_are_one_line_with_both_names(recipe, tmp_path):
+    runs = [read_run(folder) for folder in made_runs(recipe, tmp_path)]  # 0.1 % apart
+    (panel,) = displacement_panels(runs)
+    assert [curve.label for curve in panel.curves] == ["rve, cached (at most 0.1 % apart)"]
+    runs[1].curve.displacement[:] *= 1.1
+    (panel,) = displacement_panels(runs)
+    assert [curve.label for curve in panel.curves] == ["rve", "cached"]
+
+
+def test_a_title_has_words_and_numbers_for_people(make_run):
+    run = make_run("rve", "rve", 0.0, 1.0, 1)
+    cell = {**run.record.recipe["cell"], "wall_stiffness": 5000.0}
+    record = replace(run.record, recipe={**run.record.recipe, "cell": cell})
+    title = comparison_title([replace(run, record=record)])
+    assert title.endswith("cell by preset “printed” with wall stiffness 5,000, constrained runs"), (
+        title
+    )

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from surrofe2.report.comparison import Balance, compare_runs
+from surrofe2.report.comparison import Balance, compare_runs, made_for
 from surrofe2.store.hdf5 import read_seconds
 from surrofe2.store.run_folder import read_run
 from surrofe2.store.surrogates import content_fingerprint, read_surrogate, write_surrogate
@@ -64,6 +64,8 @@ def test_a_surrogate_knows_what_it_took_and_a_comparison_counts_it(learnt, tmp_p
     true = read_run(tmp_path / "rve").record.wall_time["total"]
     assert cached.balance == Balance(made=made, run=record.wall_time["total"], true=true)
     assert cached.balance.gain == pytest.approx(true / (made + cached.wall_time))
+    assert made_for(record) == made
+    assert made_for(replace(record, surrogate={**record.surrogate, "seconds": {}})) is None
 
 
 def test_the_fingerprint_of_a_surrogate_is_not_of_its_seconds(learnt, tmp_path):
@@ -75,8 +77,3 @@ def test_the_fingerprint_of_a_surrogate_is_not_of_its_seconds(learnt, tmp_path):
     assert re.fullmatch("[0-9a-f]{16}", wanted)
     write_surrogate(replace(surrogate, initialisation="elastic"), other)
     assert content_fingerprint(other) != wanted
-    write_surrogate(replace(surrogate, seconds={}), other)
-    run_study(learnt, "cached", tmp_path / "unknown", surrogates={"": other})
-    run_study(learnt, "rve", tmp_path / "rve")
-    compared = compare_runs([tmp_path / "rve", tmp_path / "unknown"], tmp_path / "compared")
-    assert compared.runs[0].balance.gain is None

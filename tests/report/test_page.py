@@ -17,22 +17,24 @@ from surrofe2 import Fixed, Problem, Ramp, RigidBody, rectangle, save_run, simul
 from surrofe2.base.errors import InputError
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane
 from surrofe2.report.figures import outline
-from surrofe2.report.page import bodies_of, load_runs, motion_section, write_report
-from surrofe2.store.run_folder import read_record, write_record
+from surrofe2.report.page import bodies_of, fields_of, motion_section, write_report
+from surrofe2.store.run_folder import read_record, read_run, write_record
 from tests.laws import KelvinVoigt
 from tests.report.made_runs import EVIL, RISK, made_runs
 
 VOID = {"meta", "input", "img", "br"}
 
 
-class Whole(HTMLParser):
-    """Checks that all elements end, and collects words, attributes and scripts."""
+class Page(HTMLParser):
+    """A page of runs: that all its elements end, its words, attributes and scripts."""
 
-    def __init__(self, text):
+    def __init__(self, runs, path):
         super().__init__()
-        self.open, self.words, self.attributes, self.scripts = [], [], [], []
-        self.feed(text)
+        self.text = write_report(runs, path).read_text(encoding="utf-8")
+        self.open, self.words, self.attributes, self.scripts = [], "", [], []
+        self.feed(self.text)
         assert not self.open
+        self.words = " ".join(self.words.split())
 
     def handle_starttag(self, tag, attributes):
         self.attributes += [(tag, *each) for each in attributes]
@@ -41,9 +43,6 @@ class Whole(HTMLParser):
             if tag == "script":
                 self.scripts.append([dict(attributes), ""])
 
-    def handle_startendtag(self, tag, attributes):
-        self.attributes += [(tag, *each) for each in attributes]
-
     def handle_endtag(self, tag):
         assert self.open.pop() == tag
 
@@ -51,7 +50,7 @@ class Whole(HTMLParser):
         if self.open[-1:] == ["script"]:
             self.scripts[-1][1] += data
         elif self.open[-1:] != ["style"]:
-            self.words.append(data)
+            self.words += f" {data}"
 
 
 @pytest.fixture
@@ -61,12 +60,10 @@ def runs(recipe, tmp_path):
 
 @pytest.fixture
 def page(runs, tmp_path):
-    text = write_report(runs, tmp_path / "report.html").read_text(encoding="utf-8")
-    return text, Whole(text)
+    return Page(runs, tmp_path / "report.html")
 
 
 def test_what_ran_stands_in_the_page(page):
-    words = " ".join(" ".join(page[1].words).split())
     for sentence in (
         "cached differs from rve by at most 0.1 % of the largest displacement and is 6 times",
         "including data and training (20 s), 6.8 times slower than full FE²",
@@ -81,32 +78,31 @@ def test_what_ran_stands_in_the_page(page):
         "Range that was met",
         "No look into the plant cells",
     ):
-        assert sentence in words
-    assert EVIL in words
-    assert len(page[0]) < 3e6
+        assert sentence in page.words
+    assert EVIL in page.words
+    assert len(page.text) < 3e6
 
 
 def test_the_policy_allows_what_is_in_the_page_and_nothing_else(page):
-    text, whole = page
-    (policy,) = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]+)"', text)
+    (policy,) = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]+)"', page.text)
     assert policy.startswith("default-src 'none'; img-src data:; ")
-    (style,) = re.findall(r"<style>(.*?)</style>", text, re.S)
-    data, script = whole.scripts
+    (style,) = re.findall(r"<style>(.*?)</style>", page.text, re.S)
+    data, script = page.scripts
     assert data[0]["type"] == "application/json"
     for content, rule in ((style, "style-src"), (script[1], "script-src")):
         digest = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
         assert f"{rule} 'sha256-{digest}'" in policy
-    names = {name for _, name, _ in whole.attributes}
+    names = {name for _, name, _ in page.attributes}
     assert "style" not in names
     assert not any(name.startswith("on") for name in names)
-    links = [v for _, name, v in whole.attributes if name in ("src", "href")]
+    links = [v for _, name, v in page.attributes if name in ("src", "href")]
     assert links
     assert all(link.startswith(("#", "data:")) for link in links)
 
 
 def test_the_script_is_given_the_motion_and_the_sources(page, runs):
-    data = json.loads(page[1].scripts[0][1])["runs"]
-    fields = [each.fields for each in load_runs(runs).runs]
+    data = json.loads(page.scripts[0][1])["runs"]
+    fields = [fields_of(read_run(folder)) for folder in runs]
     assert [each["name"] for each in data] == ["rve", "cached"]
     for found, known in zip(data, fields, strict=True):
         motion = np.frombuffer(base64.b64decode(found["motion"]), "<i2")
@@ -156,13 +152,14 @@ def test_bodies_are_where_they_touch_the_tissue(tmp_path):
         watched={"middle": (50.0, 50.0)},
     )
     save_run(simulate(problem, KelvinVoigt()), tmp_path / "run")
-    (run,) = load_runs([tmp_path / "run"]).runs
-    (body,) = bodies_of(run)
-    last = run.fields.points + run.fields.displacement[-1]
+    run = read_run(tmp_path / "run")
+    fields = fields_of(run)
+    (body,) = bodies_of(run, fields)
+    last = fields.points + fields.displacement[-1]
     assert body.outline[:2, 1] == pytest.approx([101.0, 101.0])
     assert body.at(-1, 1.0)[:2, 1] == pytest.approx([95.0, 95.0])
     assert last[:, 1].max() == pytest.approx(95.0, abs=0.1)
-    parts, (data,) = motion_section((run,))
+    parts, (data,) = motion_section([(run, fields)])
     assert "".join(parts).count("<img") == 1
     np.testing.assert_allclose(data["bodies"][0]["moved"], body.moved, atol=1e-3)
 
@@ -173,8 +170,7 @@ def test_a_bare_run_is_shown_with_sentences_for_what_it_lacks(runs, tmp_path):
         (true / name).unlink()
     failed = replace(read_record(true), status="failed", error="it broke at t = 1 µs")
     write_record(true, failed)
-    text = write_report([true], tmp_path / "one.html").read_text(encoding="utf-8")
-    words = " ".join(Whole(text).words)
+    page = Page([true], tmp_path / "one.html")
     for sentence in (
         "rve: failed; it broke at t = 1 µs",
         "rve: no fields in its folder",
@@ -182,7 +178,7 @@ def test_a_bare_run_is_shown_with_sentences_for_what_it_lacks(runs, tmp_path):
         "One run, so there is nothing to compare it with",
         "no log of events",
     ):
-        assert sentence in words
+        assert sentence in page.words
 
 
 def test_runs_of_other_loads_are_shown_but_not_compared(runs, tmp_path):
@@ -190,10 +186,9 @@ def test_runs_of_other_loads_are_shown_but_not_compared(runs, tmp_path):
     load = deepcopy(record.recipe["conditions"])
     load["load"]["acceleration"] = [0.0, -0.4]
     write_record(runs[1], replace(record, recipe={**record.recipe, "conditions": load}))
-    text = write_report(runs, tmp_path / "two.html").read_text(encoding="utf-8")
-    words = " ".join(Whole(text).words)
-    assert "Not compared: " in words
-    assert "conditions.load.acceleration" in words
+    page = Page(runs, tmp_path / "two.html")
+    assert "Not compared: " in page.words
+    assert "conditions.load.acceleration" in page.words
 
 
 def test_no_folder_is_refused(tmp_path):
