@@ -5,9 +5,10 @@ component. Under D4 an invariant has no sign and a term has the sign of its comp
 `square_symmetry`, so the symmetry holds whatever the weights. Without symmetry every input is an
 invariant and every component has every term.
 
-Besides, a network reads u = x^p/√(δ² + x²) of the scaled sum, difference and shear x of U − I, with
-δ = `BEND` and p such that u has no sign. Near rest u changes ten times as fast as x: a plant cell's
-stress bends within half a per cent of strain, where pairs of particles come to act.
+Inputs are the seven, 1, and of the first three x, those of U − I, u = x/√(δ² + x²) with δ = `BEND`.
+Near rest u changes ten times as fast as x: a plant cell's stress bends within half a per cent of
+strain, where pairs of particles come to act. Under D4 a network reads u x in place of a u of which
+the sign would change.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +25,7 @@ from surrofe2.base.errors import InputError, quoted
 from surrofe2.base.sampling import SamplingRange, half_widths
 from surrofe2.base.square_symmetry import DIFFERENCE, SHEAR, SPIN, SUM, parity
 from surrofe2.base.tensors import INPUTS, check_arrays
-from surrofe2.surrogate.products import Product, monomials
+from surrofe2.surrogate.products import ONE, STRETCH, Product, monomials
 
 Array = NDArray[np.float64]
 Layers = tuple[tuple[Array, Array], ...]
@@ -33,12 +35,16 @@ SYMMETRIES = ("D4", "none")
 HIGHEST_DEGREE = 5
 BEND = 0.1
 """Of the half width of a range: size of U − I up to which states near rest differ most."""
+BENT = ONE + 1
+"""The first of the inputs u, which are the last."""
+NETWORK_INPUTS = BENT + STRETCH
 COMPONENTS = 4
 """Of P̂."""
 _COMPONENTS = (SUM, DIFFERENCE, SHEAR, SPIN)
 
 # input numbers: sum s, difference d, shear g of U − I; sum S, difference D, shear G, spin W of A
 _s, _d, _g, _S, _D, _G, _W = range(INPUTS)
+_us, _ud, _ug = range(BENT, NETWORK_INPUTS)
 INVARIANTS: tuple[Product, ...] = (
     (_s,), (_S,),
     (_d, _d), (_d, _D), (_D, _D), (_g, _g), (_g, _G), (_G, _G), (_W, _W),
@@ -52,26 +58,19 @@ COVARIANTS: tuple[Product, ...] = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Features:
+class Features(NamedTuple):
     """What a network of one symmetry is made of.
 
     Attributes:
         invariants: products of inputs that the network reads.
         terms: product and component of what each of its outputs multiplies; those with an empty
             product are factor − factor at rest.
-        powers: of s, d, g in the numerators of what tells states near rest apart.
         monomials: of the baseline, each with its component.
     """
 
     invariants: tuple[Product, ...]
     terms: tuple[tuple[Product, int], ...]
-    powers: tuple[int, ...]
     monomials: tuple[tuple[Product, int], ...]
-
-    @property
-    def read(self) -> int:
-        return len(self.invariants) + len(self.powers)
 
 
 def input_scale(range: SamplingRange) -> NDArray[np.float64]:
@@ -86,15 +85,13 @@ def make_features(symmetry: str, degree: int) -> Features:
     kept = monomials(degree)
     if symmetry == "D4":
         return Features(
-            invariants=INVARIANTS,
+            invariants=(*INVARIANTS, (_us,), (_ud, _d), (_ug, _g)),
             terms=tuple((product, parity(product)) for product in COVARIANTS),
-            powers=(1, 2, 2),
             monomials=tuple((product, parity(product)) for product in kept),
         )
     return Features(
-        invariants=tuple((k,) for k in range(INPUTS)),
+        invariants=tuple((k,) for k in (*range(INPUTS), _us, _ud, _ug)),
         terms=tuple(((), component) for component in _COMPONENTS),
-        powers=(1, 1, 1),
         monomials=tuple((product, k) for product in kept for k in _COMPONENTS),
     )
 
@@ -128,7 +125,7 @@ class NetworkParameters:
         count = sum(name.startswith("factors.") for name in self.tensors) // 2
         if not count:
             raise InputError("network.factors: 0 layers; there must be at least one")
-        size = features.read
+        size = len(features.invariants)
         for k in np.arange(count).tolist():
             bias = self.tensors.get(f"factors.{k}.bias", np.empty(0))
             rows = len(features.terms) if k == count - 1 else len(bias)

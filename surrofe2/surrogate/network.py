@@ -91,7 +91,7 @@ class StressNetwork(torch.nn.Module):
         self.features = make_features(symmetry, settings.baseline_degree)
         terms = self.features.terms
         generator = torch.Generator().manual_seed(settings.seed)
-        sizes = (self.features.read, *settings.hidden, len(terms))
+        sizes = (len(self.features.invariants), *settings.hidden, len(terms))
         self.factors = TanhNetwork(sizes, generator)
         for name, size in (("input_scale", INPUTS), ("output_scale", 4)):
             self.register_buffer(name, torch.ones(size, dtype=torch.float64))
@@ -119,8 +119,7 @@ class StressNetwork(torch.nn.Module):
         """All that `correction` needs of scaled inputs (n, 7)."""
         f = self.features
         terms = [product for product, _ in f.terms]
-        invariants = torch.cat([products(x, f.invariants), self._near_invariants(x)], dim=1)
-        return Shapes(x, invariants, products(x, terms))
+        return Shapes(x, products(x, f.invariants), products(x, terms))
 
     def correction(self, shapes: Shapes) -> torch.Tensor:
         """What the network adds to the baseline (n, 4), µN/µm."""
@@ -158,7 +157,7 @@ class StressNetwork(torch.nn.Module):
         """(1, t), of the terms that are no products; 0 of the others."""
         if not self.at_rest.any():
             return self.at_rest
-        rest = self.at_rest.new_zeros(1, self.features.read)
+        rest = self.at_rest.new_zeros(1, len(self.features.invariants))
         taken: torch.Tensor = self.at_rest * self.factors(rest)
         return taken
 
@@ -192,20 +191,12 @@ class StressNetwork(torch.nn.Module):
         entries = self.features.monomials
         return np.array([P[k, one[0]] if len(one) == 1 else np.nan for one, k in entries])
 
-    def _near_invariants(self, x: torch.Tensor) -> torch.Tensor:
-        """(n, 3) that tell states near rest apart, see `features`."""
-        stretch = x[:, :STRETCH]
-        return torch.where(self._squared, stretch**2, stretch) / (BEND**2 + stretch**2).sqrt()
-
-    @cached_property
-    def _squared(self) -> torch.Tensor:
-        return torch.tensor([power == 2 for power in self.features.powers])
-
 
 def products(x: torch.Tensor, factors: Iterable[Product]) -> torch.Tensor:
-    """(n, m) products of the columns of x (n, 7) that `factors` names; an empty one is 1."""
-    with_one = torch.cat([x, torch.ones_like(x[:, :1])], dim=1)
-    return torch.stack(columns(with_one, factors), dim=1)
+    """(n, m) products of the inputs of `features`, by scaled inputs x (n, 7)."""
+    stretch = x[:, :STRETCH]
+    bent = stretch / (BEND**2 + stretch**2).sqrt()
+    return torch.stack(columns(torch.cat([x, torch.ones_like(x[:, :1]), bent], 1), factors), dim=1)
 
 
 def along(function: Callable[..., Any], at: tuple[Any, ...], direction: tuple[Any, ...]) -> Any:

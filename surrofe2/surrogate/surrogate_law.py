@@ -35,7 +35,6 @@ from surrofe2.surrogate.lookup import (
     NetworkArrays,
     evaluate_slopes,
     lookup,
-    status_and_risk,
 )
 from surrofe2.surrogate.piola import to_cauchy, to_tangents
 from surrofe2.surrogate.settings import TrainingSettings
@@ -219,7 +218,7 @@ class SurrogateLaw(Viewed):
     ) -> tuple[NDArray[np.int8], Array]:
         """(status (n,), risk (n,)) of `lookup`, which costs several times as much; that the
         network's answer is finite is not tested."""
-        return status_and_risk(F, F_dot, self.arrays, self.bound_arrays, limit)
+        return lookup(F, F_dot, self.arrays, self.bound_arrays, limit, with_stress=False)[1:]
 
     def extrapolate(self, F: Array, F_dot: Array) -> Array:
         """Stress (n, 2, 2) in µN/µm by the network alone, in range or not."""

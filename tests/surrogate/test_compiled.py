@@ -19,7 +19,16 @@ from surrofe2.surrogate.lookup import (
     evaluate_slopes,
     lookup,
 )
-from surrofe2.surrogate.products import BLOCK, ONE, TILES, Polynomials, columns, evaluate, monomials
+from surrofe2.surrogate.products import (
+    BLOCK,
+    ONE,
+    TILES,
+    Polynomials,
+    columns,
+    evaluate,
+    make_room,
+    monomials,
+)
 from tests.laws import RANGE
 from tests.numerics import assert_near, turn
 from tests.surrogate import twins
@@ -150,11 +159,11 @@ def test_values_and_slopes_are_sums_of_monomials(degree, symmetric, inputs):
     slopes = np.array([values(x + 1j * h * unit).imag / h for unit in np.eye(INPUTS, INPUTS + 1)])
     kept = [(0, 3, 6), (2,), ()]
     polynomials = Polynomials.of(ONE + 1, each, kept)
-    rows = np.full((ONE + 1 + len(polynomials.products), TILES, TILE), np.nan)
+    room = make_room(polynomials, ONE + 1, inputs)
+    rows, y, row_slopes, y_slopes = room
     rows[: ONE + 1] = x.T.reshape(-1, TILES, TILE)
-    y, row_slopes = np.empty((4, TILES, TILE)), np.empty((inputs, *rows.shape))
-    y_slopes = np.empty((inputs, *y.shape))
-    evaluate(polynomials, rows, y, row_slopes, y_slopes)
+    rows[ONE + 1 :] = np.nan
+    evaluate(polynomials, room)
     assert_near(y.reshape(4, -1), expected, 1e-12)
     found = y_slopes.reshape(inputs, 4, len(x)) - slopes[:inputs]
     assert np.abs(found).max(initial=0.0) < 1e-12 * np.abs(slopes).max()
