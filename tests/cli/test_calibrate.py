@@ -57,17 +57,16 @@ def test_training_ends_when_the_bound_is_met(
 ):
     """A bound that any surrogate keeps, and one that none does."""
     monkeypatch.setattr(training, "ROUND", 20)
-    done = []
-    run = training._Minimisation.run
+    states, snapshot = [], training._snapshot
 
     def counted(*arguments):
-        done.append(run(*arguments))
-        return done[-1]
+        states.append(snapshot(*arguments))
+        return states[-1]
 
-    monkeypatch.setattr(training._Minimisation, "run", counted)
+    monkeypatch.setattr(training, "_snapshot", counted)
     path = changed_recipe("iterations = 40", f"iterations = 40\nbound = {bound}")
     assert invoke("train", path).exit_code == 0
-    assert done[-1][0] == iterations
+    assert states[-1].iterations == iterations
     surrogate, samples = (
         read_surrogate(surrogate_path),
         read_data_set(load_recipe(path).data_path()),
