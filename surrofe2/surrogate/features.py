@@ -23,13 +23,11 @@ from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError, quoted
 from surrofe2.base.sampling import SamplingRange, half_widths
-from surrofe2.base.square_symmetry import DIFFERENCE, SHEAR, SPIN, SUM, parity
+from surrofe2.base.square_symmetry import parity
 from surrofe2.base.tensors import INPUTS, check_arrays
 from surrofe2.surrogate.products import ONE, STRETCH, Product, monomials
 
 Array = NDArray[np.float64]
-Layers = tuple[tuple[Array, Array], ...]
-"""Matrix (outputs, inputs) and bias (outputs,) of each layer of a tanh network."""
 
 SYMMETRIES = ("D4", "none")
 HIGHEST_DEGREE = 5
@@ -40,7 +38,6 @@ BENT = ONE + 1
 NETWORK_INPUTS = BENT + STRETCH
 COMPONENTS = 4
 """Of P̂."""
-_COMPONENTS = (SUM, DIFFERENCE, SHEAR, SPIN)
 
 # input numbers: sum s, difference d, shear g of U − I; sum S, difference D, shear G, spin W of A
 _s, _d, _g, _S, _D, _G, _W = range(INPUTS)
@@ -91,8 +88,8 @@ def make_features(symmetry: str, degree: int) -> Features:
         )
     return Features(
         invariants=tuple((k,) for k in (*range(INPUTS), _us, _ud, _ug)),
-        terms=tuple(((), component) for component in _COMPONENTS),
-        monomials=tuple((product, k) for product in kept for k in _COMPONENTS),
+        terms=tuple(((), k) for k in range(COMPONENTS)),
+        monomials=tuple((product, k) for product in kept for k in range(COMPONENTS)),
     )
 
 
@@ -138,8 +135,8 @@ class NetworkParameters:
         return make_features(self.symmetry, self.degree)
 
     @property
-    def layers(self) -> Layers:
-        """Those that give the factors."""
+    def layers(self) -> tuple[tuple[Array, Array], ...]:
+        """Matrix (outputs, inputs) and bias (outputs,) of each that gives the factors."""
         count = sum(name.endswith(".weight") for name in self.tensors)
         return tuple(
             (self.tensors[f"factors.{k}.weight"], self.tensors[f"factors.{k}.bias"])
@@ -159,10 +156,10 @@ class NetworkParameters:
         """(7,) Frobenius norm of what each input adds to the linear stress of the baseline, which
         has all slopes at rest where the training knew them, by a unit of the input, µN/µm."""
         slopes = np.zeros((COMPONENTS, INPUTS))
-        for component, terms in enumerate(self.baseline):
-            for product, value in terms:
-                if len(product) == 1:
-                    slopes[component, product[0]] += value
+        pairs = zip(self.features.monomials, self.tensors["coefficients"].tolist(), strict=True)
+        for (product, component), value in pairs:
+            if len(product) == 1:
+                slopes[component, product[0]] = value
         sizes: Array = np.sqrt(0.5 * (slopes**2).sum(axis=0)) / self.tensors["input_scale"]
         return sizes
 

@@ -48,7 +48,6 @@ from surrofe2.surrogate.features import (
     BENT,
     COMPONENTS,
     NETWORK_INPUTS,
-    Layers,
     NetworkParameters,
 )
 from surrofe2.surrogate.products import (
@@ -113,7 +112,10 @@ class NetworkArrays(NamedTuple):
         """The arrays of a network that is used within a range."""
         features, tensors = network.features, network.tensors
         (lower, upper), slack = range.ends, SLACK * np.array([1.0, 1.0, 1.0, *[range.rate] * 4])
-        sizes, weights, biases = _pack_layers(network.layers)
+        matrices, biases = (
+            [np.pad(each, [(0, -size % 4) for size in each.shape]) for each in part]
+            for part in zip(*network.layers, strict=True)
+        )
         products = [product for product, _ in features.terms]
         arrays = cls(
             bounds=np.nextafter([lower - slack, upper + slack], [[-np.inf], [np.inf]]),
@@ -124,9 +126,9 @@ class NetworkArrays(NamedTuple):
                 NETWORK_INPUTS, network.baseline, [*products, *features.invariants]
             )._asdict(),
             components=np.array([component for _, component in features.terms]),
-            sizes=sizes,
-            weights=weights,
-            biases=biases,
+            sizes=np.array([matrices[0].shape[1], *(len(matrix) for matrix in matrices)]),
+            weights=np.concatenate([matrix.ravel() for matrix in matrices]),
+            biases=np.concatenate(biases),
         )
         # what the network gives at rest is subtracted as the very same instructions give it
         room, (units, no_slopes) = make_room(arrays, NETWORK_INPUTS, 0), _make_units(arrays, 0)
@@ -136,23 +138,6 @@ class NetworkArrays(NamedTuple):
         subtracted = np.array([not product for product in products])
         factors = units[first : first + len(products), 0, 0]
         return arrays._replace(at_rest=np.where(subtracted, factors, 0.0))
-
-
-def _pack_layers(layers: Layers) -> tuple[NDArray[np.int64], Array, Array]:
-    """(sizes, matrices, biases), flat and padded; see `NetworkArrays`."""
-    matrices = [_padded(matrix) for matrix, _ in layers]
-    return (
-        np.array([matrices[0].shape[1], *(len(matrix) for matrix in matrices)]),
-        np.concatenate([matrix.ravel() for matrix in matrices]),
-        np.concatenate([_padded(bias[:, None])[:, 0] for _, bias in layers]),
-    )
-
-
-def _padded(matrix: Array) -> Array:
-    rows, columns = (4 * -(-size // 4) for size in matrix.shape)
-    result = np.zeros((rows, columns))
-    result[: matrix.shape[0], : matrix.shape[1]] = matrix
-    return result
 
 
 class BoundArrays(NamedTuple):
@@ -184,8 +169,8 @@ class BoundArrays(NamedTuple):
     ) -> BoundArrays:
         """The arrays of a domain (None: everywhere) and a bound (None: infinite).
 
-        tolerance: (9,) `domain.tolerance_coefficients`, then the tolerance in µN/µm; where this is
-        infinite, the risk is 0, whatever the bound.
+        tolerance: (9,) of a `SurrogateLaw`; where the last is infinite, the risk is 0, whatever
+        the bound.
         """
         *squares, at_rest, most = [0.0] * INPUTS + [1.0, 1.0] if tolerance is None else tolerance
         factor, near = np.ones(INPUTS), np.ones(INPUTS)
@@ -532,7 +517,7 @@ def _set_even_inputs(near, x):  # type: ignore[no-untyped-def]
 
 @kernel
 def _divide_by_local_tolerance(at_rest, y):  # type: ignore[no-untyped-def]
-    """Make the bound the risk, by `domain.local_tolerance`."""
+    """Make the bound the risk, by `SurrogateLaw.local_tolerance`."""
     for t in range(TILES):
         share = root(load(y, _SQUARE, t)) + at_rest
         share = where_less(share, 1.0, share, 1.0)

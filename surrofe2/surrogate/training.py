@@ -57,20 +57,15 @@ class TrainingState:
     arrays: Mapping[str, Array]
 
 
-Progress = Callable[[int, int, dict[str, float]], None]
-ShouldStop = Callable[[SurrogateLaw], bool]
-Checkpoint = Callable[[TrainingState], None]
-
-
 def train(
     samples: StressSamples,
     settings: TrainingSettings,
     *,
-    progress: Progress | None = None,
-    checkpoint: Checkpoint | None = None,
+    progress: Callable[[int, int, dict[str, float]], None] | None = None,
+    checkpoint: Callable[[TrainingState], None] | None = None,
     resume: TrainingState | None = None,
     symmetry: str | None = None,
-    should_stop: ShouldStop | None = None,
+    should_stop: Callable[[SurrogateLaw], bool] | None = None,
 ) -> SurrogateLaw:
     """Fit a surrogate to the valid samples; the same seed and threads give the same surrogate.
 
