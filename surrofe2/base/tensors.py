@@ -65,7 +65,7 @@ def to_components(T: Array) -> Array:
 
 def from_components(components: Array) -> Array:
     """T (…, 2, 2) from its sum, difference, shear and spin (…, 4)."""
-    total, difference, shear, spin = np.moveaxis(components, -1, 0)
+    total, difference, shear, spin = (components[..., k] for k in range(4))
     T = np.stack([total + difference, shear - spin, shear + spin, total - difference], axis=-1)
     return 0.5 * T.reshape(*T.shape[:-1], 2, 2)
 

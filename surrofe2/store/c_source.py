@@ -143,7 +143,7 @@ def _tables(law: SurrogateLaw) -> Iterator[str]:
     yield f"#define INPUTS {INPUTS}"
     yield f"#define COMPONENTS {COMPONENTS}"
     yield ""
-    lower, upper = law.arrays.bounds
+    lower, upper = law.bound_arrays.limits
     limits = np.array([lower[0], *upper[[0, 2, 3]]])  # of U11 and U22, |U12| and |A|
     arrays = {"range": limits, "input_factor": law.arrays.input_factor}
     for k, (weight, bias) in enumerate(law.network.layers):

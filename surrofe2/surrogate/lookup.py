@@ -80,8 +80,6 @@ class NetworkArrays(NamedTuple):
     """A network as the arrays its kernels read.
 
     Attributes:
-        bounds: (2, 7) between which U₁₁, U₂₂, U₁₂ and the entries of A are in range, by the
-            rounding of the range test wider than the range.
         input_factor: (7,) 1/input scale; output_factor: (4,).
         at_rest: (t,) what the factors are at rest, 0 unless they are subtracted.
         products to kept: `Polynomials` of the baseline of P̂; kept are the products of the t terms,
@@ -91,7 +89,6 @@ class NetworkArrays(NamedTuple):
             padded to multiples of four; weights, biases: its layers, flat, one after the other.
     """
 
-    bounds: Array
     input_factor: Array
     output_factor: Array
     at_rest: Array
@@ -108,17 +105,15 @@ class NetworkArrays(NamedTuple):
     biases: Array
 
     @classmethod
-    def of(cls, network: NetworkParameters, range: SamplingRange) -> NetworkArrays:
-        """The arrays of a network that is used within a range."""
+    def of(cls, network: NetworkParameters) -> NetworkArrays:
+        """The arrays of a network."""
         features, tensors = network.features, network.tensors
-        (lower, upper), slack = range.ends, SLACK * np.array([1.0, 1.0, 1.0, *[range.rate] * 4])
         matrices, biases = (
             [np.pad(each, [(0, -size % 4) for size in each.shape]) for each in part]
             for part in zip(*network.layers, strict=True)
         )
         products = [product for product, _ in features.terms]
         arrays = cls(
-            bounds=np.nextafter([lower - slack, upper + slack], [[-np.inf], [np.inf]]),
             input_factor=1.0 / tensors["input_scale"],
             output_factor=tensors["output_scale"],
             at_rest=np.zeros(len(products)),
@@ -141,17 +136,20 @@ class NetworkArrays(NamedTuple):
 
 
 class BoundArrays(NamedTuple):
-    """Domain and bound as the arrays their kernel reads.
+    """Range, domain and bound as the arrays their kernel reads.
 
     Attributes:
+        limits: (2, 7) between which U₁₁, U₂₂, U₁₂ and the entries of A are in range, by the
+            rounding of the range test wider than the range.
         factor: (7,) 1/scale of the inputs.
         near: (7,) share of each squared input in the size of a state.
-        products to kept: `Polynomials` of `all_inputs`: the failure boundary, beyond which it
-            is positive; the bound over the tolerance, infinite where none is known; the square of
-            what is added to the local tolerance at rest.
+        products to coefficients: `Polynomials` of `all_inputs`: the failure boundary, beyond which
+            it is positive; the bound over the tolerance, infinite where none is known; the square
+            of what is added to the local tolerance at rest.
         at_rest: this tolerance.
     """
 
+    limits: Array
     factor: Array
     near: Array
     products: NDArray[np.int64]
@@ -160,19 +158,24 @@ class BoundArrays(NamedTuple):
     group_begins: NDArray[np.int64]
     rows: NDArray[np.int64]
     coefficients: Array
-    kept: NDArray[np.int64]
     at_rest: float
 
     @classmethod
     def of(
-        cls, domain: Domain | None, calibration: Calibration | None, tolerance: Array | None = None
+        cls,
+        range: SamplingRange,
+        domain: Domain | None,
+        calibration: Calibration | None,
+        tolerance: Array | None,
     ) -> BoundArrays:
-        """The arrays of a domain (None: everywhere) and a bound (None: infinite).
+        """The arrays of a range, a domain (None: all of it) and a bound (None: infinite).
 
         tolerance: (9,) of a `SurrogateLaw`; where the last is infinite, the risk is 0, whatever
         the bound.
         """
         *squares, at_rest, most = [0.0] * INPUTS + [1.0, 1.0] if tolerance is None else tolerance
+        (lower, upper), slack = range.ends, SLACK * np.array([1.0, 1.0, 1.0, *[range.rate] * 4])
+        limits = np.nextafter([lower - slack, upper + slack], [[-np.inf], [np.inf]])
         factor, near = np.ones(INPUTS), np.ones(INPUTS)
         boundary: Iterable[tuple[Product, float]] = []
         bound: list[tuple[Product, float]] = [((), np.inf)]
@@ -187,7 +190,8 @@ class BoundArrays(NamedTuple):
                 near = calibration.near
         local = [((SQUARES + k,), value) for k, value in enumerate(squares) if value]
         parts = boundary, [] if np.isinf(most) else bound, local
-        return cls(factor, near, *Polynomials.of(ALL_INPUTS, parts), float(at_rest))
+        polynomials = Polynomials.of(ALL_INPUTS, parts)[:-1]
+        return cls(limits, factor, near, *polynomials, float(at_rest))
 
 
 def lookup(
@@ -211,7 +215,7 @@ def lookup(
     status, risk = np.empty(count, dtype=np.int8), np.empty(count)
     compute = _lookup_parallel if count >= MANY else _lookup_part
     of = network if with_stress else None
-    compute(0, count, F, F_dot, of, network.bounds, bounds, float(limit), stress, status, risk)
+    compute(0, count, F, F_dot, of, bounds, float(limit), stress, status, risk)
     return stress, status, risk
 
 
@@ -227,17 +231,17 @@ def evaluate_slopes(F: Array, F_dot: Array, network: NetworkArrays) -> tuple[Arr
 
 @parallel_kernel
 def _lookup_parallel(  # type: ignore[no-untyped-def]
-    begin, end, F, F_dot, network, limits, bounds, limit, stress, status, risk
+    begin, end, F, F_dot, network, bounds, limit, stress, status, risk
 ):
     for part in prange((end - begin + _PART - 1) // _PART):
         first = begin + part * _PART
         last = min(first + _PART, end)
-        _lookup_part(first, last, F, F_dot, network, limits, bounds, limit, stress, status, risk)
+        _lookup_part(first, last, F, F_dot, network, bounds, limit, stress, status, risk)
 
 
 @kernel
 def _lookup_part(  # type: ignore[no-untyped-def]
-    begin, end, F, F_dot, network, limits, bounds, limit, stress, status, risk
+    begin, end, F, F_dot, network, bounds, limit, stress, status, risk
 ):
     """Set status and risk at points `begin` to `end` by range, failure boundary and bound; and the
     stress, where there is a network."""
@@ -249,7 +253,7 @@ def _lookup_part(  # type: ignore[no-untyped-def]
     for start in range(begin, end, BLOCK):
         _read_points(start, F, F_dot, frame)
         _take_rotation_out(frame)
-        _set_inside(frame, limits)
+        _set_inside(frame, bounds.limits)
         _scale_inputs(frame, bounds.factor, trust.rows)
         _set_even_inputs(bounds.near, trust.rows)
         evaluate(bounds, trust)

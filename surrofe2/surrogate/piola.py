@@ -71,7 +71,9 @@ def to_slopes(F: Array, P_by_F: Array, P_by_F_dot: Array) -> Array:
 def to_tangents(F: Array, F_dot: Array, components: Array, slopes: Array) -> Tangents:
     """∂P/∂F and ∂P/∂Ḟ from the components of P̂ (n, 4) and their slopes (n, 4, 7)."""
     inputs, R = to_inputs(F, F_dot)
-    B = np.einsum("nca,bd->ncdab", R, np.eye(2)).reshape(-1, 4, 2, 2)  # RᵀdF for the unit dF
+    B = np.zeros((len(F), 4, 2, 2))  # RᵀdF for the four unit dF
+    B[:, 0, :, 0] = B[:, 1, :, 1] = R[:, 0]
+    B[:, 2, :, 0] = B[:, 3, :, 1] = R[:, 1]
     U, A = transpose(R) @ F, transpose(R) @ F_dot
     turned = (B[:, :, 1, 0] - B[:, :, 0, 1]) / (2.0 + inputs[:, :1])
     direct, E_U, E_A = (to_components(each) for each in (B, TURN @ U, TURN @ A))

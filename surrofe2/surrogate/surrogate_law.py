@@ -59,7 +59,7 @@ class SurrogateLaw(Viewed):
         tolerance: (9,) squares of what each scaled input adds to the error allowed, as a share of
             the tolerance, what is allowed at rest, and the tolerance, µN/µm; None: 1 µN/µm
             everywhere.
-        arrays, bound_arrays: network, and domain and bound, as its kernels read them.
+        arrays, bound_arrays: network, and range, domain and bound, as its kernels read them.
     """
 
     has_tangents, learns = True, False
@@ -81,9 +81,9 @@ class SurrogateLaw(Viewed):
     bound_arrays: BoundArrays = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "arrays", NetworkArrays.of(self.network, self.range))
+        object.__setattr__(self, "arrays", NetworkArrays.of(self.network))
         calibration = self.calibration if self.is_calibrated else None
-        bounds = BoundArrays.of(self.domain, calibration, self.tolerance)
+        bounds = BoundArrays.of(self.range, self.domain, calibration, self.tolerance)
         object.__setattr__(self, "bound_arrays", bounds)
 
     def facts(self) -> Facts:
