@@ -56,10 +56,10 @@ class Search:
         found = np.full(len(at), -1.0)
         if len(kept):
             path = DeformationPaths("worst", F[None, kept], F_dot[None, kept], np.arange(len(kept)))
-            true, unknown = true_stress(path, self.law)
-            error = stress_error(stress[kept], true)
+            truth = true_stress(path, self.law)
+            error = stress_error(stress[kept], truth.stress)
             error /= self.allowed * self.surrogate.local_tolerance(F[kept], F_dot[kept])
-            error[unknown != 0] = np.inf
+            error[truth.status != 0] = np.inf
             found[kept] = error
         return found
 

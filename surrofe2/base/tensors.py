@@ -58,16 +58,16 @@ def unrotated(F: Array, F_dot: Array) -> tuple[Array, Array, Array]:
 
 
 def to_components(T: Array) -> Array:
-    """(n, 4) sum, difference, shear and spin of T (n, 2, 2)."""
-    xx, xy, yx, yy = T[:, 0, 0], T[:, 0, 1], T[:, 1, 0], T[:, 1, 1]
-    return np.stack([xx + yy, xx - yy, xy + yx, yx - xy], axis=1)
+    """(…, 4) sum, difference, shear and spin of T (…, 2, 2)."""
+    xx, xy, yx, yy = T[..., 0, 0], T[..., 0, 1], T[..., 1, 0], T[..., 1, 1]
+    return np.stack([xx + yy, xx - yy, xy + yx, yx - xy], axis=-1)
 
 
 def from_components(components: Array) -> Array:
-    """T (n, 2, 2) from its sum, difference, shear and spin (n, 4)."""
-    total, difference, shear, spin = components.T
-    T = np.stack([total + difference, shear - spin, shear + spin, total - difference], axis=1)
-    return 0.5 * T.reshape(-1, 2, 2)
+    """T (…, 2, 2) from its sum, difference, shear and spin (…, 4)."""
+    total, difference, shear, spin = (components[..., k] for k in range(4))
+    T = np.stack([total + difference, shear - spin, shear + spin, total - difference], axis=-1)
+    return 0.5 * T.reshape(*T.shape[:-1], 2, 2)
 
 
 def to_inputs(F: Array, F_dot: Array) -> tuple[Array, Array]:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from textwrap import wrap
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from surrofe2.law.stress_law import Status
 from surrofe2.store.store import WORD
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.domain import ALL_INPUTS, COMPRESSION, NEAR, NORM, REACH, SQUARES
-from surrofe2.surrogate.features import BEND, COMPONENTS
+from surrofe2.surrogate.features import BEND, BENT, COMPONENTS, NETWORK_INPUTS
 from surrofe2.surrogate.lookup import BoundArrays, NetworkArrays
 from surrofe2.surrogate.products import ONE, STRETCH
 
@@ -141,7 +142,9 @@ def _tables(law: SurrogateLaw) -> Iterator[str]:
     yield f"#define INPUTS {INPUTS}"
     yield f"#define COMPONENTS {COMPONENTS}"
     yield ""
-    arrays = {"range": law.arrays.bounds, "input_factor": law.arrays.input_factor}
+    lower, upper = law.bound_arrays.limits
+    limits = np.array([lower[0], *upper[[0, 2, 3]]])  # of U11 and U22, |U12| and |A|
+    arrays = {"range": limits, "input_factor": law.arrays.input_factor}
     for k, (weight, bias) in enumerate(law.network.layers):
         rows = np.zeros((weight.shape[1] + 1, _padded(len(bias))))
         rows[:-1, : len(bias)], rows[-1, : len(bias)] = weight.T, bias
@@ -164,6 +167,7 @@ class _Formulas:
     Args:
         inputs: the variables of the rows before those of products, and what these need.
         first: the row of the first product.
+        by: slopes of those rows along the input, where they are not 0.
     """
 
     def __init__(
@@ -172,11 +176,12 @@ class _Formulas:
         inputs: Mapping[str, str],
         first: int,
         along: int | None = None,
+        by: Mapping[int, str] = MappingProxyType({}),
     ) -> None:
         self.table, self.along = table, along
         self.variables = dict(inputs)
         self.rows = {k: f"r{k}" for k in range(first)} | {ONE: "1.0"}
-        self.by = {} if along is None else {along: "1.0"}
+        self.by = dict(by)
         for row, (one, other) in enumerate(table.products.tolist(), first):
             self.rows[row] = f"r{row}"
             self.variables[f"r{row}"] = f"r{one} * r{other}"
@@ -249,24 +254,10 @@ def _bound(law: SurrogateLaw, width: int) -> Iterator[str]:
     yield ""
 
 
-def _read(law: SurrogateLaw, formulas: _Formulas) -> Iterator[str]:
-    """What the network reads: invariants, then x^p/√(δ² + x²) of the first inputs; or slopes."""
-    network = law.arrays
-    for row in network.kept[len(network.components) :].tolist():
-        yield formulas.wanted.get(row, "0.0")
-    for k, power in enumerate(network.powers.tolist()):
-        raised = f"r{k} * " * (power - 1)
-        if formulas.along is None:
-            yield f"{raised}r{k} * n{k}"
-        elif formulas.along == k:
-            yield f"{raised}{float(power)} * n{k} - {raised}r{k} * n{k} * r{k} * n{k} * n{k}"
-        else:
-            yield "0.0"
-
-
 def _network(law: SurrogateLaw, width: int) -> Iterator[str]:
     """The function that gives the components of RᵀP from the scaled inputs, and their slopes."""
     layers = [weight.shape for weight, _ in law.network.layers]
+    invariants = law.arrays.kept[len(law.arrays.components) :].tolist()
     sizes = [layers[0][1], *(_padded(rows) for rows, _ in layers)]
     yield f"static void network_of_{width}(const double *RESTRICT x, double *RESTRICT y,"
     yield "                         int with_slopes, double *RESTRICT slopes)"
@@ -275,16 +266,24 @@ def _network(law: SurrogateLaw, width: int) -> Iterator[str]:
         each = ", ".join(f"{name}{k}[{size * width}]" for k, size in enumerate(sizes))
         yield f"    double {each};"
     inputs = {f"r{k}": f"x[{k * width} + l]" for k in range(INPUTS)}
-    inputs |= {f"n{k}": f"inverse_root({BEND * BEND!r} + r{k} * r{k})" for k in range(STRETCH)}
+    for k in range(STRETCH):
+        inputs |= {
+            f"n{k}": f"inverse_root({BEND * BEND!r} + r{k} * r{k})",
+            f"r{BENT + k}": f"r{k} * n{k}",
+            f"d{BENT + k}": f"{BEND * BEND!r} * n{k} * n{k} * n{k}",
+        }
     for along in (None, *range(INPUTS)):  # the components, or their slopes along an input
-        formulas = _Formulas(law.arrays, inputs, ONE + 1, along)
+        by = {} if along is None else {along: "1.0"}
+        if along is not None and along < STRETCH:
+            by[BENT + along] = f"d{BENT + along}"
+        formulas = _Formulas(law.arrays, inputs, NETWORK_INPUTS, along, by)
         y, units = ("y", "u") if along is None else ("slopes", "v")
         first = 0 if along is None else along * COMPONENTS
         lines = [
             f"{y}[{(first + k) * width} + l] = {formulas.polynomial(k)};" for k in range(COMPONENTS)
         ]
-        read = dict(enumerate(_read(law, formulas)))
-        used = [k for k, value in read.items() if value != "0.0"]
+        read = [formulas.wanted.get(row, "0.0") for row in invariants]
+        used = [k for k, value in enumerate(read) if value != "0.0"]
         lines += [f"{units}0[{k * width} + l] = {read[k]};" for k in used]
         yield from formulas.loop(lines, width)
         for k, shape in enumerate(layers):

@@ -18,7 +18,7 @@ docs/theory.md says what is not promised.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,11 +29,10 @@ from scipy.special import bdtr
 from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.base.tensors import INPUTS, stress_error, stress_spread
 from surrofe2.law.samples import StressSamples
-from surrofe2.surrogate.deformation_paths import DeformationPaths
+from surrofe2.surrogate.deformation_paths import Truth
 from surrofe2.surrogate.domain import (
     Calibration,
     fit_domain,
-    local_scale,
     scale_products,
     scaled_inputs,
     values_of,
@@ -50,24 +49,6 @@ _EXACT = 1e-13  # of the spread: errors below are rounding
 _TIMES = 2  # the scale is fitted
 _MOST_ADDED = 300  # states that bind the local scale, in one round
 _SLACK = 1e-6  # of the largest error
-
-
-@dataclass(frozen=True, slots=True)
-class Truth:
-    """Stress (n, 2, 2) and status (n,) by a full model at the states of paths."""
-
-    paths: DeformationPaths
-    stress: Array
-    status: NDArray[np.int8]
-
-    @property
-    def reached(self) -> NDArray[np.bool_]:
-        """(n,) whether no earlier state of the same history is without a stress; what follows
-        says nothing: a run has ended there, or its RVE answers from beyond a bifurcation."""
-        lost = self.status.reshape(len(self.paths.F), -1) != 0
-        before = np.logical_or.accumulate(lost, axis=0)
-        reached: NDArray[np.bool_] = ~np.concatenate([np.zeros_like(lost[:1]), before[:-1]])
-        return reached.ravel()
 
 
 def calibrate(
@@ -94,12 +75,14 @@ def calibrate(
     domain = fit_domain(samples, _failures(shaping))
     law = replace(law, domain=domain, calibration=None)
     spread = stress_spread(samples.valid.stress)
-    near = _shares(law.network.sizes_at_rest() * domain.scale)
+    squares = (law.network.sizes_at_rest() * domain.scale) ** 2
+    near = squares / squares.sum() if squares.any() else np.full(INPUTS, 1.0 / INPUTS)
     scale = _fit_scale(law, near, shaping, spread)
     kinds: dict[str, dict[str, float]] = {}
     for truth in testing:
         error, inside = errors_along(law, truth)
-        local = local_scale(scale, near, scaled_inputs(*truth.paths.states, domain.scale))
+        x = scaled_inputs(*truth.paths.states, domain.scale)
+        local = values_of(scale_products(), x, near) @ scale
         scores = truth.paths.largest(np.where(inside, error / local, 0.0))
         entering = scores[truth.paths.largest(inside.astype(float)) > 0.0]
         if not np.isfinite(conformal_quantile(entering, alpha)):
@@ -134,22 +117,19 @@ def conformal_quantile(scores: Array, alpha: float) -> float:
     (Vovk, Conditional validity of inductive conformal predictors, 2012, proposition 2a), or the
     largest where n < log(1 − CONFIDENCE)/log(1 − alpha).
     """
-    rank = int(np.ceil((len(scores) + 1) * (1.0 - alpha) - 1e-9))
-    if rank > len(scores):
+    count = len(scores)
+    rank = int(np.ceil((count + 1) * (1.0 - alpha) - 1e-9))
+    if rank > count:
         return np.inf
-    return float(np.sort(scores)[max(rank, len(scores) - _above(len(scores), alpha)) - 1])
+    likely = bdtr(np.arange(count + 1.0), count, alpha)  # that so many or fewer are above
+    above = max(int((likely <= 1.0 - CONFIDENCE).sum()) - 1, 0)
+    return float(np.sort(scores)[max(rank, count - above) - 1])
 
 
 def confidence(count: int, alpha: float) -> float:
     """Share of sets of so many scores whose `conformal_quantile` new ones exceed with a probability
     of at most alpha."""
     return min(CONFIDENCE, 1.0 - (1.0 - alpha) ** count)
-
-
-def _above(count: int, alpha: float) -> int:
-    """The most scores that may be above the quantile."""
-    likely = bdtr(np.arange(count + 1.0), count, alpha)  # that so many or fewer are
-    return max(int((likely <= 1.0 - CONFIDENCE).sum()) - 1, 0)
 
 
 def errors_along(law: SurrogateLaw, truth: Truth) -> tuple[Array, NDArray[np.bool_]]:
@@ -166,23 +146,16 @@ def errors_along(law: SurrogateLaw, truth: Truth) -> tuple[Array, NDArray[np.boo
     return error, inside
 
 
-def _failures(shaping: Sequence[Truth]) -> tuple[Array, Array] | None:
+def _failures(shaping: Sequence[Truth]) -> tuple[Array, Array]:
     """F and F_dot of the first states of paths at which the full model has no stress."""
-    lost = [
-        tuple(tensors[truth.reached & (truth.status != 0)] for tensors in truth.paths.states)
-        for truth in shaping
-    ]
+    none = np.empty((0, 2, 2))
+    lost = [truth.reached & (truth.status != 0) for truth in shaping]
+    states = [truth.paths.states for truth in shaping]
     F, F_dot = (
-        np.concatenate([np.empty((0, 2, 2)), *(pair[part] for pair in lost)]) for part in (0, 1)
+        np.concatenate([none, *(each[part][at] for each, at in zip(states, lost, strict=True))])
+        for part in (0, 1)
     )
-    return (F, F_dot) if len(F) else None
-
-
-def _shares(sizes: Array) -> Array:
-    """(7,) shares of the squares of what inputs give, all the same where they give nothing."""
-    squares = sizes**2
-    total = float(squares.sum())
-    return squares / total if total > 0.0 else np.full(INPUTS, 1.0 / INPUTS)
+    return F, F_dot
 
 
 def _fit_scale(law: SurrogateLaw, near: Array, shaping: Sequence[Truth], spread: float) -> Array:

@@ -65,6 +65,24 @@ class DeformationPaths:
         return worst
 
 
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """Stress (n, 2, 2) and status (n,) by a full model at the states of paths."""
+
+    paths: DeformationPaths
+    stress: Array
+    status: NDArray[np.int8]
+
+    @property
+    def reached(self) -> NDArray[np.bool_]:
+        """(n,) whether no earlier state of the same history is without a stress; what follows
+        says nothing: a run has ended there, or its RVE answers from beyond a bifurcation."""
+        lost = self.status.reshape(len(self.paths.F), -1) != 0
+        before = np.logical_or.accumulate(lost, axis=0)
+        reached: NDArray[np.bool_] = ~np.concatenate([np.zeros_like(lost[:1]), before[:-1]])
+        return reached.ravel()
+
+
 def random_walks(range: SamplingRange, count: int, length: int, seed: int) -> DeformationPaths:
     """Smooth walks of F = R U and RᵀḞ through the range, each from rest to a random end.
 
@@ -82,9 +100,7 @@ def random_walks(range: SamplingRange, count: int, length: int, seed: int) -> De
     """
     # The stress depends on (F, Ḟ) alone: with a rate of its own a walk reaches all of the range,
     # where a rate of dF/dt would rarely be large in all entries at once.
-    low, high = range.stretch
-    upper = np.array([high, high, range.shear, *[range.rate] * 4])
-    lower = np.array([low, low, -range.shear, *[-range.rate] * 4])
+    lower, upper = range.ends
     at_rest = np.array([1.0, 1.0, *[0.0] * (INPUTS - 2)])
     rng = np.random.default_rng(seed)
     x = rng.uniform(-1.0, 1.0, (_KNOTS + 1, count, INPUTS))
@@ -144,8 +160,8 @@ def run_paths(runs: Sequence[Sequence[State]], length: int) -> DeformationPaths:
 
 def true_stress(
     paths: DeformationPaths, law: StressLaw, progress: Callable[[int], None] | None = None
-) -> tuple[Array, NDArray[np.int8]]:
-    """Stress (length n, 2, 2) and status (length n,) of a law along paths, as `states` has them.
+) -> Truth:
+    """Stress and status of a law along paths.
 
     Each history is followed in time with a warm start. Where that ends without a stress, or has
     been beyond a bifurcation, the stress is computed again without one: the status is UNSTABLE
@@ -169,31 +185,21 @@ def true_stress(
             stress[k, part], status[k, part] = answer.stress, accepted.status
             doubtful = np.flatnonzero((accepted.status != 0) | _left(answer) | _left(accepted))
             if len(doubtful):
-                again = law.respond(F[doubtful], F_dot[doubtful])
-                points = first + doubtful
-                stress[k, points], status[k, points] = _settled(
-                    stress[k, points], status[k, points] == 0, again
-                )
+                again, points = law.respond(F[doubtful], F_dot[doubtful]), first + doubtful
+                known = (again.status == 0) & (status[k, points] == 0)
+                size = np.sqrt((again.stress**2).sum(axis=(1, 2)))
+                with np.errstate(invalid="ignore"):
+                    differs = stress_error(stress[k, points], again.stress) > _SAME * (1.0 + size)
+                unstable = (known & differs) | ((again.status == 0) & _left(again))
+                stress[k, points] = again.stress
+                status[k, points] = np.where(unstable, Status.UNSTABLE, again.status)
             done += len(F)
             if progress is not None:
                 progress(done)
-    return stress.reshape(-1, 2, 2), status.reshape(-1)
+    return Truth(paths, stress.reshape(-1, 2, 2), status.reshape(-1))
 
 
 def _left(answer: StressResponse) -> NDArray[np.bool_]:
     """(n,) whether points are beyond a bifurcation."""
     left = answer.left_bifurcation
     return np.zeros(len(answer.status), dtype=np.bool_) if left is None else left
-
-
-def _settled(
-    stress: Array, known: NDArray[np.bool_], again: StressResponse
-) -> tuple[Array, NDArray[np.int8]]:
-    """Stress (n, 2, 2) and status (n,) by a second answer from a cold start, where histories led to
-    `stress` (n, 2, 2) or, where it is not `known` (n,), to none."""
-    status = again.status.copy()
-    size = np.sqrt((again.stress**2).sum(axis=(1, 2)))
-    with np.errstate(invalid="ignore"):
-        other = known & (stress_error(stress, again.stress) > _SAME * (1.0 + size))
-    status[(status == 0) & (other | _left(again))] = Status.UNSTABLE
-    return again.stress, status

@@ -13,7 +13,8 @@ The risk at a point is the bound over the local tolerance, in µN/µm,
     allowed(F, Ḟ) = min(tolerance, 2 b + relative L),    L² = Σ_k (|∂P/∂x_k| x_k)²,
 
 where b is the bound of the error at rest, and L the size of the stress that the moduli at rest
-give, each of the seven inputs of `tensors` counted by itself, so that it vanishes at rest alone.
+give, each of the seven inputs of `tensors` counted by itself, so that it vanishes at rest alone;
+see `SurrogateLaw.with_tolerance`.
 """
 
 from __future__ import annotations
@@ -42,9 +43,6 @@ ALL_INPUTS = SQUARES + INPUTS
 REACH = 3e-4
 """Mean square of the inputs, by the stress each gives, at which `NEAR` is half of what it comes to:
 the error is exactly 0 at rest, grows from there with the square, and soon no more."""
-SOLVED = 1e-8
-"""Of the spread of stress: stresses of RVEs are known no more exactly."""
-_AT_REST = 2.0  # times the bound there, so that a point at rest is far from the threshold
 _FOLDS = 5
 _MARGIN = 0.5  # of the logarithm of the odds of failure, on top of what cross-validation wants
 _RIDGE = 1e-4
@@ -157,75 +155,42 @@ def values_of(products: list[Product], x: Array, near: Array) -> Array:
     return np.column_stack(columns(all_inputs(x, near), products))
 
 
-def local_scale(scale: Array, near: Array, x: Array) -> Array:
-    """s (n,) in µN/µm at scaled inputs (n, 7); it never falls on the way out from (I, 0)."""
-    return np.asarray(values_of(scale_products(), x, near) @ scale)
-
-
-def tolerance_coefficients(
-    sizes: Array, at_rest: float, spread: float, tolerance: float, relative: float
-) -> Array:
-    """(8,) squares of what each scaled input adds to allowed/tolerance, and what it is at rest.
-
-    Args:
-        sizes: (7,) of the stress by each scaled input, µN/µm. at_rest: bound there, µN/µm.
-        tolerance: share of the spread, µN/µm; relative: share of the local stress.
-    """
-    most = tolerance * spread
-    return np.append(
-        (relative * sizes / most) ** 2, max(_AT_REST * at_rest, SOLVED * spread) / most
-    )
-
-
-def local_tolerance(x: Array, coefficients: Array) -> Array:
-    """(n,) allowed/tolerance at scaled inputs (n, 7), at most 1."""
-    share: Array = coefficients[INPUTS] + np.sqrt(x**2 @ coefficients[:INPUTS])
-    return np.minimum(share, 1.0)
-
-
 def fit_domain(samples: StressSamples, failed: tuple[Array, Array] | None = None) -> Domain:
     """The domain that keeps out samples that failed, those beyond a bifurcation, and the points of
     `failed`, F and F_dot (n, 2, 2)."""
-    square = samples.cell.symmetry == "D4"
-    scale = half_widths(samples.range)
+    square, scale = samples.cell.symmetry == "D4", half_widths(samples.range)
     x = scaled_inputs(samples.F, samples.F_dot, scale)
     known = samples.status == 0
     if samples.left_bifurcation is not None:
         known &= ~samples.left_bifurcation
-    good, bad = x[known], x[~known]
+    beyond = x[~known]
     if failed is not None:
-        bad = np.concatenate([bad, scaled_inputs(*failed, scale)])
-    boundary = _fit_boundary(good, bad, square) if len(bad) else np.empty(0)
-    return Domain(scale, square, boundary)
-
-
-def _fit_boundary(good: Array, bad: Array, square: bool) -> Array:
-    """Coefficients (k,) of the boundary; every point of `bad` is beyond it."""
-    products = boundary_products(square)
-    with_one = (np.concatenate([x, np.ones((len(x), 1))], axis=1) for x in (good, bad))
-    basis_good, basis_bad = (np.column_stack(columns(x, products)) for x in with_one)
-    coefficients = _logistic(basis_good, basis_bad)
-    shortfall = 0.0
+        beyond = np.concatenate([beyond, scaled_inputs(*failed, scale)])
+    if not len(beyond):
+        return Domain(scale, square, np.empty(0))
+    products, none = boundary_products(square), np.zeros(INPUTS)
+    good, bad = (values_of(products, each, none) for each in (x[known], beyond))
+    boundary, shortfall = _logistic(good, bad), 0.0
     for fold in np.arange(_FOLDS):
         unseen = np.arange(len(bad)) % _FOLDS == fold
         if unseen.any() and not unseen.all():
-            others = _logistic(basis_good, basis_bad[~unseen])
-            edge = (basis_bad[~unseen] @ others).min()
-            shortfall = max(shortfall, edge - (basis_bad[unseen] @ others).min())
-    coefficients[0] -= (basis_bad @ coefficients).min() - (shortfall + _MARGIN)
-    return coefficients
+            others = _logistic(good, bad[~unseen])
+            edge = (bad[~unseen] @ others).min()
+            shortfall = max(shortfall, edge - (bad[unseen] @ others).min())
+    boundary[0] -= (bad @ boundary).min() - (shortfall + _MARGIN)  # all of `bad` is beyond it
+    return Domain(scale, square, boundary)
 
 
 def _logistic(good: Array, bad: Array) -> Array:
     """Coefficients (k,) by ridge logistic regression of failure, both classes (n, k) with one
     weight."""
-    basis = np.concatenate([good, bad])
-    failed = np.repeat([0, 1], [len(good), len(bad)])
     if not len(good):
-        return np.zeros(basis.shape[1])
+        return np.zeros(bad.shape[1])
     from sklearn.linear_model import LogisticRegression  # a second, which runs do without
 
+    sizes = [len(good), len(bad)]
+    failed, weight = (np.repeat(of, sizes) for of in ([0, 1], [0.5 / size for size in sizes]))
     how = {"solver": "newton-cholesky", "max_iter": _MOST_ITERATIONS}
     model = LogisticRegression(C=1.0 / _RIDGE, fit_intercept=False, **how)
-    weight = np.where(failed == 1, 0.5 / len(bad), 0.5 / len(good))
-    return np.asarray(model.fit(basis, failed, sample_weight=weight).coef_[0])
+    model.fit(np.concatenate([good, bad]), failed, sample_weight=weight)
+    return np.asarray(model.coef_[0])

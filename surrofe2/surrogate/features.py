@@ -5,9 +5,10 @@ component. Under D4 an invariant has no sign and a term has the sign of its comp
 `square_symmetry`, so the symmetry holds whatever the weights. Without symmetry every input is an
 invariant and every component has every term.
 
-Besides, a network reads u = x^p/√(δ² + x²) of the scaled sum, difference and shear x of U − I, with
-δ = `BEND` and p such that u has no sign. Near rest u changes ten times as fast as x: a plant cell's
-stress bends within half a per cent of strain, where pairs of particles come to act.
+Inputs are the seven, 1, and of the first three x, those of U − I, u = x/√(δ² + x²) with δ = `BEND`.
+Near rest u changes ten times as fast as x: a plant cell's stress bends within half a per cent of
+strain, where pairs of particles come to act. Under D4 a network reads u x in place of a u of which
+the sign would change.
 """
 
 from __future__ import annotations
@@ -15,30 +16,32 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError, quoted
 from surrofe2.base.sampling import SamplingRange, half_widths
-from surrofe2.base.square_symmetry import DIFFERENCE, SHEAR, SPIN, SUM, parity
+from surrofe2.base.square_symmetry import parity
 from surrofe2.base.tensors import INPUTS, check_arrays
-from surrofe2.surrogate.products import Product, monomials
+from surrofe2.surrogate.products import ONE, STRETCH, Product, monomials
 
 Array = NDArray[np.float64]
-Layers = tuple[tuple[Array, Array], ...]
-"""Matrix (outputs, inputs) and bias (outputs,) of each layer of a tanh network."""
 
 SYMMETRIES = ("D4", "none")
 HIGHEST_DEGREE = 5
 BEND = 0.1
 """Of the half width of a range: size of U − I up to which states near rest differ most."""
+BENT = ONE + 1
+"""The first of the inputs u, which are the last."""
+NETWORK_INPUTS = BENT + STRETCH
 COMPONENTS = 4
 """Of P̂."""
-_COMPONENTS = (SUM, DIFFERENCE, SHEAR, SPIN)
 
 # input numbers: sum s, difference d, shear g of U − I; sum S, difference D, shear G, spin W of A
 _s, _d, _g, _S, _D, _G, _W = range(INPUTS)
+_us, _ud, _ug = range(BENT, NETWORK_INPUTS)
 INVARIANTS: tuple[Product, ...] = (
     (_s,), (_S,),
     (_d, _d), (_d, _D), (_D, _D), (_g, _g), (_g, _G), (_G, _G), (_W, _W),
@@ -52,26 +55,19 @@ COVARIANTS: tuple[Product, ...] = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Features:
+class Features(NamedTuple):
     """What a network of one symmetry is made of.
 
     Attributes:
         invariants: products of inputs that the network reads.
         terms: product and component of what each of its outputs multiplies; those with an empty
             product are factor − factor at rest.
-        powers: of s, d, g in the numerators of what tells states near rest apart.
         monomials: of the baseline, each with its component.
     """
 
     invariants: tuple[Product, ...]
     terms: tuple[tuple[Product, int], ...]
-    powers: tuple[int, ...]
     monomials: tuple[tuple[Product, int], ...]
-
-    @property
-    def read(self) -> int:
-        return len(self.invariants) + len(self.powers)
 
 
 def input_scale(range: SamplingRange) -> NDArray[np.float64]:
@@ -86,16 +82,14 @@ def make_features(symmetry: str, degree: int) -> Features:
     kept = monomials(degree)
     if symmetry == "D4":
         return Features(
-            invariants=INVARIANTS,
+            invariants=(*INVARIANTS, (_us,), (_ud, _d), (_ug, _g)),
             terms=tuple((product, parity(product)) for product in COVARIANTS),
-            powers=(1, 2, 2),
             monomials=tuple((product, parity(product)) for product in kept),
         )
     return Features(
-        invariants=tuple((k,) for k in range(INPUTS)),
-        terms=tuple(((), component) for component in _COMPONENTS),
-        powers=(1, 1, 1),
-        monomials=tuple((product, k) for product in kept for k in _COMPONENTS),
+        invariants=tuple((k,) for k in (*range(INPUTS), _us, _ud, _ug)),
+        terms=tuple(((), k) for k in range(COMPONENTS)),
+        monomials=tuple((product, k) for product in kept for k in range(COMPONENTS)),
     )
 
 
@@ -128,7 +122,7 @@ class NetworkParameters:
         count = sum(name.startswith("factors.") for name in self.tensors) // 2
         if not count:
             raise InputError("network.factors: 0 layers; there must be at least one")
-        size = features.read
+        size = len(features.invariants)
         for k in np.arange(count).tolist():
             bias = self.tensors.get(f"factors.{k}.bias", np.empty(0))
             rows = len(features.terms) if k == count - 1 else len(bias)
@@ -141,8 +135,8 @@ class NetworkParameters:
         return make_features(self.symmetry, self.degree)
 
     @property
-    def layers(self) -> Layers:
-        """Those that give the factors."""
+    def layers(self) -> tuple[tuple[Array, Array], ...]:
+        """Matrix (outputs, inputs) and bias (outputs,) of each that gives the factors."""
         count = sum(name.endswith(".weight") for name in self.tensors)
         return tuple(
             (self.tensors[f"factors.{k}.weight"], self.tensors[f"factors.{k}.bias"])
@@ -162,10 +156,10 @@ class NetworkParameters:
         """(7,) Frobenius norm of what each input adds to the linear stress of the baseline, which
         has all slopes at rest where the training knew them, by a unit of the input, µN/µm."""
         slopes = np.zeros((COMPONENTS, INPUTS))
-        for component, terms in enumerate(self.baseline):
-            for product, value in terms:
-                if len(product) == 1:
-                    slopes[component, product[0]] += value
+        pairs = zip(self.features.monomials, self.tensors["coefficients"].tolist(), strict=True)
+        for (product, component), value in pairs:
+            if len(product) == 1:
+                slopes[component, product[0]] = value
         sizes: Array = np.sqrt(0.5 * (slopes**2).sum(axis=0)) / self.tensors["input_scale"]
         return sizes
 

@@ -17,7 +17,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from surrofe2.base.compilation import kernel, pair_law, parallel_kernel
+from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.sampling import SLACK, SamplingRange
 from surrofe2.base.simd import (
     TILE,
@@ -43,7 +43,13 @@ from surrofe2.surrogate.domain import (
     boundary_products,
     scale_products,
 )
-from surrofe2.surrogate.features import BEND, COMPONENTS, Layers, NetworkParameters
+from surrofe2.surrogate.features import (
+    BEND,
+    BENT,
+    COMPONENTS,
+    NETWORK_INPUTS,
+    NetworkParameters,
+)
 from surrofe2.surrogate.products import (
     BLOCK,
     ONE,
@@ -52,6 +58,7 @@ from surrofe2.surrogate.products import (
     Polynomials,
     Product,
     evaluate,
+    make_room,
 )
 
 Array = NDArray[np.float64]
@@ -64,7 +71,7 @@ _NOT_FINITE, _NOT_TRUSTED = int(Status.NOT_FINITE), int(Status.NOT_TRUSTED)
 
 # Rows of the frame: components of F, Ḟ (V), R, U, A; 1 or 0, whether in range; the stress.
 _F11, _F12, _F21, _F22, _V11, _V12, _V21, _V22 = range(8)
-_COS, _SIN, _U11, _U12, _U22, _A11, _A12, _A21, _A22, _INSIDE, _S11, _S12, _S21, _S22 = range(8, 22)
+_COS, _SIN, _U11, _U22, _U12, _A11, _A12, _A21, _A22, _INSIDE, _S11, _S12, _S21, _S22 = range(8, 22)
 _FRAME_ROWS = 22
 _HEIGHT, _BOUND, _SQUARE = range(3)  # polynomials of `BoundArrays`
 
@@ -73,19 +80,15 @@ class NetworkArrays(NamedTuple):
     """A network as the arrays its kernels read.
 
     Attributes:
-        bounds: (4,) below and above which U₁₁ and U₂₂, and above which |U₁₂| and |A| are out of
-            range, by the rounding of the range test wider than the range.
         input_factor: (7,) 1/input scale; output_factor: (4,).
         at_rest: (t,) what the factors are at rest, 0 unless they are subtracted.
         products to kept: `Polynomials` of the baseline of P̂; kept are the products of the t terms,
             then the invariants.
         components: (t,) int64 of the terms.
-        powers: (3,) int64 of s, d, g in the invariants of U alone, see `features`.
         sizes: (layers + 1,) int64 inputs, and outputs of each layer of the network of factors,
             padded to multiples of four; weights, biases: its layers, flat, one after the other.
     """
 
-    bounds: Array
     input_factor: Array
     output_factor: Array
     at_rest: Array
@@ -97,72 +100,56 @@ class NetworkArrays(NamedTuple):
     coefficients: Array
     kept: NDArray[np.int64]
     components: NDArray[np.int64]
-    powers: NDArray[np.int64]
     sizes: NDArray[np.int64]
     weights: Array
     biases: Array
 
     @classmethod
-    def of(cls, network: NetworkParameters, range: SamplingRange) -> NetworkArrays:
-        """The arrays of a network that is used within a range."""
+    def of(cls, network: NetworkParameters) -> NetworkArrays:
+        """The arrays of a network."""
         features, tensors = network.features, network.tensors
-        low, high = range.stretch
-        above = np.array([high + SLACK, range.shear + SLACK, range.rate + SLACK * range.rate])
-        sizes, weights, biases = _pack_layers(network.layers)
+        matrices, biases = (
+            [np.pad(each, [(0, -size % 4) for size in each.shape]) for each in part]
+            for part in zip(*network.layers, strict=True)
+        )
         products = [product for product, _ in features.terms]
         arrays = cls(
-            bounds=np.array([np.nextafter(low - SLACK, -np.inf), *np.nextafter(above, np.inf)]),
             input_factor=1.0 / tensors["input_scale"],
             output_factor=tensors["output_scale"],
             at_rest=np.zeros(len(products)),
             **Polynomials.of(
-                ONE + 1, network.baseline, [*products, *features.invariants]
+                NETWORK_INPUTS, network.baseline, [*products, *features.invariants]
             )._asdict(),
             components=np.array([component for _, component in features.terms]),
-            powers=np.array(features.powers),
-            sizes=sizes,
-            weights=weights,
-            biases=biases,
+            sizes=np.array([matrices[0].shape[1], *(len(matrix) for matrix in matrices)]),
+            weights=np.concatenate([matrix.ravel() for matrix in matrices]),
+            biases=np.concatenate(biases),
         )
         # what the network gives at rest is subtracted as the very same instructions give it
-        room = _make_room(arrays, 0)
-        room.rows[:ONE] = 0.0
+        room, (units, no_slopes) = make_room(arrays, NETWORK_INPUTS, 0), _make_units(arrays, 0)
+        room.rows[:NETWORK_INPUTS] = 0.0
         room.rows[ONE] = 1.0
-        first = _evaluate_factors(arrays, room)
+        first = _evaluate_factors(arrays, room, units, no_slopes)
         subtracted = np.array([not product for product in products])
-        factors = room.units[first : first + len(products), 0, 0]
+        factors = units[first : first + len(products), 0, 0]
         return arrays._replace(at_rest=np.where(subtracted, factors, 0.0))
 
 
-def _pack_layers(layers: Layers) -> tuple[NDArray[np.int64], Array, Array]:
-    """(sizes, matrices, biases), flat and padded; see `NetworkArrays`."""
-    matrices = [_padded(matrix) for matrix, _ in layers]
-    return (
-        np.array([matrices[0].shape[1], *(len(matrix) for matrix in matrices)]),
-        np.concatenate([matrix.ravel() for matrix in matrices]),
-        np.concatenate([_padded(bias[:, None])[:, 0] for _, bias in layers]),
-    )
-
-
-def _padded(matrix: Array) -> Array:
-    rows, columns = (4 * -(-size // 4) for size in matrix.shape)
-    result = np.zeros((rows, columns))
-    result[: matrix.shape[0], : matrix.shape[1]] = matrix
-    return result
-
-
 class BoundArrays(NamedTuple):
-    """Domain and bound as the arrays their kernel reads.
+    """Range, domain and bound as the arrays their kernel reads.
 
     Attributes:
+        limits: (2, 7) between which U₁₁, U₂₂, U₁₂ and the entries of A are in range, by the
+            rounding of the range test wider than the range.
         factor: (7,) 1/scale of the inputs.
         near: (7,) share of each squared input in the size of a state.
-        products to kept: `Polynomials` of `all_inputs`: the failure boundary, beyond which it
-            is positive; the bound over the tolerance, infinite where none is known; the square of
-            what is added to the local tolerance at rest.
-        at_rest: (1,) this.
+        products to coefficients: `Polynomials` of `all_inputs`: the failure boundary, beyond which
+            it is positive; the bound over the tolerance, infinite where none is known; the square
+            of what is added to the local tolerance at rest.
+        at_rest: this tolerance.
     """
 
+    limits: Array
     factor: Array
     near: Array
     products: NDArray[np.int64]
@@ -171,19 +158,24 @@ class BoundArrays(NamedTuple):
     group_begins: NDArray[np.int64]
     rows: NDArray[np.int64]
     coefficients: Array
-    kept: NDArray[np.int64]
-    at_rest: Array
+    at_rest: float
 
     @classmethod
     def of(
-        cls, domain: Domain | None, calibration: Calibration | None, tolerance: Array | None = None
+        cls,
+        range: SamplingRange,
+        domain: Domain | None,
+        calibration: Calibration | None,
+        tolerance: Array | None,
     ) -> BoundArrays:
-        """The arrays of a domain (None: everywhere) and a bound (None: infinite).
+        """The arrays of a range, a domain (None: all of it) and a bound (None: infinite).
 
-        tolerance: (9,) `domain.tolerance_coefficients`, then the tolerance in µN/µm; where this is
-        infinite, the risk is 0, whatever the bound.
+        tolerance: (9,) of a `SurrogateLaw`; where the last is infinite, the risk is 0, whatever
+        the bound.
         """
         *squares, at_rest, most = [0.0] * INPUTS + [1.0, 1.0] if tolerance is None else tolerance
+        (lower, upper), slack = range.ends, SLACK * np.array([1.0, 1.0, 1.0, *[range.rate] * 4])
+        limits = np.nextafter([lower - slack, upper + slack], [[-np.inf], [np.inf]])
         factor, near = np.ones(INPUTS), np.ones(INPUTS)
         boundary: Iterable[tuple[Product, float]] = []
         bound: list[tuple[Product, float]] = [((), np.inf)]
@@ -198,35 +190,33 @@ class BoundArrays(NamedTuple):
                 near = calibration.near
         local = [((SQUARES + k,), value) for k, value in enumerate(squares) if value]
         parts = boundary, [] if np.isinf(most) else bound, local
-        arrays = Polynomials.of(ALL_INPUTS, parts)
-        return cls(factor, near, *arrays, np.array([float(at_rest)]))
+        polynomials = Polynomials.of(ALL_INPUTS, parts)[:-1]
+        return cls(limits, factor, near, *polynomials, float(at_rest))
 
 
 def lookup(
-    F: Array, F_dot: Array, network: NetworkArrays, bounds: BoundArrays, limit: float
+    F: Array,
+    F_dot: Array,
+    network: NetworkArrays,
+    bounds: BoundArrays,
+    limit: float,
+    *,
+    with_stress: bool = True,
 ) -> tuple[Array, NDArray[np.int8], Array]:
     """Stress (n, 2, 2) in µN/µm, NaN where the status (n,) is not 0, and risk (n,).
 
-    Points with NaN or det F ≤ 0 are out of range.
+    Points with NaN or det F ≤ 0 are out of range. `with_stress` False leaves the stress out (None),
+    and the status does not tell whether it is finite.
 
     F, F_dot: (n, 2, 2) contiguous float64. limit: of the risk.
     """
     count = len(F)
-    stress, status, risk = np.empty(F.shape), np.empty(count, dtype=np.int8), np.empty(count)
-    compute = _lookup_parallel if count >= MANY else _lookup_part
-    compute(0, count, F, F_dot, network, bounds, float(limit), stress, status, risk)
-    return stress, status, risk
-
-
-def status_and_risk(
-    F: Array, F_dot: Array, network: NetworkArrays, bounds: BoundArrays, limit: float
-) -> tuple[NDArray[np.int8], Array]:
-    """Status and risk of `lookup` without the stress, whose finiteness is not tested."""
-    count = len(F)
+    stress: Any = np.empty(F.shape) if with_stress else None
     status, risk = np.empty(count, dtype=np.int8), np.empty(count)
-    test = _test_parallel if count >= MANY else _test_part
-    test(0, count, F, F_dot, network.bounds, bounds, float(limit), status, risk)
-    return status, risk
+    compute = _lookup_parallel if count >= MANY else _lookup_part
+    of = network if with_stress else None
+    compute(0, count, F, F_dot, of, bounds, float(limit), stress, status, risk)
+    return stress, status, risk
 
 
 def evaluate_slopes(F: Array, F_dot: Array, network: NetworkArrays) -> tuple[Array, Array]:
@@ -253,81 +243,54 @@ def _lookup_parallel(  # type: ignore[no-untyped-def]
 def _lookup_part(  # type: ignore[no-untyped-def]
     begin, end, F, F_dot, network, bounds, limit, stress, status, risk
 ):
-    """Set the answer at points `begin` to `end`."""
-    frame, room = np.empty((_FRAME_ROWS, TILES, TILE)), _make_room(network, np.int64(0))
-    domain = _make_domain_room(bounds)
+    """Set status and risk at points `begin` to `end` by range, failure boundary and bound; and the
+    stress, where there is a network."""
+    frame = np.empty((_FRAME_ROWS, TILES, TILE))
+    trust = make_room(bounds, ALL_INPUTS, 0)
+    if network is not None:
+        room = make_room(network, NETWORK_INPUTS, 0)
+        units, no_slopes = _make_units(network, 0)
     for start in range(begin, end, BLOCK):
         _read_points(start, F, F_dot, frame)
         _take_rotation_out(frame)
-        _set_inside(frame, network.bounds)
-        _scale_inputs(frame, network.input_factor, room.rows)
-        _evaluate_network(network, room)
-        _set_stress(room.y, frame)
-        _test_block(start, frame, bounds, limit, domain, status, risk)
+        _set_inside(frame, bounds.limits)
+        _scale_inputs(frame, bounds.factor, trust.rows)
+        _set_even_inputs(bounds.near, trust.rows)
+        evaluate(bounds, trust)
+        _divide_by_local_tolerance(bounds.at_rest, trust.y)
+        if network is not None:
+            _set_inputs(frame, network, room)
+            _evaluate_network(network, room, units, no_slopes)
+            _set_stress(room.y, frame)
         for p in range(min(BLOCK, end - start)):
             point, t, lane = start + p, p // TILE, p % TILE
-            is_finite = True
-            for i in range(4):
-                value = frame[_S11 + i, t, lane]
-                is_finite &= np.isfinite(value)
-                stress[point, i // 2, i % 2] = value
-            if frame[_INSIDE, t, lane] > 0.0 and not is_finite:
-                status[point], risk[point] = _NOT_FINITE, np.inf
-            if status[point] != _OK:
-                stress[point] = np.nan
-
-
-@parallel_kernel
-def _test_parallel(begin, end, F, F_dot, limits, bounds, limit, status, risk):  # type: ignore[no-untyped-def]
-    for part in prange((end - begin + _PART - 1) // _PART):
-        first = begin + part * _PART
-        last = min(first + _PART, end)
-        _test_part(first, last, F, F_dot, limits, bounds, limit, status, risk)
-
-
-@kernel
-def _test_part(begin, end, F, F_dot, limits, bounds, limit, status, risk):  # type: ignore[no-untyped-def]
-    frame, domain = np.empty((_FRAME_ROWS, TILES, TILE)), _make_domain_room(bounds)
-    for start in range(begin, end, BLOCK):
-        _read_points(start, F, F_dot, frame)
-        _take_rotation_out(frame)
-        _set_inside(frame, limits)
-        _test_block(start, frame, bounds, limit, domain, status, risk)
-
-
-@kernel
-def _make_domain_room(bounds):  # type: ignore[no-untyped-def]
-    """Rows of inputs and products, polynomials, and slopes that nobody wants."""
-    rows = np.empty((ALL_INPUTS + bounds.products.shape[0], TILES, TILE))
-    return rows, np.empty((3, TILES, TILE)), np.empty((0, 0, TILES, TILE))
-
-
-@pair_law
-def _test_block(start, frame, bounds, limit, room, status, risk):  # type: ignore[no-untyped-def]
-    """Write status and risk of a block by range, failure boundary and bound."""
-    rows, y, none = room
-    _scale_inputs(frame, bounds.factor, rows)
-    _set_even_inputs(bounds.near, rows)
-    evaluate(bounds, rows, y, none, none)
-    _divide_by_local_tolerance(bounds.at_rest, y)
-    for p in range(min(BLOCK, status.shape[0] - start)):
-        point, t, lane = start + p, p // TILE, p % TILE
-        value, code = y[_BOUND, t, lane], _OK
-        if not (frame[_INSIDE, t, lane] > 0.0 and y[_HEIGHT, t, lane] <= 0.0):
-            value, code = np.inf, _OUT_OF_RANGE
-        elif not value <= limit:
-            code = _NOT_TRUSTED
-        risk[point], status[point] = value, code
+            value, code, inside = trust.y[_BOUND, t, lane], _OK, frame[_INSIDE, t, lane] > 0.0
+            if not (inside and trust.y[_HEIGHT, t, lane] <= 0.0):
+                value, code = np.inf, _OUT_OF_RANGE
+            elif not value <= limit:
+                code = _NOT_TRUSTED
+            if stress is not None:
+                is_finite = True
+                for i in range(4):
+                    is_finite &= np.isfinite(frame[_S11 + i, t, lane])
+                if inside and not is_finite:
+                    value, code = np.inf, _NOT_FINITE
+                for i in range(4):
+                    known = frame[_S11 + i, t, lane] if code == _OK else np.nan
+                    stress[point, i // 2, i % 2] = known
+            risk[point], status[point] = value, code
 
 
 @kernel
 def _slopes(F, F_dot, network, P, slopes):  # type: ignore[no-untyped-def]
-    frame, room = np.empty((_FRAME_ROWS, TILES, TILE)), _make_room(network, np.int64(INPUTS))
+    frame = np.empty((_FRAME_ROWS, TILES, TILE))
+    room = make_room(network, NETWORK_INPUTS, INPUTS)
+    units, unit_slopes = _make_units(network, INPUTS)
     for start in range(0, F.shape[0], BLOCK):
         _read_points(start, F, F_dot, frame)
         _take_rotation_out(frame)
-        _scale_inputs(frame, network.input_factor, room.rows)
-        _evaluate_network(network, room)
+        _set_inputs(frame, network, room)
+        _evaluate_network(network, room, units, unit_slopes)
         for p in range(min(BLOCK, F.shape[0] - start)):
             t, lane = p // TILE, p % TILE
             for c in range(COMPONENTS):
@@ -343,10 +306,9 @@ def _read_points(start, F, F_dot, frame):  # type: ignore[no-untyped-def]
     for p in range(BLOCK):
         point = min(start + p, F.shape[0] - 1)
         t, lane = p // TILE, p % TILE
-        frame[_F11, t, lane], frame[_F12, t, lane] = F[point, 0, 0], F[point, 0, 1]
-        frame[_F21, t, lane], frame[_F22, t, lane] = F[point, 1, 0], F[point, 1, 1]
-        frame[_V11, t, lane], frame[_V12, t, lane] = F_dot[point, 0, 0], F_dot[point, 0, 1]
-        frame[_V21, t, lane], frame[_V22, t, lane] = F_dot[point, 1, 0], F_dot[point, 1, 1]
+        for i in range(4):
+            frame[_F11 + i, t, lane] = F[point, i // 2, i % 2]
+            frame[_V11 + i, t, lane] = F_dot[point, i // 2, i % 2]
 
 
 @kernel
@@ -372,23 +334,15 @@ def _take_rotation_out(frame):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _set_inside(frame, bounds):  # type: ignore[no-untyped-def]
-    """Set `_INSIDE` to 1 where low < U₁₁, U₂₂ < high, |U₁₂| < shear and |A| < rate, else 0."""
-    low, high, shear, rate = bounds[0], bounds[1], bounds[2], bounds[3]
+def _set_inside(frame, limits):  # type: ignore[no-untyped-def]
+    """Set `_INSIDE` to 1 where U₁₁, U₂₂, U₁₂ and all of A are between limits (2, 7), else to 0."""
     for t in range(TILES):
-        inside = where_less(low, load(frame, _U11, t), 1.0, 0.0)
-        inside = where_less(load(frame, _U11, t), high, inside, 0.0)
-        inside = where_less(low, load(frame, _U22, t), inside, 0.0)
-        inside = where_less(load(frame, _U22, t), high, inside, 0.0)
-        inside = _where_within(load(frame, _U12, t), shear, inside)
-        for row in range(_A11, _A22 + 1):
-            inside = _where_within(load(frame, row, t), rate, inside)
+        inside = spread(1.0)
+        for k in range(INPUTS):
+            value = load(frame, _U11 + k, t)
+            inside = where_less(value, limits[1, k], inside, 0.0)
+            inside = where_less(limits[0, k], value, inside, 0.0)
         store(inside, frame, _INSIDE, t)
-
-
-@kernel
-def _where_within(value, bound, inside):  # type: ignore[no-untyped-def]
-    return where_less(-bound, value, where_less(value, bound, inside, 0.0), 0.0)
 
 
 @kernel
@@ -408,81 +362,60 @@ def _scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
         store(1.0, x, ONE, t)
 
 
-class _Room(NamedTuple):
-    """What a network is evaluated in, used again for the next block: rows of scaled inputs, ones
-    and products; y (4, …) components; units (all units, …); the others, with K before, are their
-    slopes."""
-
-    rows: Any
-    y: Any
-    units: Any
-    row_slopes: Any
-    y_slopes: Any
-    unit_slopes: Any
+@kernel
+def _set_inputs(frame, network, room):  # type: ignore[no-untyped-def]
+    """The inputs of a network, see `features`, with the slopes of those that bend."""
+    x, slopes = room.rows, room.slopes
+    _scale_inputs(frame, network.input_factor, x)
+    for k in range(STRETCH):
+        for t in range(TILES):
+            value = load(x, k, t)
+            inverse = inverse_root(value * value + BEND * BEND)
+            store(value * inverse, x, BENT + k, t)
+            if slopes.shape[0]:
+                store(BEND * BEND * inverse * inverse * inverse, slopes, k, BENT + k, t)
 
 
 @kernel
-def _make_room(arrays, inputs):  # type: ignore[no-untyped-def]
-    """Room for values and for slopes along so many inputs, 0 or 7."""
-    rows, units = ONE + 1 + arrays.products.shape[0], arrays.sizes.sum()
-    return _Room(
-        np.empty((rows, TILES, TILE)),
-        np.empty((COMPONENTS, TILES, TILE)),
-        np.empty((units, TILES, TILE)),
-        np.empty((inputs, rows, TILES, TILE)),
-        np.empty((inputs, COMPONENTS, TILES, TILE)),
-        np.empty((inputs, units, TILES, TILE)),
-    )
-
-
-@kernel
-def _evaluate_network(arrays, room):  # type: ignore[no-untyped-def]
+def _evaluate_network(arrays, room, units, unit_slopes):  # type: ignore[no-untyped-def]
     """The components of P̂, y, and their slopes by scaled inputs: the baseline, and of each term
     (factor − factor at rest) × product."""
-    first, y, y_slopes = _evaluate_factors(arrays, room), room.y, room.y_slopes
+    first, y = _evaluate_factors(arrays, room, units, unit_slopes), room.y
+    y_slopes = room.y_slopes
     for term in range(arrays.components.shape[0]):
         component, row = arrays.components[term], arrays.kept[term]
         scale, at_rest = arrays.output_factor[component], arrays.at_rest[term]
         for t in range(TILES):
-            factor = (load(room.units, first + term, t) - at_rest) * scale
+            factor = (load(units, first + term, t) - at_rest) * scale
             product = load(room.rows, row, t)
             store(load(y, component, t) + factor * product, y, component, t)
             for k in range(y_slopes.shape[0]):
-                slope = load(room.unit_slopes, k, first + term, t) * (product * scale)
-                slope += factor * load(room.row_slopes, k, row, t)
+                slope = load(unit_slopes, k, first + term, t) * (product * scale)
+                slope += factor * load(room.slopes, k, row, t)
                 store(load(y_slopes, k, component, t) + slope, y_slopes, k, component, t)
 
 
 @kernel
-def _evaluate_factors(arrays, room):  # type: ignore[no-untyped-def]
+def _make_units(arrays, along):  # type: ignore[no-untyped-def]
+    """Units of all layers (units, …), and their slopes (K, units, …)."""
+    units = arrays.sizes.sum()
+    return np.empty((units, TILES, TILE)), np.empty((along, units, TILES, TILE))
+
+
+@kernel
+def _evaluate_factors(arrays, room, units, slopes):  # type: ignore[no-untyped-def]
     """Set y to the baseline, fill the units, all with slopes; returns the first factor's row."""
-    units, slopes, kept = room.units, room.unit_slopes, arrays.kept
-    evaluate(arrays, room.rows, room.y, room.row_slopes, room.y_slopes)
+    kept = arrays.kept
+    evaluate(arrays, room)
     terms = arrays.components.shape[0]
     invariants = kept.shape[0] - terms
-    units[invariants + STRETCH : arrays.sizes[0]] = 0.0
+    units[invariants : arrays.sizes[0]] = 0.0
     slopes[:, invariants : arrays.sizes[0]] = 0.0
     for k in range(invariants):
         units[k] = room.rows[kept[terms + k]]
         for along in range(slopes.shape[0]):
-            slopes[along, k] = room.row_slopes[along, kept[terms + k]]
-    _fill_near_invariants(arrays.powers, room.rows, units, slopes, invariants)
+            slopes[along, k] = room.slopes[along, kept[terms + k]]
     return _forward(arrays.sizes, arrays.weights, arrays.biases, units, slopes)
-
-
-@kernel
-def _fill_near_invariants(powers, x, units, slopes, first):  # type: ignore[no-untyped-def]
-    """The units from `first` on that tell states near rest apart, x^p/√(δ² + x²), and slopes."""
-    for k in range(STRETCH):
-        for t in range(TILES):
-            value = load(x, k, t)
-            raised = value if powers[k] == 2 else load(x, ONE, t)
-            inverse = inverse_root(value * value + BEND * BEND)
-            near = raised * value * inverse
-            store(near, units, first + k, t)
-            if slopes.shape[0]:
-                by_power = raised * (float(powers[k]) * inverse)
-                store(by_power - near * value * inverse * inverse, slopes, k, first + k, t)
 
 
 @kernel
@@ -588,8 +521,8 @@ def _set_even_inputs(near, x):  # type: ignore[no-untyped-def]
 
 @kernel
 def _divide_by_local_tolerance(at_rest, y):  # type: ignore[no-untyped-def]
-    """Make the bound the risk, by `domain.local_tolerance`."""
+    """Make the bound the risk, by `SurrogateLaw.local_tolerance`."""
     for t in range(TILES):
-        share = root(load(y, _SQUARE, t)) + at_rest[0]
+        share = root(load(y, _SQUARE, t)) + at_rest
         share = where_less(share, 1.0, share, 1.0)
         store(load(y, _BOUND, t) / share, y, _BOUND, t)

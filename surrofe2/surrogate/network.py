@@ -21,44 +21,11 @@ import torch
 from numpy.typing import NDArray
 
 from surrofe2.base.tensors import INPUTS
-from surrofe2.surrogate.features import BEND, NetworkParameters, make_features
+from surrofe2.surrogate.features import BEND, COMPONENTS, NetworkParameters, make_features
 from surrofe2.surrogate.products import STRETCH, Product, columns
 from surrofe2.surrogate.settings import TrainingSettings
 
-Pair = tuple[torch.Tensor, torch.Tensor]
-
-
-class TanhNetwork(torch.nn.ModuleList):
-    """Fully connected layers with tanh between them; weights uniform within 1/√(inputs)."""
-
-    def __init__(self, sizes: tuple[int, ...], generator: torch.Generator) -> None:
-        with torch.random.fork_rng(devices=[]):  # torch fills layers first, by its global state
-            layers = [torch.nn.Linear(*pair, dtype=torch.float64) for pair in pairwise(sizes)]
-        super().__init__(layers)
-        with torch.no_grad():
-            for layer in layers:
-                bound = layer.in_features**-0.5
-                for values in layer.parameters():
-                    values.uniform_(-bound, bound, generator=generator)
-
-    def forward(self, values: torch.Tensor) -> torch.Tensor:
-        """(n, outputs)."""
-        *inner, last = self.linear
-        for layer in inner:
-            values = torch.tanh(layer(values))
-        return last(values)
-
-    def along(self, values: torch.Tensor, moving: torch.Tensor) -> Pair:
-        """(n, outputs), and their slopes along a direction `moving` of the inputs (n, inputs)."""
-        *inner, last = self.linear
-        for layer in inner:
-            values = torch.tanh(layer(values))
-            moving = (1.0 - values**2) * (moving @ layer.weight.T)
-        return last(values), moving @ last.weight.T
-
-    @property
-    def linear(self) -> list[torch.nn.Linear]:
-        return [layer for layer in self if isinstance(layer, torch.nn.Linear)]
+Pair = tuple[torch.Tensor, Any]
 
 
 class Shapes(NamedTuple):
@@ -83,6 +50,7 @@ class StressNetwork(torch.nn.Module):
     coefficients: torch.Tensor
     at_rest: torch.Tensor
     component_of: torch.Tensor
+    owner: torch.Tensor
 
     def __init__(self, settings: TrainingSettings, symmetry: str = "D4") -> None:
         super().__init__()
@@ -91,17 +59,25 @@ class StressNetwork(torch.nn.Module):
         self.features = make_features(symmetry, settings.baseline_degree)
         terms = self.features.terms
         generator = torch.Generator().manual_seed(settings.seed)
-        sizes = (self.features.read, *settings.hidden, len(terms))
-        self.factors = TanhNetwork(sizes, generator)
-        for name, size in (("input_scale", INPUTS), ("output_scale", 4)):
+        sizes = (len(self.features.invariants), *settings.hidden, len(terms))
+        self.factors = torch.nn.ModuleList(
+            torch.nn.utils.skip_init(torch.nn.Linear, *pair, dtype=torch.float64)
+            for pair in pairwise(sizes)
+        )
+        for layer, size in zip(self.factors, sizes, strict=False):
+            for values in layer.parameters():
+                torch.nn.init.uniform_(values, -(size**-0.5), size**-0.5, generator)
+        monomials = self.features.monomials
+        for name, size in (("input_scale", INPUTS), ("output_scale", COMPONENTS)):
             self.register_buffer(name, torch.ones(size, dtype=torch.float64))
-        zeros = torch.zeros(len(self.features.monomials), dtype=torch.float64)
-        self.register_buffer("coefficients", zeros)
-        # of each term: whether its factor at rest is subtracted, and its component, as 0 and 1
+        self.register_buffer("coefficients", torch.zeros(len(monomials), dtype=torch.float64))
+        # of each term: whether its factor at rest is subtracted; of terms and monomials: their
+        # components, as 0 and 1
         at_rest = torch.tensor([float(not product) for product, _ in terms], dtype=torch.float64)
         self.register_buffer("at_rest", at_rest, persistent=False)
-        component_of = torch.nn.functional.one_hot(torch.tensor([k for _, k in terms]), 4)
-        self.register_buffer("component_of", component_of.double(), persistent=False)
+        for name, named in (("component_of", terms), ("owner", monomials)):
+            ones = torch.eye(COMPONENTS, dtype=torch.float64)[[k for _, k in named]]
+            self.register_buffer(name, ones, persistent=False)
 
     def to_parameters(self) -> NetworkParameters:
         """All that the network is, as arrays; the baseline takes away `rest_slopes`."""
@@ -113,54 +89,51 @@ class StressNetwork(torch.nn.Module):
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """Components of P̂ (n, 4), µN/µm."""
         x = inputs / self.input_scale
-        return self.baseline(x) + self.correction(self.shapes(x))
+        return self.baseline(x) + self.correction(self.shapes(x))[0]
 
     def shapes(self, x: torch.Tensor) -> Shapes:
         """All that `correction` needs of scaled inputs (n, 7)."""
         f = self.features
         terms = [product for product, _ in f.terms]
-        invariants = torch.cat([products(x, f.invariants), self._near_invariants(x)], dim=1)
-        return Shapes(x, invariants, products(x, terms))
+        return Shapes(x, products(x, f.invariants), products(x, terms))
 
-    def correction(self, shapes: Shapes) -> torch.Tensor:
-        """What the network adds to the baseline (n, 4), µN/µm."""
-        return self._from_network(shapes) - shapes.x @ self.rest_slopes()
-
-    def correction_along(self, shapes: Shapes, moving: Shapes) -> Pair:
-        """`correction`, and its slopes (n, 4) along the direction `moving` of the shapes; written
-        out, for torch's forward differentiation takes four times as long."""
-        (P, slope), rest = self._from_network_along(shapes, moving), self.rest_slopes()
-        return P - shapes.x @ rest, slope - moving.x @ rest
+    def correction(self, shapes: Shapes, moving: Shapes | None = None) -> Pair:
+        """What the network adds to the baseline (n, 4), µN/µm, and its slopes (n, 4) along a
+        direction `moving` of the shapes, None without one."""
+        (P, slope), rest = self._from_network(shapes, moving), self.rest_slopes()
+        return P - shapes.x @ rest, None if moving is None else slope - moving.x @ rest
 
     def rest_slopes(self) -> torch.Tensor:
         """(7, 4) slopes at rest of what the network gives, if the baseline takes them; else 0."""
         if not (self.second_order and self.features.monomials):
             return self.input_scale.new_zeros(INPUTS, 4)
-        return self._from_network_along(*self._near_rest)[1]
+        return self._from_network(*self._near_rest)[1]
 
     @cached_property
     def _near_rest(self) -> tuple[Shapes, Shapes]:
         rest = self.input_scale.new_zeros(INPUTS, INPUTS)
         return along(self.shapes, (rest,), (torch.eye(INPUTS, dtype=rest.dtype),))
 
-    def _from_network(self, shapes: Shapes) -> torch.Tensor:
-        factors = self.factors(shapes.invariants) - self._factors_at_rest()
-        return factors * shapes.terms @ self.component_of * self.output_scale
-
-    def _from_network_along(self, shapes: Shapes, moving: Shapes) -> Pair:
-        factors, steeper = self.factors.along(shapes.invariants, moving.invariants)
-        factors = factors - self._factors_at_rest()
+    def _from_network(self, shapes: Shapes, moving: Shapes | None) -> Pair:
+        factors, steeper = self._factors(shapes.invariants, moving and moving.invariants)
+        if self.at_rest.any():  # of terms that are no products
+            rest = self.at_rest.new_zeros(1, len(self.features.invariants))
+            factors = factors - self.at_rest * self._factors(rest)[0]
         P = factors * shapes.terms @ self.component_of * self.output_scale
-        sloped = steeper * shapes.terms + factors * moving.terms
-        return P, sloped @ self.component_of * self.output_scale
+        if moving is None:
+            return P, None
+        slope = steeper * shapes.terms + factors * moving.terms
+        return P, slope @ self.component_of * self.output_scale
 
-    def _factors_at_rest(self) -> torch.Tensor:
-        """(1, t), of the terms that are no products; 0 of the others."""
-        if not self.at_rest.any():
-            return self.at_rest
-        rest = self.at_rest.new_zeros(1, self.features.read)
-        taken: torch.Tensor = self.at_rest * self.factors(rest)
-        return taken
+    def _factors(self, values: torch.Tensor, moving: torch.Tensor | None = None) -> Pair:
+        """(n, t) of the terms, and their slopes along a direction `moving` of invariants (n, i);
+        written out, for torch's forward differentiation takes four times as long."""
+        *inner, last = self.factors
+        for layer in inner:
+            values = torch.tanh(layer(values))
+            if moving is not None:
+                moving = (1.0 - values**2) * (moving @ layer.weight.T)
+        return last(values), None if moving is None else moving @ last.weight.T
 
     def to_cauchy(self, x: torch.Tensor) -> torch.Tensor:
         """(n, 4, 4) that takes components of P̂ to those of S = P̂ U/det U, at scaled inputs."""
@@ -172,19 +145,11 @@ class StressNetwork(torch.nn.Module):
 
     def baseline(self, x: torch.Tensor) -> torch.Tensor:
         """The polynomial part (n, 4), µN/µm, at scaled inputs."""
-        values, monomials = x.new_zeros(len(x), 4), self.features.monomials
-        if not monomials:
-            return values
-        owner = torch.tensor([component for _, component in monomials])
-        shapes = products(x, [product for product, _ in monomials])
-        return values.index_add(1, owner, shapes * self.coefficients)
+        return self.monomials(x) @ (self.coefficients[:, None] * self.owner)
 
-    def baseline_columns(self, x: torch.Tensor) -> torch.Tensor:
-        """(n, 4, m): what a unit of each coefficient adds to P̂, where there is a baseline."""
-        monomials = self.features.monomials
-        component = torch.nn.functional.one_hot(torch.tensor([k for _, k in monomials]), 4)
-        columns = component * products(x, [product for product, _ in monomials])[:, :, None]
-        return columns.transpose(1, 2)
+    def monomials(self, x: torch.Tensor) -> torch.Tensor:
+        """(n, m) of the baseline."""
+        return products(x, [product for product, _ in self.features.monomials])
 
     def rest_coefficients(self, slopes: torch.Tensor) -> NDArray[np.float64]:
         """Coefficients that give the baseline these slopes (4, 7) at rest; NaN: of higher order."""
@@ -192,20 +157,13 @@ class StressNetwork(torch.nn.Module):
         entries = self.features.monomials
         return np.array([P[k, one[0]] if len(one) == 1 else np.nan for one, k in entries])
 
-    def _near_invariants(self, x: torch.Tensor) -> torch.Tensor:
-        """(n, 3) that tell states near rest apart, see `features`."""
-        stretch = x[:, :STRETCH]
-        return torch.where(self._squared, stretch**2, stretch) / (BEND**2 + stretch**2).sqrt()
-
-    @cached_property
-    def _squared(self) -> torch.Tensor:
-        return torch.tensor([power == 2 for power in self.features.powers])
-
 
 def products(x: torch.Tensor, factors: Iterable[Product]) -> torch.Tensor:
-    """(n, m) products of the columns of x (n, 7) that `factors` names; an empty one is 1."""
-    with_one = torch.cat([x, torch.ones_like(x[:, :1])], dim=1)
-    return torch.stack(columns(with_one, factors), dim=1)
+    """(n, m) products of the inputs of `features`, by scaled inputs x (n, 7)."""
+    stretch = x[:, :STRETCH]
+    bent = stretch / (BEND**2 + stretch**2).sqrt()
+    values = columns(torch.cat([x, torch.ones_like(x[:, :1]), bent], dim=1), factors)
+    return torch.stack(values, dim=1) if values else x[:, :0]
 
 
 def along(function: Callable[..., Any], at: tuple[Any, ...], direction: tuple[Any, ...]) -> Any:

@@ -65,9 +65,7 @@ def to_slopes(F: Array, P_by_F: Array, P_by_F_dot: Array) -> Array:
         np.einsum("nabcd,kcd->nkab", by, directions)
         for by, directions in zip(turned, (_UNIT[:_SPINLESS], _UNIT), strict=True)
     ]
-    along = np.concatenate(sides, axis=1)
-    slopes = to_components(along.reshape(-1, 2, 2)).reshape(len(F), -1, 4)
-    return transpose(slopes)
+    return transpose(to_components(np.concatenate(sides, axis=1)))
 
 
 def to_tangents(F: Array, F_dot: Array, components: Array, slopes: Array) -> Tangents:
@@ -78,30 +76,17 @@ def to_tangents(F: Array, F_dot: Array, components: Array, slopes: Array) -> Tan
     B[:, 2, :, 0] = B[:, 3, :, 1] = R[:, 1]
     U, A = transpose(R) @ F, transpose(R) @ F_dot
     turned = (B[:, :, 1, 0] - B[:, :, 0, 1]) / (2.0 + inputs[:, :1])
-    direct, E_U, E_A = _components(B), to_components(TURN @ U), to_components(TURN @ A)
+    direct, E_U, E_A = (to_components(each) for each in (B, TURN @ U, TURN @ A))
     changes = np.empty((len(F), 4, 7))
     changes[..., :_SPINLESS] = direct[..., :_SPINLESS] - turned[..., None] * E_U[:, None, :3]
     changes[..., _SPINLESS:] = -turned[..., None] * E_A[:, None]
     across = transpose(slopes)
-    by_F = _tensors(changes @ across)
+    by_F = from_components(changes @ across)
     by_F += turned[..., None, None] * (TURN @ from_components(components))[:, None]
-    by_rate = _tensors(direct @ across[:, _SPINLESS:])
-    return Tangents(*(_closed(R, by) for by in (by_F, by_rate)))
-
-
-def _components(tensors: Array) -> Array:
-    return to_components(tensors.reshape(-1, 2, 2)).reshape(*tensors.shape[:2], 4)
-
-
-def _tensors(components: Array) -> Array:
-    shape = components.shape
-    return from_components(components.reshape(-1, 4)).reshape(*shape[:2], 2, 2)
-
-
-def _closed(R: Array, by: Array) -> Array:
-    """R by (n, 4, 2, 2), put as [n, a, b, c, d] = ∂P_ab by the change of entry (c, d)."""
-    turned = np.moveaxis(R[:, None] @ by, 1, 3)
-    return np.ascontiguousarray(turned.reshape(len(R), 2, 2, 2, 2))
+    by_rate = from_components(direct @ across[:, _SPINLESS:])
+    # R dP̂, put as [n, a, b, c, d] = ∂P_ab by the change of entry (c, d)
+    entries = (np.moveaxis(R[:, None] @ by, 1, 3) for by in (by_F, by_rate))
+    return Tangents(*(np.ascontiguousarray(by.reshape(-1, 2, 2, 2, 2)) for by in entries))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.compilation import pair_law
+from surrofe2.base.compilation import kernel, pair_law
 from surrofe2.base.simd import TILE, load, spread, store
 from surrofe2.base.tensors import INPUTS
 
 Array = NDArray[np.float64]
 Product = tuple[int, ...]
-"""Rising numbers of the inputs that are multiplied; an empty one is 1."""
+"""Numbers of the inputs that are multiplied; an empty one is 1."""
 
 ONE = INPUTS
 """The number of the input that is 1."""
@@ -119,22 +119,49 @@ class Polynomials(NamedTuple):
         )
 
 
-@pair_law
-def evaluate(polynomials, rows, y, slopes, y_slopes):  # type: ignore[no-untyped-def]
-    """Set the rows of products, and the polynomials y (outputs, …), by the inputs.
+class Room(NamedTuple):
+    """What polynomials are evaluated in, used again for the next block.
 
-    rows: (inputs + m, TILES, TILE), the inputs set. slopes, y_slopes: (K, …) of both, by each of
-    the first K inputs; K = 0 asks for none.
+    Attributes:
+        rows: (inputs + m, TILES, TILE) inputs and products.
+        y: (outputs, TILES, TILE) polynomials.
+        slopes, y_slopes: (K, …) of both by each of the first K inputs; K = 0: of none.
+    """
+
+    rows: Any
+    y: Any
+    slopes: Any
+    y_slopes: Any
+
+
+@kernel
+def make_room(polynomials, inputs, along):  # type: ignore[no-untyped-def]
+    """Room for slopes along the first `along` inputs, which are 0 and 1 but of the products."""
+    rows, outputs = inputs + polynomials.products.shape[0], polynomials.begins.shape[0] - 1
+    slopes = np.zeros((along, rows, TILES, TILE))
+    for k in range(along):
+        slopes[k, k] = 1.0
+    return Room(
+        np.empty((rows, TILES, TILE)),
+        np.empty((outputs, TILES, TILE)),
+        slopes,
+        np.empty((along, outputs, TILES, TILE)),
+    )
+
+
+@pair_law
+def evaluate(polynomials, room):  # type: ignore[no-untyped-def]
+    """Set the products and the polynomials by the inputs, and their slopes by the inputs'.
+
+    Where there are slopes, an input that depends on others is the first of its products.
     """
     products, begins, heads = polynomials.products, polynomials.begins, polynomials.heads
     group_begins, numbers = polynomials.group_begins, polynomials.rows
-    coefficients, inputs = polynomials.coefficients, rows.shape[0] - polynomials.products.shape[0]
+    rows, y, slopes, y_slopes = room
+    coefficients, inputs = polynomials.coefficients, rows.shape[0] - products.shape[0]
     # written out where it is used: a call with all these arrays takes as long as a small polynomial
     for along in range(-1, slopes.shape[0]):
         inner, result = (rows, y) if along < 0 else (slopes[along], y_slopes[along])
-        if along >= 0:
-            inner[:inputs] = 0.0
-            inner[along] = 1.0
         for t in range(0, TILES, 2):
             for k in range(products.shape[0]):
                 i, j, row = products[k, 0], products[k, 1], inputs + k

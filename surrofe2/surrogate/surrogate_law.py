@@ -22,20 +22,13 @@ from surrofe2.law.stress_law import (
 )
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.run.views import Facts, Viewed
-from surrofe2.surrogate.domain import (
-    Calibration,
-    Domain,
-    local_tolerance,
-    scaled_inputs,
-    tolerance_coefficients,
-)
+from surrofe2.surrogate.domain import Calibration, Domain, scaled_inputs
 from surrofe2.surrogate.features import NetworkParameters
 from surrofe2.surrogate.lookup import (
     BoundArrays,
     NetworkArrays,
     evaluate_slopes,
     lookup,
-    status_and_risk,
 )
 from surrofe2.surrogate.piola import to_cauchy, to_tangents
 from surrofe2.surrogate.settings import TrainingSettings
@@ -43,6 +36,8 @@ from surrofe2.surrogate.settings import TrainingSettings
 Array = NDArray[np.float64]
 
 _ROUNDING = 1e-12  # of the largest spread: less is no spread
+_SOLVED = 1e-8  # of the spread of stress: stresses of RVEs are known no more exactly
+_AT_REST = 2.0  # times the bound there, so that a point at rest is far from the threshold
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -55,14 +50,16 @@ class SurrogateLaw(Viewed):
         network: components of RᵀP from those of U and RᵀḞ; see `network`.
         cell, initialisation: of the RVE whose stress was learnt.
         range: bounds of the data, outside which no stress is given.
-        errors: over held-out samples, see `errors_of`.
+        errors: over held-out samples, see `score`.
         data_fingerprint: of the samples trained on; version: of the package that trained.
         rest_length: wall rest length in µm, if known.
         domain: where in the range samples did not fail; None: all of it.
         calibration: of the bound of the error, valid for these very weights and this range.
         seconds: of its `data`, its `training` and its `calibration`, as far as known.
-        tolerance: (9,) of the local tolerance, see `BoundArrays`; None: 1 µN/µm everywhere.
-        arrays, bound_arrays: network, and domain and bound, as its kernels read them.
+        tolerance: (9,) squares of what each scaled input adds to the error allowed, as a share of
+            the tolerance, what is allowed at rest, and the tolerance, µN/µm; None: 1 µN/µm
+            everywhere.
+        arrays, bound_arrays: network, and range, domain and bound, as its kernels read them.
     """
 
     has_tangents, learns = True, False
@@ -84,9 +81,9 @@ class SurrogateLaw(Viewed):
     bound_arrays: BoundArrays = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "arrays", NetworkArrays.of(self.network, self.range))
+        object.__setattr__(self, "arrays", NetworkArrays.of(self.network))
         calibration = self.calibration if self.is_calibrated else None
-        bounds = BoundArrays.of(self.domain, calibration, self.tolerance)
+        bounds = BoundArrays.of(self.range, self.domain, calibration, self.tolerance)
         object.__setattr__(self, "bound_arrays", bounds)
 
     def facts(self) -> Facts:
@@ -130,18 +127,16 @@ class SurrogateLaw(Viewed):
         slopes = self.tangents(F, F_dot) if tangents else None
         if slopes is not None:
             slopes.P_by_F[status != 0] = slopes.P_by_F_dot[status != 0] = np.nan
-        lost = np.flatnonzero(status == Status.OUT_OF_RANGE)[:1] if status.any() else ()
-        reasons = {int(k): self._why_out(F[[k]], F_dot[[k]]) for k in lost}
+        reasons = {}
+        if status.any():
+            for k in np.flatnonzero(status == Status.OUT_OF_RANGE)[:1].tolist():
+                (which,), (value,), (bound,) = farthest_out(self.range, F[[k]], F_dot[[k]])
+                reasons[k] = "beyond the failure boundary, where samples have no stress"
+                if which >= 0:
+                    reasons[k] = out_of_range(QUANTITIES[which], value, bound)
         return StressResponse(
             stress, status, state, {"surrogate_points": len(F)}, slopes, reasons=reasons
         )
-
-    def _why_out(self, F: Array, F_dot: Array) -> str:
-        """What is beyond its bound at a point (1, 2, 2) without an answer."""
-        (which,), (value,), (bound,) = farthest_out(self.range, F, F_dot)
-        if which >= 0:
-            return out_of_range(QUANTITIES[which], value, bound)
-        return "beyond the failure boundary, where samples have no stress"
 
     def tangents(self, F: Array, F_dot: Array) -> Tangents:
         """∂P/∂F and ∂P/∂Ḟ of the surrogate, exact; no range is tested.
@@ -182,17 +177,19 @@ class SurrogateLaw(Viewed):
             tolerance: share of the spread of stress; relative: share of the local stress.
         """
         at_rest = float(self.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0])
-        local = np.append(np.zeros(INPUTS), 1.0)
+        spread, squares, least = self.stress_spread, np.zeros(INPUTS), 1.0
         if self.domain is not None and np.isfinite([tolerance, relative, at_rest]).all():
             sizes = self.network.sizes_at_rest() * self.domain.scale
-            local = tolerance_coefficients(sizes, at_rest, self.stress_spread, tolerance, relative)
-        return replace(self, tolerance=np.append(local, tolerance * self.stress_spread))
+            squares = (relative * sizes / (tolerance * spread)) ** 2
+            least = max(_AT_REST * at_rest, _SOLVED * spread) / (tolerance * spread)
+        return replace(self, tolerance=np.array([*squares, least, tolerance * spread]))
 
     def local_tolerance(self, F: Array, F_dot: Array) -> Array:
         """(n,) what an error may be, as a share of the tolerance, at most 1; see `domain`."""
         if self.tolerance is None or self.domain is None:
             return np.ones(len(F))
-        return local_tolerance(scaled_inputs(F, F_dot, self.domain.scale), self.tolerance[:-1])
+        x = scaled_inputs(F, F_dot, self.domain.scale)
+        return np.minimum(self.tolerance[-2] + np.sqrt(x**2 @ self.tolerance[:-2]), 1.0)
 
     def error_bound(self, F: Array, F_dot: Array) -> Array:
         """(n,) bound of the error of the stress in µN/µm, see `calibration`; infinite outside the
@@ -219,7 +216,7 @@ class SurrogateLaw(Viewed):
     ) -> tuple[NDArray[np.int8], Array]:
         """(status (n,), risk (n,)) of `lookup`, which costs several times as much; that the
         network's answer is finite is not tested."""
-        return status_and_risk(F, F_dot, self.arrays, self.bound_arrays, limit)
+        return lookup(F, F_dot, self.arrays, self.bound_arrays, limit, with_stress=False)[1:]
 
     def extrapolate(self, F: Array, F_dot: Array) -> Array:
         """Stress (n, 2, 2) in µN/µm by the network alone, in range or not."""
@@ -231,7 +228,7 @@ class SurrogateLaw(Viewed):
 
         Returns:
             As `errors`: `points`, and by component of σ (``"xx"``, …) and of Rᵀ σ R `spread` in
-            µN/µm, `rms` and `worst` relative to it.
+            µN/µm, its standard deviation over the samples, `rms` and `worst` relative to it.
 
             >>> surrogate.score(samples)["rms"]["xy"]
 
@@ -250,25 +247,16 @@ class SurrogateLaw(Viewed):
         known = samples.valid
         if not len(known.F):
             raise InputError(f"samples: none of {len(samples.F)} has a stress; ask other states")
-        return errors_of(self.extrapolate(known.F, known.F_dot), known)
-
-
-def errors_of(answer: Array, samples: StressSamples) -> dict[str, Any]:
-    """Errors of answers (n, 2, 2) at samples: `points`, and by component of σ ("xx", …) and of Rᵀ σ
-    R `spread` (standard deviation over the samples, µN/µm), `rms` and `worst` (relative to it)."""
-    R = rotation(samples.F)
-    exact, found = (_all_components(stress, R) for stress in (samples.stress, answer))
-    spread = exact.std(axis=0)
-    largest = max(spread.max(), np.finfo(float).tiny)
-    scale = np.where(spread > _ROUNDING * largest, spread, largest)
-    error = np.abs(found - exact) / scale
-    names = (*COMPONENTS, "xx", "xy", "yx", "yy")
-    rms, worst = np.sqrt((error**2).mean(axis=0)), error.max(axis=0)
-    figures = {"spread": spread, "rms": rms, "worst": worst}
-    named = {k: dict(zip(names, each.tolist(), strict=True)) for k, each in figures.items()}
-    return {"points": len(R), **named}
-
-
-def _all_components(stress: Array, R: Array) -> Array:
-    rotated = to_components(transpose(R) @ stress @ R)
-    return np.concatenate([rotated, stress.reshape(-1, 4)], axis=1)
+        R, answer = rotation(known.F), self.extrapolate(known.F, known.F_dot)
+        exact, found = (
+            np.hstack([to_components(transpose(R) @ stress @ R), stress.reshape(-1, 4)])
+            for stress in (known.stress, answer)
+        )
+        spread = exact.std(axis=0)
+        largest = max(spread.max(), np.finfo(float).tiny)
+        error = np.abs(found - exact) / np.where(spread > _ROUNDING * largest, spread, largest)
+        rms, worst = np.sqrt((error**2).mean(axis=0)), error.max(axis=0)
+        names = (*COMPONENTS, "xx", "xy", "yx", "yy")
+        figures = {"spread": spread, "rms": rms, "worst": worst}
+        named = {k: dict(zip(names, each.tolist(), strict=True)) for k, each in figures.items()}
+        return {"points": len(R), **named}

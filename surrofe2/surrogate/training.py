@@ -12,8 +12,7 @@ gradients do not in the same time. Samples held out decide nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Any
@@ -26,7 +25,7 @@ from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.base.tensors import INPUTS, to_inputs
 from surrofe2.law.samples import StressSamples
 from surrofe2.surrogate.domain import fit_domain
-from surrofe2.surrogate.features import input_scale
+from surrofe2.surrogate.features import COMPONENTS, input_scale
 from surrofe2.surrogate.network import Shapes, StressNetwork, along
 from surrofe2.surrogate.piola import to_piola, to_slopes
 from surrofe2.surrogate.settings import TrainingSettings
@@ -58,20 +57,15 @@ class TrainingState:
     arrays: Mapping[str, Array]
 
 
-Progress = Callable[[int, int, dict[str, float]], None]
-ShouldStop = Callable[[SurrogateLaw], bool]
-Checkpoint = Callable[[TrainingState], None]
-
-
 def train(
     samples: StressSamples,
     settings: TrainingSettings,
     *,
-    progress: Progress | None = None,
-    checkpoint: Checkpoint | None = None,
+    progress: Callable[[int, int, dict[str, float]], None] | None = None,
+    checkpoint: Callable[[TrainingState], None] | None = None,
     resume: TrainingState | None = None,
     symmetry: str | None = None,
-    should_stop: ShouldStop | None = None,
+    should_stop: Callable[[SurrogateLaw], bool] | None = None,
 ) -> SurrogateLaw:
     """Fit a surrogate to the valid samples; the same seed and threads give the same surrogate.
 
@@ -103,10 +97,18 @@ def train(
     network.input_scale.copy_(torch.from_numpy(input_scale(valid.range)))
     fit_baseline(network, data.at(fitted), settings)
     task, test = (make_task(network, data.at(part), settings) for part in (fitted, held_out))
-    set_scale(network, task)
+    # outputs of order 1 give what the baseline leaves
+    typical = (task.target**2).mean(dim=0).sqrt()
+    network.output_scale.copy_(typical.maximum(1e-9 / task.weight.sqrt()))
+    optimiser = torch.optim.LBFGS(
+        network.parameters(),
+        history_size=settings.history,
+        line_search_fn="strong_wolfe",
+        tolerance_grad=0.0,
+        tolerance_change=0.0,
+    )
     identity = {"data_fingerprint": samples.fingerprint, "settings": repr(settings)}
-    minimisation = _Minimisation(network, settings, identity)
-    done = 0 if resume is None else minimisation.restore(resume)
+    done = 0 if resume is None else _restore(resume, identity, network, optimiser)
     domain = fit_domain(samples)
 
     def law() -> SurrogateLaw:
@@ -124,144 +126,98 @@ def train(
         )
         return replace(found, errors=found.score(valid.at(held_out)))
 
-    improves = True
-    with _threads_for(len(fitted) * max(settings.hidden)):
-        while improves and done < settings.iterations:
-            at_round = done > 0 and done % ROUND == 0
-            if should_stop is not None and at_round and should_stop(law()):
+    # the first steps of L-BFGS want a loss of order 1
+    scale = 1.0 / float((task.weight * network.output_scale**2).max())
+
+    def loss_and_gradient() -> torch.Tensor:
+        optimiser.zero_grad()
+        loss = scale * task.loss(network)
+        loss.backward()
+        return loss
+
+    state, least = _snapshot(identity, done, network, optimiser), np.inf
+    threads = torch.get_num_threads()
+    if len(fitted) * max(settings.hidden) < _MANY_UNITS:
+        torch.set_num_threads(1)  # more would wait for each other
+    try:
+        while done < settings.iterations:
+            if should_stop is not None and done > 0 and done % ROUND == 0 and should_stop(law()):
                 break
-            to = settings.iterations if should_stop is None else done - done % ROUND + ROUND
-            done, improves = minimisation.run(task, test, done, to, progress, checkpoint)
+            count = min(_ITERATIONS_AT_ONCE, settings.iterations - done)
+            optimiser.param_groups[0].update(max_iter=count, max_eval=4 * count)
+            optimiser.step(loss_and_gradient)
+            done += count
+            with torch.no_grad():
+                loss = float(task.loss(network))
+                fitted_rms, held_out_rms = (
+                    float(each.stress_loss(network)) ** 0.5 for each in (task, test)
+                )
+            if not np.isfinite(loss):
+                raise SimulationError(
+                    f"training: the loss is not finite after {done} iterations; try another seed"
+                )
+            if progress is not None:
+                figures = {"loss": fitted_rms, "held_out_rms": held_out_rms}
+                progress(done, settings.iterations, figures)
+            state = _snapshot(identity, done, network, optimiser)
+            if checkpoint is not None and done % settings.checkpoint_interval < count:
+                checkpoint(state)
+            if loss >= least:
+                break
+            least = loss
+    except KeyboardInterrupt:
+        if checkpoint is not None:
+            checkpoint(state)
+        raise
+    finally:
+        torch.set_num_threads(threads)
     return law()
 
 
-@contextmanager
-def _threads_for(units: int) -> Iterator[None]:
-    """One thread of torch where units times samples are few: more would wait for each other."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1 if units < _MANY_UNITS else before)
+def _snapshot(
+    identity: Mapping[str, str], done: int, network: StressNetwork, optimiser: torch.optim.LBFGS
+) -> TrainingState:
+    """All that is needed to carry on after so many iterations."""
+    arrays = {f"network.{k}": v.numpy().copy() for k, v in network.state_dict().items()}
+    for name, value in optimiser.state[next(network.parameters())].items():
+        if name in _LISTS:
+            arrays[f"optimiser.{name}"] = torch.stack(value).numpy() if value else np.empty(0)
+        elif name in (*_NUMBERS, *_VECTORS):
+            number = torch.as_tensor(value, dtype=torch.float64)
+            arrays[f"optimiser.{name}"] = number.numpy().copy()
+    return TrainingState(identity, done, arrays)
+
+
+def _restore(
+    state: TrainingState,
+    identity: Mapping[str, str],
+    network: StressNetwork,
+    optimiser: torch.optim.LBFGS,
+) -> int:
+    """Put back what `_snapshot` gave; the iterations that were done."""
+    for name, value in identity.items():
+        if state.identity.get(name) != value:
+            raise MismatchError(
+                f"training: the state to resume has {name} {state.identity.get(name)}, not {value}"
+            )
+    parts: dict[str, dict[str, Any]] = {"network": {}, "optimiser": {}}
     try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
-class _Minimisation:
-    """L-BFGS on the weights of a network."""
-
-    def __init__(
-        self, network: StressNetwork, settings: TrainingSettings, identity: Mapping[str, str]
-    ) -> None:
-        self.network, self.settings, self.identity = network, settings, identity
-        self.parameters = list(network.parameters())
-        self.optimiser = torch.optim.LBFGS(
-            self.parameters,
-            history_size=settings.history,
-            line_search_fn="strong_wolfe",
-            tolerance_grad=0.0,
-            tolerance_change=0.0,
-        )
-
-    def run(
-        self,
-        task: Task,
-        test: Task,
-        done: int,
-        to: int,
-        progress: Progress | None,
-        checkpoint: Checkpoint | None,
-    ) -> tuple[int, bool]:
-        """Iterate `to` a number or until the loss stalls; (iterations done, whether it falls)."""
-        # the first steps of L-BFGS want a loss of order 1
-        scale = 1.0 / float((task.weight * self.network.output_scale**2).max())
-
-        def loss_and_gradient() -> torch.Tensor:
-            self.optimiser.zero_grad()
-            loss = scale * task.loss(self.network)
-            loss.backward()
-            return loss
-
-        most = self.settings.iterations
-        to, state, best = min(to, most), self.snapshot(done), np.inf
-        try:
-            while done < to:
-                count = min(_ITERATIONS_AT_ONCE, to - done)
-                self.optimiser.param_groups[0].update(max_iter=count, max_eval=4 * count)
-                self.optimiser.step(loss_and_gradient)
-                done += count
-                figures, loss = self.figures(task, test)
-                if not np.isfinite(loss):
-                    raise SimulationError(
-                        f"training: the loss is not finite after {done} iterations; "
-                        "try another seed"
-                    )
-                if progress is not None:
-                    progress(done, most, figures)
-                state = self.snapshot(done)
-                if checkpoint is not None and done % self.settings.checkpoint_interval < count:
-                    checkpoint(state)
-                if loss >= best:
-                    return done, False
-                best = loss
-        except KeyboardInterrupt:
-            if checkpoint is not None:
-                checkpoint(state)
-            raise
-        return done, True
-
-    def figures(self, task: Task, test: Task) -> tuple[dict[str, float], float]:
-        """Errors of stress for the eye, and the loss that is minimised."""
-        with torch.no_grad():
-            loss = float(task.loss(self.network))
-            fitted, held_out = (float(t.stress_loss(self.network)) ** 0.5 for t in (task, test))
-        return {"loss": fitted, "held_out_rms": held_out}, loss
-
-    def snapshot(self, done: int) -> TrainingState:
-        """All that is needed to carry on after so many iterations."""
-        found = {f"network.{k}": v.numpy().copy() for k, v in self.network.state_dict().items()}
-        state = self.optimiser.state[self.parameters[0]]
-        for name, value in state.items():
-            if name in _LISTS:
-                found[f"optimiser.{name}"] = torch.stack(value).numpy() if value else np.empty(0)
-            elif name in (*_NUMBERS, *_VECTORS):
-                values = torch.as_tensor(value, dtype=torch.float64)
-                found[f"optimiser.{name}"] = values.numpy().copy()
-        return TrainingState(self.identity, done, found)
-
-    def restore(self, state: TrainingState) -> int:
-        """Put back what `snapshot` gave; the iterations that were done."""
-        for name, value in self.identity.items():
-            if state.identity.get(name) != value:
-                raise MismatchError(
-                    f"training: the state to resume has {name} {state.identity.get(name)}, "
-                    f"not {value}"
-                )
-        try:
-            self._put_back(state)
-        except (KeyError, TypeError, ValueError, RuntimeError, OverflowError):
-            raise MismatchError("training: the state to resume has not what it must") from None
-        return state.iterations
-
-    def _put_back(self, state: TrainingState) -> None:
-        parts: dict[str, dict[str, Any]] = {"network": {}, "optimiser": {}}
         for name, array in state.arrays.items():
             part, key = name.split(".", 1)
             parts[part][key] = torch.from_numpy(np.array(array))
-        self.network.load_state_dict(parts["network"])
-        found = parts["optimiser"]
-        if not found:
-            return
-        size, steps = sum(each.numel() for each in self.parameters), len(found["old_dirs"])
-        shapes = {"old_dirs": (steps, size), "old_stps": (steps, size), "ro": (steps,)}
-        shapes |= dict.fromkeys(_VECTORS, (size,))
-        for name, values in found.items():
-            single = name in _NUMBERS and values.numel() == 1
-            if steps and not single and tuple(values.shape) != shapes[name]:
-                raise ValueError(name)
-        found |= {name: list(found[name]) for name in _LISTS}
-        found |= {name: found[name].item() for name in _NUMBERS}
-        found |= {name: int(found[name]) for name in ("func_evals", "n_iter")}
-        self.optimiser.state[self.parameters[0]].update(found)
+        network.load_state_dict(parts["network"])
+        if found := parts["optimiser"]:
+            size, steps = sum(each.numel() for each in network.parameters()), len(found["ro"])
+            shapes = {"old_dirs": (steps, size), "old_stps": (steps, size), "ro": (steps,)}
+            shapes |= dict.fromkeys(_VECTORS, (size,)) | dict.fromkeys(_NUMBERS, ())
+            known = {name: found[name].reshape(shape) for name, shape in shapes.items()}
+            known |= {name: list(known[name]) for name in _LISTS}
+            known |= {name: known[name].item() for name in _NUMBERS}
+            known |= {name: int(known[name]) for name in ("func_evals", "n_iter")}
+            optimiser.state[next(network.parameters())].update(known)
+    except (KeyError, TypeError, ValueError, RuntimeError, OverflowError):
+        raise MismatchError("training: the state to resume has not what it must") from None
+    return state.iterations
 
 
 @dataclass(frozen=True)
@@ -302,9 +258,9 @@ class Task:
     """What a network is to add to the baseline, and the matrices that take it to Cauchy stress.
 
     `weight` (4,): of the squared error of a component of S = Rᵀ σ R. `slope` (n, 4): of P̂ along
-    one direction per sample, along which the shapes have the slopes `moving`; both None where there
-    are no tangents. `slope_weight` (n, 1): of its squared error, 0 at outliers. `share` (n, 1): of
-    a sample in the loss, of mean 1.
+    one direction per sample, along which the shapes have the slopes `moving`. `slope_weight`
+    (n, 1): of its squared error, 0 at outliers; these three are None where there are no tangents.
+    `share` (n, 1): of a sample in the loss, of mean 1.
     """
 
     shapes: Shapes
@@ -313,8 +269,8 @@ class Task:
     weight: torch.Tensor
     share: torch.Tensor
     moving: Shapes | None = None
-    slope: torch.Tensor | None = None
-    slope_weight: torch.Tensor | float = 0.0
+    slope: Any = None
+    slope_weight: Any = None
 
     def loss(self, network: StressNetwork) -> torch.Tensor:
         """Mean square error relative to the spread of each component, with that of slopes.
@@ -322,68 +278,50 @@ class Task:
         Samples count by their size to the power of −2.5, so that the error tends to be a share of
         the stress and smallest near rest, where a wave has its phase from.
         """
-        if self.moving is None or self.slope is None:
-            squares = self._squares(network.correction(self.shapes) - self.target)
-        else:
-            found, slope = network.correction_along(self.shapes, self.moving)
-            squares = self._squares(found - self.target)
-            squares = squares + self.slope_weight * self._squares(slope - self.slope)
+        P, slope = network.correction(self.shapes, self.moving)
+        squares = self.squares(P - self.target)
+        if slope is not None:
+            squares = squares + self.slope_weight * self.squares(slope - self.slope)
         return (self.share * squares).mean()
-
-    def _squares(self, error: torch.Tensor) -> torch.Tensor:
-        cauchy = torch.matmul(self.to_cauchy, error[:, :, None])[:, :, 0]
-        return cauchy**2 * self.weight
 
     def stress_loss(self, network: StressNetwork) -> torch.Tensor:
         """The mean square error of stress alone, each sample counted once."""
-        return self._squares(network.correction(self.shapes) - self.target).mean()
+        return self.squares(network.correction(self.shapes)[0] - self.target).mean()
+
+    def squares(self, error: torch.Tensor) -> torch.Tensor:
+        """(n, 4) of errors of P̂, weighted."""
+        cauchy = torch.matmul(self.to_cauchy, error[:, :, None])[:, :, 0]
+        return cauchy**2 * self.weight
 
 
 def fit_baseline(network: StressNetwork, data: Data, settings: TrainingSettings) -> None:
     """Set the coefficients of the network's baseline, each component relative to its spread."""
-    size = len(network.coefficients)
-    if not size:
-        return
-    weight = 1.0 / _spread(data.target) ** 2
+    size, owner = len(network.coefficients), network.owner.numpy()
+    weight = 1.0 / _spread(data.target).numpy() ** 2
     gram, right = np.zeros((size, size)), np.zeros(size)
-    owner = np.array([component for _, component in network.features.monomials], dtype=int)
-    owned = [np.flatnonzero(owner == k) for k in range(4)]
-    for start in range(0, len(data.x), _BLOCK):
+    for start in range(0, len(data.x) if size else 0, _BLOCK):
         block = slice(start, start + _BLOCK)
         x = data.x[block]
-        parts = [(network.baseline_columns(x), data.target[block])]
-        if data.slopes is not None and settings.tangent_weight > 0.0:
-            parts += _sloped(network, x, data.slopes[block], settings.tangent_weight**0.5)
+        parts = [(network.monomials(x), data.target[block])]
+        if data.slopes is not None:
+            root = settings.tangent_weight**0.5
+            for k, unit in enumerate(torch.eye(INPUTS, dtype=x.dtype)):
+                steeper = along(network.monomials, (x,), (unit.expand_as(x),))[1]
+                parts.append((root * steeper, root * data.slopes[block, :, k]))
         for matrix, values in parts:
-            for k, own in enumerate(owned):
-                A = matrix[:, k, own].numpy()
-                gram[np.ix_(own, own)] += float(weight[k]) * (A.T @ A)
-                right[own] += float(weight[k]) * (A.T @ values[:, k].numpy())
+            for k in range(COMPONENTS):
+                own = np.flatnonzero(owner[:, k])
+                A = matrix[:, own].numpy()
+                gram[np.ix_(own, own)] += weight[k] * (A.T @ A)
+                right[own] += weight[k] * (A.T @ values[:, k].numpy())
     network.second_order = data.rest is not None
     fixed = np.full(size, np.nan) if data.rest is None else network.rest_coefficients(data.rest)
-    known = np.isfinite(fixed)
-    right -= gram[:, known] @ fixed[known]
-    free = np.flatnonzero(~known)
-    if len(free):
-        fixed[free] = _solve(gram[np.ix_(free, free)], right[free])
+    free = np.isnan(fixed)
+    right -= gram[:, ~free] @ fixed[~free]
+    scale = np.sqrt(np.maximum(np.diag(gram)[free], np.finfo(float).tiny))
+    A = gram[np.ix_(free, free)] / scale[:, None] / scale
+    fixed[free] = np.linalg.lstsq(A, right[free] / scale, rcond=_LEAST_EIGENVALUE)[0] / scale
     network.coefficients.copy_(torch.from_numpy(fixed))
-
-
-def _sloped(
-    network: StressNetwork, x: torch.Tensor, slopes: torch.Tensor, root: float
-) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
-    for k in range(x.shape[1]):
-        direction = torch.zeros_like(x)
-        direction[:, k] = root
-        yield along(network.baseline_columns, (x,), (direction,))[1], root * slopes[:, :, k]
-
-
-def _solve(gram: np.ndarray, right: np.ndarray) -> np.ndarray:
-    scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(gram / scale[:, None] / scale)
-    kept = values > _LEAST_EIGENVALUE * values.max()
-    V = vectors[:, kept]
-    return (V @ ((V.T @ (right / scale)) / values[kept])) / scale
 
 
 def _spread(target: torch.Tensor) -> torch.Tensor:
@@ -408,22 +346,10 @@ def make_task(network: StressNetwork, data: Data, settings: TrainingSettings) ->
     direction = torch.from_numpy(directions)
     below = along(network.baseline, (data.x,), (direction,))[1]
     slope = torch.einsum("nkj,nj->nk", data.slopes, direction) - below
+    # Where a pair of particles is about to cross the cut-off, the tangent of the slow manifold is
+    # exact for steps of F of some 1e-5 and off for all others; a few such steer a whole network.
+    size = task.squares(slope).sum(dim=1, keepdim=True).sqrt()
+    is_usual = (size <= _OUTLIER * size.median()).to(slope.dtype)
     moving = along(network.shapes, (data.x,), (direction,))[1]
-    weight = settings.tangent_weight * _typical(task, slope)
+    weight = settings.tangent_weight * is_usual
     return replace(task, moving=moving, slope=slope, slope_weight=weight)
-
-
-def _typical(task: Task, slope: torch.Tensor) -> torch.Tensor:
-    """(n, 1): 0 where a slope is an outlier, else 1.
-
-    Where a pair of particles is about to cross the cut-off, the tangent of the slow manifold is
-    exact for steps of F of some 1e-5 and off for all others; a few such steer a whole network.
-    """
-    size = task._squares(slope).sum(dim=1, keepdim=True).sqrt()
-    return (size <= _OUTLIER * size.median()).to(slope.dtype)
-
-
-def set_scale(network: StressNetwork, task: Task) -> None:
-    """Set the scale by which outputs of order 1 give what the baseline leaves."""
-    typical = (task.target**2).mean(dim=0).sqrt()
-    network.output_scale.copy_(typical.maximum(1e-9 / task.weight.sqrt()))

@@ -38,11 +38,11 @@ from surrofe2.store.samples import stored_count
 from surrofe2.store.store import START_OVER, check_same, file_lock, locked_file, remove
 from surrofe2.store.surrogates import TRAINING, read_surrogate, write_surrogate
 from surrofe2.surrogate import SurrogateLaw
-from surrofe2.surrogate.calibration import Truth
 from surrofe2.surrogate.calibration import calibrate as calibrate_by
 from surrofe2.surrogate.deformation_paths import (
     DeformationPaths,
     State,
+    Truth,
     WatchedLaw,
     random_walks,
     run_paths,
@@ -370,11 +370,11 @@ def calibrate(
 
     def solved(paths: DeformationPaths) -> Truth:
         nonlocal done
-        stress, status = true_stress(
+        truth = true_stress(
             paths, law, lambda k: report((done + k) / max(total, 1), "stresses of RVEs")
         )
-        done += len(status)
-        return Truth(paths, stress, status)
+        done += len(truth.status)
+        return truth
 
     shaping += [solved(paths) for paths in shapes]
     testing = [solved(paths) for paths in tests]
@@ -393,7 +393,7 @@ def shaping_truths(
     count = int(np.ceil(SHAPING_WALKS * settings.walks))
     (seed,) = np.random.SeedSequence([settings.seed, 1]).generate_state(1).tolist()
     walks = random_walks(samples.range, count, settings.length, seed)
-    return [Truth(walks, *true_stress(walks, law))] if count else []
+    return [true_stress(walks, law)] if count else []
 
 
 def shaped_bound(

@@ -14,7 +14,7 @@ from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store.samples import read_data_set
 from surrofe2.store.surrogates import read_surrogate
 from surrofe2.surrogate import training
-from surrofe2.surrogate.deformation_paths import random_walks
+from surrofe2.surrogate.deformation_paths import Truth, random_walks
 from surrofe2.workflow import train as calibrating
 from surrofe2.workflow.train import FACTOR, PACE, Varied, varied_problems
 from tests.laws import SoftLaw
@@ -57,17 +57,16 @@ def test_training_ends_when_the_bound_is_met(
 ):
     """A bound that any surrogate keeps, and one that none does."""
     monkeypatch.setattr(training, "ROUND", 20)
-    done = []
-    run = training._Minimisation.run
+    states, snapshot = [], training._snapshot
 
     def counted(*arguments):
-        done.append(run(*arguments))
-        return done[-1]
+        states.append(snapshot(*arguments))
+        return states[-1]
 
-    monkeypatch.setattr(training._Minimisation, "run", counted)
+    monkeypatch.setattr(training, "_snapshot", counted)
     path = changed_recipe("iterations = 40", f"iterations = 40\nbound = {bound}")
     assert invoke("train", path).exit_code == 0
-    assert done[-1][0] == iterations
+    assert states[-1].iterations == iterations
     surrogate, samples = (
         read_surrogate(surrogate_path),
         read_data_set(load_recipe(path).data_path()),
@@ -133,7 +132,7 @@ def test_a_true_law_that_fails_everywhere_leaves_no_bound(
 ):
     def failing(paths, law, progress=None):
         shape = (len(paths.states[0]), 2, 2)
-        return np.full(shape, np.nan), np.ones(shape[0], dtype=np.int8)
+        return Truth(paths, np.full(shape, np.nan), np.ones(shape[0], dtype=np.int8))
 
     monkeypatch.setattr(calibrating, "true_stress", failing)
     monkeypatch.setattr("surrofe2.surrogate.calibration._failures", lambda shaping: None)

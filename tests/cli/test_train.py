@@ -58,15 +58,15 @@ def test_a_surrogate_of_other_settings_is_refused_unless_fresh(
 
 @pytest.mark.usefixtures("_data_set")
 def test_interrupted_and_continued(invoke, recipe_path, surrogate_path, monkeypatch):
-    figures, rounds = training._Minimisation.figures, []
+    snapshot, rounds = training._snapshot, []
 
-    def interrupt_second(*arguments):
-        rounds.append(1)
-        if len(rounds) == 2:
+    def interrupt_second(identity, done, *arguments):
+        rounds.append(done)
+        if rounds == [0, 20, 40]:
             raise KeyboardInterrupt
-        return figures(*arguments)
+        return snapshot(identity, done, *arguments)
 
-    monkeypatch.setattr(training._Minimisation, "figures", interrupt_second)
+    monkeypatch.setattr(training, "_snapshot", interrupt_second)
     stopped = invoke("train", recipe_path)
     assert stopped.exit_code == 130
     assert stopped.stderr.splitlines()[-1] == (
@@ -76,7 +76,7 @@ def test_interrupted_and_continued(invoke, recipe_path, surrogate_path, monkeypa
     assert unfinished.exists()
     done = invoke("train", recipe_path)
     assert done.exit_code == 0, done.output
-    assert len(rounds) == 3
+    assert rounds == [0, 20, 40, 20, 40]
     assert not unfinished.exists()
 
 

@@ -15,7 +15,7 @@ from surrofe2.base.sampling import SamplingRange, contains, sample
 from surrofe2.base.tensors import stress_error
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.surrogate import train
-from surrofe2.surrogate.calibration import Truth, errors_along
+from surrofe2.surrogate.calibration import errors_along
 from surrofe2.surrogate.deformation_paths import (
     WatchedLaw,
     random_walks,
@@ -97,7 +97,7 @@ def test_the_bound_holds_on_random_states_in_range(study):
 def test_the_bound_holds_on_fresh_walks(study):
     count = study.states // 20
     walks = random_walks(study.recipe.range, count, 12, seed=72)
-    error, inside = errors_along(study.surrogate, Truth(walks, *true_stress(walks, study.rve)))
+    error, inside = errors_along(study.surrogate, true_stress(walks, study.rve))
     bound = study.surrogate.error_bound(*walks.states)
     broken = walks.largest(np.where(inside & (error > bound), 1.0, 0.0))
     alpha, calibrated = study.recipe.calibration.alpha, study.recipe.calibration.walks

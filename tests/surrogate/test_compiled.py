@@ -12,36 +12,25 @@ from surrofe2.base.square_symmetry import parity
 from surrofe2.base.tensors import INPUTS, to_inputs
 from surrofe2.law.stress_law import Status
 from surrofe2.surrogate.features import SYMMETRIES
-from surrofe2.surrogate.lookup import (
-    MANY,
-    BoundArrays,
-    NetworkArrays,
-    evaluate_slopes,
-    lookup,
+from surrofe2.surrogate.lookup import MANY, evaluate_slopes
+from surrofe2.surrogate.products import (
+    BLOCK,
+    ONE,
+    TILES,
+    Polynomials,
+    columns,
+    evaluate,
+    make_room,
+    monomials,
 )
-from surrofe2.surrogate.products import BLOCK, ONE, TILES, Polynomials, columns, evaluate, monomials
 from tests.laws import RANGE
 from tests.numerics import assert_near, turn
-from tests.surrogate import twins
-
-EVERYWHERE = BoundArrays.of(None, None)
+from tests.surrogate.twins import differentiate, make_law, make_network, network_stress
 
 
-def make_network(hidden, degree, symmetry="D4"):
-    """Random weights, all of which matter."""
-    network = twins.make_network(symmetry, hidden, degree)
-    network.second_order = True
-    network.output_scale.copy_(torch.tensor([1.0, 2.0, 3.0, 4.0]))
-    return network
-
-
-def make_arrays(network):
-    return NetworkArrays.of(network.to_parameters(), RANGE)
-
-
-def look_up(F, F_dot, arrays):
+def look_up(law, F, F_dot):
     """(stress, status), within the range and whatever the error."""
-    return lookup(F, F_dot, arrays, EVERYWHERE, np.inf)[:2]
+    return law.lookup(F, F_dot)[:2]
 
 
 def turned_points(count):
@@ -55,54 +44,54 @@ def turned_points(count):
 )
 @pytest.mark.parametrize("count", [1, BLOCK, 2 * BLOCK + 3])
 def test_agrees_with_torch(hidden, degree, symmetry, count):
-    network = make_network(hidden, degree, symmetry)
+    network = make_network(symmetry, hidden, degree)
     F, F_dot = turned_points(count)
-    stress, status = look_up(F, F_dot, make_arrays(network))
+    stress, status = look_up(make_law(network=network), F, F_dot)
     assert not status.any()
-    assert_near(stress, twins.network_stress(network, F, F_dot), 1e-12)
+    assert_near(stress, network_stress(network, F, F_dot), 1e-12)
 
 
 @pytest.mark.parametrize("symmetry", SYMMETRIES)
 @pytest.mark.parametrize("degree", [0, 3])
 def test_slopes_of_every_symmetry_agree_with_torch(symmetry, degree):
-    network = make_network((7, 6), degree, symmetry)
+    network = make_network(symmetry, (7, 6), degree)
     F, F_dot = turned_points(BLOCK + 3)
-    found = evaluate_slopes(F, F_dot, make_arrays(network))
-    expected = twins.differentiate(network, to_inputs(F, F_dot)[0])
+    found = evaluate_slopes(F, F_dot, make_law(network=network).arrays)
+    expected = differentiate(network, to_inputs(F, F_dot)[0])
     for one, other in zip(found, expected, strict=True):
         assert_near(one, other, 1e-12)
 
 
 def test_no_points():
-    arrays, none = make_arrays(make_network((4,), 1)), np.empty((0, 2, 2))
-    found = *look_up(none, none, arrays), *evaluate_slopes(none, none, arrays)
+    law, none = make_law(), np.empty((0, 2, 2))
+    found = *look_up(law, none, none), *evaluate_slopes(none, none, law.arrays)
     assert [each.shape for each in found] == [(0, 2, 2), (0,), (0, 4), (0, 4, 7)]
 
 
 def test_many_points_on_all_cores_give_the_same():
-    arrays = make_arrays(make_network((16, 16), 2))
+    law = make_law()
     F, F_dot = turned_points(MANY + 7)
-    whole, _ = look_up(F, F_dot, arrays)
+    whole, _ = look_up(law, F, F_dot)
     half = MANY // 2 // BLOCK * BLOCK
-    parts = [look_up(F[s], F_dot[s], arrays)[0] for s in (slice(half), slice(half, None))]
+    parts = [look_up(law, F[s], F_dot[s])[0] for s in (slice(half), slice(half, None))]
     assert np.array_equal(whole, np.concatenate(parts))
 
 
 def test_the_bits_of_an_answer_do_not_depend_on_its_place():
-    arrays = make_arrays(make_network((12, 12), 3))
+    law = make_law()
     F, F_dot = turned_points(4 * BLOCK)
-    whole = look_up(F, F_dot, arrays)[0]
+    whole, _ = look_up(law, F, F_dot)
     for k in range(1, BLOCK + 1):
-        part = look_up(F[k:].copy(), F_dot[k:].copy(), arrays)[0]
+        part, _ = look_up(law, F[k:].copy(), F_dot[k:].copy())
         assert np.array_equal(part, whole[k:], equal_nan=True), k
 
 
 @pytest.mark.parametrize(("layer", "value"), [(0, np.nan), (1, np.nan), (2, np.nan), (2, np.inf)])
 def test_a_weight_that_is_no_number_is_seen(layer, value):
-    network = make_network((8, 8), 2)
+    network = make_network()
     with torch.no_grad():
         network.factors[layer].weight[0, 0] = value
-    stress, status = look_up(*turned_points(50), make_arrays(network))
+    stress, status = look_up(make_law(network=network), *turned_points(50))
     assert (status == Status.NOT_FINITE).all()
     assert np.isnan(stress).all()
 
@@ -120,7 +109,7 @@ def test_tanh():
 
 
 def test_a_fingerprint_is_of_weights_and_range():
-    parameters = make_network((5, 4), 2).to_parameters()
+    parameters = make_network().to_parameters()
     again = replace(parameters, tensors=dict(reversed(parameters.tensors.items())))
     assert again.fingerprint(RANGE) == parameters.fingerprint(RANGE)
     assert again.fingerprint(replace(RANGE, rate=0.02)) != parameters.fingerprint(RANGE)
@@ -150,11 +139,11 @@ def test_values_and_slopes_are_sums_of_monomials(degree, symmetric, inputs):
     slopes = np.array([values(x + 1j * h * unit).imag / h for unit in np.eye(INPUTS, INPUTS + 1)])
     kept = [(0, 3, 6), (2,), ()]
     polynomials = Polynomials.of(ONE + 1, each, kept)
-    rows = np.full((ONE + 1 + len(polynomials.products), TILES, TILE), np.nan)
+    room = make_room(polynomials, ONE + 1, inputs)
+    rows, y, row_slopes, y_slopes = room
     rows[: ONE + 1] = x.T.reshape(-1, TILES, TILE)
-    y, row_slopes = np.empty((4, TILES, TILE)), np.empty((inputs, *rows.shape))
-    y_slopes = np.empty((inputs, *y.shape))
-    evaluate(polynomials, rows, y, row_slopes, y_slopes)
+    rows[ONE + 1 :] = np.nan
+    evaluate(polynomials, room)
     assert_near(y.reshape(4, -1), expected, 1e-12)
     found = y_slopes.reshape(inputs, 4, len(x)) - slopes[:inputs]
     assert np.abs(found).max(initial=0.0) < 1e-12 * np.abs(slopes).max()

@@ -50,18 +50,20 @@ def buckles(x):
 
 
 def make_network(symmetry="D4", hidden=(6, 5), degree=3):
-    """A torch network of random weights."""
+    """A torch network of random weights, all of which matter."""
     settings = TrainingSettings(hidden=hidden, baseline_degree=degree, seed=2)
     network = StressNetwork(settings, symmetry)
+    network.second_order = True
     generator = torch.Generator().manual_seed(4)
     network.input_scale.copy_(torch.from_numpy(input_scale(RANGE)))
+    network.output_scale.copy_(torch.tensor([1.0, 2.0, 3.0, 4.0]))
     network.coefficients.normal_(generator=generator)
     return network
 
 
-def make_law(symmetry="D4"):
+def make_law(symmetry="D4", network=None):
     """A law of random weights, in the middle of whose range the tests stay."""
-    network = make_network(symmetry)
+    network = network or make_network(symmetry)
     return SurrogateLaw(
         network=network.to_parameters(), cell=CELL, initialisation="elastic", range=RANGE,
         settings=network.settings, errors={}, data_fingerprint="",
