@@ -58,9 +58,6 @@ class PointStates:
         F[indices] = part.F
         return PointStates(F)
 
-    def to_arrays(self):
-        return {"F": self.F}
-
     @property
     def left_points(self):
         return np.zeros(len(self.F), dtype=bool)
@@ -290,6 +287,9 @@ class Remembering(Memoryless):
         answer = super().respond(F, F_dot, tangents=tangents)
         return replace(answer, state=PointStates(F.copy()))
 
+    def state_to_arrays(self, state):
+        return {"F": state.F}
+
     def state_from_arrays(self, arrays):
         return PointStates(arrays["F"])
 
@@ -389,9 +389,9 @@ class TrueLaw(Remembering):
 
 
 class Untaught:
-    """What a surrogate has that neither learns nor gives tangents."""
+    """What a surrogate has without tangents."""
 
-    has_tangents, learns, stress_spread, range = False, False, 1.0, None
+    has_tangents, stress_spread, range = False, 1.0, None
     is_calibrated, allowed = True, 1.0
 
     def with_tolerance(self, tolerance, relative):
@@ -406,15 +406,6 @@ class Untaught:
 
     def tangents(self, F, F_dot):
         raise InputError("tangents: none")
-
-    def learn(self, F, F_dot, stress, state=None):
-        pass
-
-    def to_arrays(self):
-        return {}
-
-    def from_arrays(self, arrays):
-        pass
 
 
 class Surrogate(Untaught):

@@ -146,15 +146,14 @@ class Trust:
 
     Attributes:
         factor: by which risks are multiplied before they are compared with 1.
-        reach: of the seven inputs of `tensors`, the sizes up to which they are trusted; none given:
-            as far as the surrogate says.
+        reach: of the seven inputs of `tensors`, the sizes up to which they are trusted.
         more_audits: by which the fraction of answers that are audited is multiplied.
         failures: windows that failed; standing: that stood since the factor changed.
         events: what was found and done, in order, each with its step.
     """
 
     factor: float = 1.0
-    reach: list[float] = field(default_factory=list)
+    reach: list[float] = field(default_factory=lambda: [np.inf] * INPUTS)
     is_off: bool = False
     more_audits: float = 1.0
     failures: int = 0
@@ -165,11 +164,6 @@ class Trust:
     def limit(self) -> float:
         """What a risk may be at most; negative: nothing is trusted."""
         return -1.0 if self.is_off else 1.0 / self.factor
-
-    @property
-    def reaches(self) -> Array | None:
-        """`reach` (7,); None: as far as the surrogate says."""
-        return np.array(self.reach) if self.reach else None
 
     def fail(self, step: int, window: Window) -> None:
         """Answer none of the window's violations any more: raise the factor or narrow the reach,
@@ -194,7 +188,6 @@ class Trust:
             self.factor = factor
             does, action = f"the risks count {factor:.3g} times from here on", "tightened"
         elif may_narrow:
-            self.reach = self.reach or [np.inf] * INPUTS
             self.reach[k - 1] = float(most[k])
             does = f"states with {INPUT_NAMES[k - 1]} of more than {most[k]:.3g} are left to RVEs"
             does, action = f"{does} from here on", "narrowed"
@@ -217,9 +210,10 @@ class Trust:
             self._note(step, finding, "none")
 
     def to_dict(self) -> dict[str, Any]:
+        is_narrowed = np.isfinite(self.reach).any()
         return {
             "factor": self.factor,
-            "reach": [None if np.isinf(each) else each for each in self.reach],
+            "reach": [None if np.isinf(x) else x for x in self.reach] if is_narrowed else [],
             "off": self.is_off,
             "events": list(self.events),
         }

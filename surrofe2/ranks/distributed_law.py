@@ -195,21 +195,20 @@ def _join(worker: Worker, after: int, numbers: Index, rows: Index) -> None:
 
 
 def _respond(
-    worker: Worker, law: int, before: int | None, tangents: bool, after: int, *at: Array
+    worker: Worker, law: int, before: int | None, tangents: bool, after: int, *at: Any
 ) -> StressResponse:
     """The answer, whose state stays here; it carries (k,) `left_points` instead."""
     state = None if before is None else worker.states[before]
-    answer = worker.laws[law].respond(*at, state, tangents=tangents)
+    answer = worker.laws[law].respond(at[0], at[1], state, tangents=tangents)
     worker.states[after] = answer.state
     return replace(answer, state=answer.state.left_points)
 
 
-def _accept(
-    worker: Worker, law: int, before: int, after: int, F: Array, F_dot: Array, *answer: Any
-) -> StressResponse:
+def _accept(worker: Worker, law: int, before: int, after: int, *answered: Any) -> StressResponse:
     """As `_respond`."""
-    response = StressResponse(*answer, worker.states[before])
-    accepted = worker.laws[law].accept(F, F_dot, response)
+    F, F_dot, stress, status = answered
+    answer = StressResponse(stress, status, worker.states[before])
+    accepted = worker.laws[law].accept(F, F_dot, answer)
     worker.states[after] = accepted.state
     return replace(accepted, state=accepted.state.left_points)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -45,10 +46,15 @@ def cached(error, bound, audit=0.0, *, kind=CachedLaw, truth=None, tolerance=0.0
 
 def observed(truth, surrogate=None, **settings):
     """A cached law, and what it hands to be kept and to be learnt."""
-    kept, learnt, surrogate = [], [], surrogate or Surrogate()
-    surrogate.learn = lambda *answers: learnt.append(answers)
-    settings = CacheSettings(**settings)
-    return CachedLaw(surrogate, truth, settings, lambda *answer: kept.append(answer)), kept, learnt
+    kept, learnt = [], []
+    law = CachedLaw(
+        surrogate or Surrogate(),
+        truth,
+        CacheSettings(**settings),
+        lambda *answer: kept.append(answer),
+    )
+    law.table = SimpleNamespace(learn=lambda *answers: learnt.append(answers))
+    return law, kept, learnt
 
 
 def keeping(law, kept):

@@ -122,7 +122,7 @@ def test_a_point_that_leaves_the_range_later_is_solved_cold_and_called_moved(cac
     assert np.array_equal(fallback.accepted[0][0], F[[1, 3]])
     later, _ = stretched(1.51, 1.52, 1.1, 1.54)
     answer = cached.respond(later, F_dot, state)
-    (cold_F, cold), (warm_F, warm) = fallback.asked[1:]
+    (warm_F, warm), (cold_F, cold) = fallback.asked[1:]
     assert np.array_equal(warm_F, later[[1, 3]])
     assert np.array_equal(warm.F, F[[1, 3]] + 100.0)
     assert np.array_equal(cold_F, later[[0]])

@@ -60,7 +60,7 @@ class StressTable:
         InputError: the law gives no tangents, or the tolerance is not positive.
     """
 
-    has_tangents, learns, is_calibrated = False, True, True
+    has_tangents, is_calibrated = False, True
     _records: Records
 
     def __init__(
