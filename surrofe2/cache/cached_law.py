@@ -353,12 +353,8 @@ class CachedLaw(Viewed):
 
     def _learn(self, F: Array, F_dot: Array, accepted: StressResponse) -> StressResponse:
         """What follows on what the fallback has accepted."""
-        self._note(F, F_dot, accepted.stress, accepted.state)
-        return self._choose_branches(F, F_dot, accepted)
-
-    def _note(self, F: Array, F_dot: Array, stress: Array, state: CachedState) -> None:
-        """Everything that changes at a kept step but the branches."""
-        counts, known, hits = self._counts, state.on_fallback, state.free().nonzero()[0]
+        counts, state = self._counts, accepted.state
+        known, hits = state.on_fallback, state.free().nonzero()[0]
         for name, value in effort_of(state.count, known.why).items():
             counts[name] += value
         counts["steps"] += 1
@@ -366,12 +362,12 @@ class CachedLaw(Viewed):
         if len(known):
             out = known.points[known.why == Status.OUT_OF_RANGE]
             self._note_what_left(F[out], F_dot[out])
-            self._distribute(F, F_dot, stress, known)
-        if self._trust.is_off or state.risk is None:
-            return
-        more = self._trust.more_audits
-        if self._audit.choose(counts["steps"], hits, F, F_dot, stress, state.risk, more):
-            self._run_audit(whole=False)
+            self._distribute(F, F_dot, accepted.stress, known)
+        if not self._trust.is_off and state.risk is not None:
+            answers, more = (F, F_dot, accepted.stress, state.risk), self._trust.more_audits
+            if self._audit.choose(counts["steps"], hits, *answers, more):
+                self._run_audit(whole=False)
+        return self._choose_branches(F, F_dot, accepted)
 
     def _note_what_left(self, F: Array, F_dot: Array) -> None:
         """Count points beyond the range by quantity, and keep the farthest value of each."""

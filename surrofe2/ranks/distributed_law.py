@@ -44,10 +44,10 @@ class RankState:
 
     def __init__(self, law: DistributedLaw, owner: Index, left: NDArray[np.bool_]) -> None:
         self.law, self.owner, self.left_points = law, owner, left
-        self.number = law.driver.new_number()
+        self.number = next(law.driver.numbers)
 
     def __del__(self) -> None:
-        self.law.driver.drop(self.number)
+        self.law.driver.dropped.append(self.number)
 
     def shares(self) -> list[Index]:
         """For each rank its points, in ascending order."""
@@ -98,7 +98,7 @@ class DistributedLaw:
 
     def __init__(self, law: RveLaw, driver: Driver) -> None:
         self.law, self.driver = law, driver
-        self._number, self._next = driver.new_number(), 0
+        self._number, self._next = next(driver.numbers), 0
         self.cell, self.initialisation = law.cell, law.initialisation
         self.density, self.has_tangents = law.density, law.has_tangents
         driver.do(_have, [(self._number, law)] * driver.ranks)
