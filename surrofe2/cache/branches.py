@@ -153,10 +153,14 @@ def choose_branches(
 
     Returns:
         (n,) int8: why a free point must leave, 0 where it may stay.
-        (k, 2, 2), (k,): the surrogate's stress and status at the k points on the fallback, now.
+        (k, 2, 2), (k,): the surrogate's stress and status at the k points on the fallback, now;
+            of none where nothing is trusted.
         (k,): whether each of them may return.
     """
     points, free = state.on_fallback.points, state.free()
+    none = np.empty((0, 2, 2)), np.empty(0, dtype=np.int8), np.zeros(len(points), dtype=np.bool_)
+    if limit < 0.0:
+        return np.where(free, NOT_TRUSTED, np.int8(0)), *none
     there = extrapolate(F, F_dot, state.before)
     if np.isfinite(reach).any():
         _, ahead, risk_ahead = look_up(surrogate, *there, limit, reach)
@@ -170,7 +174,7 @@ def choose_branches(
         now = look_up(surrogate, F, F_dot, limit, reach)[1]
         leaving = np.where(free & (leaving == 0), now, leaving)
     if not len(points):
-        return leaving, np.empty((0, 2, 2)), ahead[:0], np.empty(0, dtype=bool)
+        return leaving, *none
     stress, status, risk = look_up(surrogate, F[points], F_dot[points], limit, RETURN * reach)
     returning = (status == 0) & (risk <= RETURN * limit)
     returning &= (ahead[points] == 0) & (risk_ahead[points] <= RETURN * limit)

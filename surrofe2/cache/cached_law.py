@@ -133,7 +133,7 @@ class CachedLaw(Viewed):
         """Begin as if nothing had been asked: counts, audits and trust."""
         surrogate, own = self.surrogate, self.settings
         allowed = own.tolerance * surrogate.stress_spread
-        self._counts = {**NO_EFFORT, "in_domain": 0, "steps": 0, "switched": 0}
+        self._counts = Counter({**NO_EFFORT, "in_domain": 0, "steps": 0, "switched": 0})
         self._left_range: dict[str, dict[str, float]] = {}
         self._audit = Audit(surrogate, self.fallback, own.audit, own.seed, allowed)
         self._trust = Trust()
@@ -219,7 +219,7 @@ class CachedLaw(Viewed):
         assert before is not None
         assert self._marked is not None
         self._decide(t, "rolled back")
-        self._counts, self._left_range = deepcopy((before["counts"], before["left_range"]))
+        self._counts, self._left_range = Counter(before["counts"]), deepcopy(before["left_range"])
         self._audit.go_back(window.step, before["record"])
         if window.failed:
             before["carried"] = []  # under another factor it says nothing
@@ -229,8 +229,8 @@ class CachedLaw(Viewed):
 
     def _counted(self) -> dict[str, Any]:
         """A copy of what is counted of kept steps, plain values."""
-        record = asdict(self._audit.record)
-        return deepcopy({"counts": self._counts, "left_range": self._left_range, "record": record})
+        record, left_range = asdict(self._audit.record), deepcopy(self._left_range)
+        return {"counts": dict(self._counts), "left_range": left_range, "record": record}
 
     def _decide(self, t: float, decision: str) -> None:
         step, limit = self._counts["steps"], self._trust.limit
@@ -257,7 +257,7 @@ class CachedLaw(Viewed):
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> CachedState:
         """Continue where a law of the same parts and settings gave these; the state to do so by."""
         values = json.loads(arrays["values"].tobytes())
-        self._counts, self._left_range = values["counts"], values["left_range"]
+        self._counts, self._left_range = Counter(values["counts"]), values["left_range"]
         self._trust = Trust(**values["trust"])
         self._window = Window(**values["window"])
         self._decisions = values["decisions"]
@@ -355,10 +355,7 @@ class CachedLaw(Viewed):
         """What follows on what the fallback has accepted."""
         counts, state = self._counts, accepted.state
         known, hits = state.on_fallback, state.free().nonzero()[0]
-        for name, value in effort_of(state.count, known.why).items():
-            counts[name] += value
-        counts["steps"] += 1
-        counts["in_domain"] += len(hits)
+        counts.update(effort_of(state.count, known.why), steps=1, in_domain=len(hits))
         if len(known):
             out = known.points[known.why == Status.OUT_OF_RANGE]
             self._note_what_left(F[out], F_dot[out])
@@ -402,23 +399,19 @@ class CachedLaw(Viewed):
             self.table.learn(F[new], F_dot[new], answer.stress[new], state)
 
     def _run_audit(self, *, whole: bool = True) -> None:
-        """Audit what waits, or full tiles of it; distribute the RVEs' answers, learn from what was
-        wrong, and judge."""
+        """Audit what waits, or full tiles of it; keep the RVEs' answers, learn from what was wrong,
+        and judge a window of steps that nobody marked, to which nobody goes back."""
         result = self._audit.run(whole=whole)
         if result is None:
             return
         asked = result.asked
         self._keep(asked.F, asked.F_dot, result.truth, AUDIT, result.broken)
         x, _ = to_inputs(asked.F, asked.F_dot)
-        self._window.add(asked.points, result.broken, result.error, asked.risk, x)
-        if self._window.before is None:
-            self._judge_alone()
-
-    def _judge_alone(self) -> None:
-        """Judge a window of steps that nobody marked, to which nobody goes back."""
+        found = asked.points, result.broken, result.error, asked.risk, np.abs(x)
         window, trust = self._window, self._trust
-        if trust.is_off or (window.stands and not window.is_full):
-            return
+        window.audits += np.column_stack(found).tolist()
+        if window.before is not None or trust.is_off or (window.stands and not window.is_full):
+            return  # whoever marked the window judges it, or it is not over
         if window.stands:
             trust.stand()
         else:
@@ -442,17 +435,14 @@ class CachedLaw(Viewed):
         state: CachedState = response.state
         limit, reach = self._trust.limit, np.array(self._trust.reach)
         known, stress = state.on_fallback, response.stress
-        if self._trust.is_off:
-            leaving = np.where(state.free(), np.int8(Status.NOT_TRUSTED), np.int8(0))
-        else:
-            leaving, of_surrogate, status, returning = choose_branches(
-                self.surrogate, F, F_dot, state, limit, reach
-            )
-            self._counts["in_domain"] += int((status != Status.OUT_OF_RANGE).sum())
-            if returning.any():
-                stress = stress.copy()
-                stress[known.points[returning]] = of_surrogate[returning]
-                known = known.only(~returning)
+        leaving, of_surrogate, status, returning = choose_branches(
+            self.surrogate, F, F_dot, state, limit, reach
+        )
+        self._counts["in_domain"] += int((status != Status.OUT_OF_RANGE).sum())
+        if returning.any():
+            stress = stress.copy()
+            stress[known.points[returning]] = of_surrogate[returning]
+            known = known.only(~returning)
         points = leaving.nonzero()[0]
         if len(points):
             new, answer = self._solve_cold(F, F_dot, PointSet(points, leaving[points]))

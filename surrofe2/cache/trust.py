@@ -91,17 +91,6 @@ class Window:
     audits: list[list[float]] = field(default_factory=list)
     failed: bool = False
 
-    def add(
-        self,
-        points: NDArray[np.intp],
-        broken: NDArray[np.bool_],
-        error: Array,
-        risk: Array,
-        x: Array,
-    ) -> None:
-        """Take note of audits: all (k,), and inputs x (k, 7)."""
-        self.audits += np.column_stack([points, broken, error, risk, np.abs(x)]).tolist()
-
     @property
     def wrong(self) -> list[list[float]]:
         return [each for each in self.audits if each[1]]
@@ -114,12 +103,6 @@ class Window:
     def stands(self) -> bool:
         """Whether it does by its audits so far, of which it will have at least `AUDITS`."""
         return stands(len(self.wrong), len(self.audits))
-
-    def sizes(self) -> tuple[Array, Array]:
-        """Risk and sizes of inputs (k, 8) of the violations, and of the others."""
-        values = np.array(self.audits).reshape(-1, 4 + INPUTS)
-        is_wrong = values[:, 1] > 0.0
-        return values[is_wrong, 3:], values[~is_wrong, 3:]
 
     def decision(self, t: float, step: int, limit: float, decision: str) -> dict[str, Any]:
         """A line of the event log, of a window that ends at t after so many kept steps."""
@@ -171,7 +154,9 @@ class Trust:
         window.failed = True
         self.failures += 1
         self.standing, self.more_audits = 0, MORE_AUDITS
-        wrong, right = window.sizes()
+        audits = np.array(window.audits)
+        is_wrong = audits[:, 1] > 0.0
+        wrong, right = audits[is_wrong, 3:], audits[~is_wrong, 3:]
         least = wrong.min(axis=0, initial=np.inf)
         usable = (least > 0.0) & (least < np.inf)
         most = np.where(usable, least / MARGIN, 0.0)

@@ -146,10 +146,14 @@ def test_upper_bound_on_the_wrong_share(violations, audits):
 
 def window(risk=0.5, violations=3, audits=100):
     """One with errors twice the tolerance of 0.1 µN/µm."""
-    made = Window(0.0, 0, 1.0)
     error = np.where(np.arange(audits) < violations, 0.2, 0.01)
-    made.add(np.arange(audits), error > 0.1, error, np.full(audits, risk), np.zeros((audits, 7)))
-    return made
+    return window_of(error > 0.1, error, np.full(audits, risk), np.zeros((audits, 7)))
+
+
+def window_of(*audits):
+    """One with these audits."""
+    rows = np.column_stack([np.arange(len(audits[0])), *audits])
+    return Window(0.0, 0, 1.0, audits=rows.tolist())
 
 
 def test_the_factor_is_raised_just_enough_and_comes_back():
@@ -187,10 +191,8 @@ def test_a_fault_that_no_risk_tells_narrows_one_input():
     random = np.random.default_rng(2)
     x, risk = random.uniform(-1.0, 1.0, (400, 7)), random.uniform(1e-4, 1e-3, 400)
     is_wrong = np.abs(x[:, 1]) > 0.6
-    made = Window(0.0, 0, 1.0)
-    made.add(np.arange(400), is_wrong, np.where(is_wrong, 0.2, 0.01), risk, x)
     trust = Trust()
-    trust.fail(1, made)
+    trust.fail(1, window_of(is_wrong, np.where(is_wrong, 0.2, 0.01), risk, np.abs(x)))
     assert (trust.factor, trust.is_off) == (1.0, False)
     assert np.isfinite(trust.reach).tolist() == [False, True, *[False] * 5]
     assert 0.5 < trust.reach[1] < 0.6

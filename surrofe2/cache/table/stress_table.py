@@ -8,6 +8,7 @@ error of its linear model. And all ellipsoids that hold a point answer.
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -100,7 +101,7 @@ class StressTable:
         self.range = range
         self.stress_spread, self._allowed = float(spread), 1.0
         self.most_records, self.seconds = most_records, 0.0
-        self.counts = {"added": 0, "grown": 0, "shrunk": 0, "table_rve_solves": 0}
+        self.counts = Counter(added=0, grown=0, shrunk=0, table_rve_solves=0)
         self._reach = half_widths(range)
         self._screen: Array | None = None
         self.restore(NO_RECORDS)
@@ -161,7 +162,7 @@ class StressTable:
         x, R = to_inputs(F, F_dot)
         s = to_components(transpose(R) @ stress @ R)
         covered, counts = update_ellipsoids(x, s, self.images, self._records, self.tolerance)
-        self._count(counts)
+        self.counts.update(counts)
         left = np.flatnonzero(~covered)
         while len(left) and self.size < self.most_records:
             chosen = left[self._apart(x[left])][: self.most_records - self.size]
@@ -171,7 +172,7 @@ class StressTable:
             left = left[~covered]
             both = zip(self._records, new, strict=True)
             self._records = Records(*(np.concatenate(pair) for pair in both))
-            self._count({**counts, "added": len(new.centre)})
+            self.counts.update(counts, added=len(new.centre))
             if self.size >= self.most_records:
                 _log.warning(
                     "the table is full with %d records; it grows its ellipsoids, and RVEs answer "
@@ -196,11 +197,7 @@ class StressTable:
 
     def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
         self.restore(Records(*(arrays[name] for name in Records._fields)))
-        self.counts = dict(zip(self.counts, arrays["counts"].tolist(), strict=True))
-
-    def _count(self, changes: Mapping[str, int]) -> None:
-        for name, count in changes.items():
-            self.counts[name] += count
+        self.counts = Counter(dict(zip(self.counts, arrays["counts"].tolist(), strict=True)))
 
     def _apart(self, x: Array) -> NDArray[np.intp]:
         """Which of these points should become records at once: none in the ellipsoid of another,
