@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import asdict, replace
 from functools import partial
@@ -326,45 +326,40 @@ class CachedLaw(Viewed):
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         """Let the fallback check what it answered; then count, audit, learn, and choose who is
         answered by which part in the next step."""
-        return self.prepare(F, F_dot, response)[1]()
+        checked = self.check(F, F_dot, response)
+        return checked if checked.status.any() else self.commit(F, F_dot, checked)
 
-    def prepare(
-        self, F: Array, F_dot: Array, response: StressResponse
-    ) -> tuple[NDArray[np.int8], Callable[[], StressResponse]]:
-        """As of `LearningLaw`: the fallback's check, and the rest."""
+    def check(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
+        """The fallback accepts its points; see `LearningLaw`."""
         state: CachedState = response.state
         known = state.on_fallback
-        if len(known):
-            points = known.points
-            answer = StressResponse(response.stress[points], response.status[points], known.state)
-            accepted = self.fallback.accept(F[points], F_dot[points], answer)
-            status, stress, left = response.status.copy(), response.stress, None
-            status[points] = accepted.status
-            if accepted.left_bifurcation is not None:
-                stress, left = stress.copy(), np.zeros(len(status), dtype=np.bool_)
-                stress[points], left[points] = accepted.stress, accepted.left_bifurcation
-            state = replace(state, on_fallback=replace(known, state=accepted.state))
-            response = replace(
-                response, stress=stress, status=status, state=state, left_bifurcation=left
-            )
-        if response.status.any():
-            return response.status, lambda: response
-        return response.status, partial(self._learn, F, F_dot, response)
+        if not len(known):
+            return response
+        points = known.points
+        answer = StressResponse(response.stress[points], response.status[points], known.state)
+        accepted = self.fallback.accept(F[points], F_dot[points], answer)
+        status, stress, left = response.status.copy(), response.stress, None
+        status[points] = accepted.status
+        if accepted.left_bifurcation is not None:
+            stress, left = stress.copy(), np.zeros(len(status), dtype=np.bool_)
+            stress[points], left[points] = accepted.stress, accepted.left_bifurcation
+        state = replace(state, on_fallback=replace(known, state=accepted.state))
+        return replace(response, stress=stress, status=status, state=state, left_bifurcation=left)
 
-    def _learn(self, F: Array, F_dot: Array, accepted: StressResponse) -> StressResponse:
-        """What follows on what the fallback has accepted."""
-        counts, state = self._counts, accepted.state
+    def commit(self, F: Array, F_dot: Array, checked: StressResponse) -> StressResponse:
+        """Count, audit and learn, and choose the branches of the next step."""
+        counts, state = self._counts, checked.state
         known, hits = state.on_fallback, state.free().nonzero()[0]
         counts.update(effort_of(state.count, known.why), steps=1, in_domain=len(hits))
         if len(known):
             out = known.points[known.why == Status.OUT_OF_RANGE]
             self._note_what_left(F[out], F_dot[out])
-            self._distribute(F, F_dot, accepted.stress, known)
+            self._distribute(F, F_dot, checked.stress, known)
         if not self._trust.is_off and state.risk is not None:
-            answers, more = (F, F_dot, accepted.stress, state.risk), self._trust.more_audits
+            answers, more = (F, F_dot, checked.stress, state.risk), self._trust.more_audits
             if self._audit.choose(counts["steps"], hits, *answers, more):
                 self._run_audit(whole=False)
-        return self._choose_branches(F, F_dot, accepted)
+        return self._choose_branches(F, F_dot, checked)
 
     def _note_what_left(self, F: Array, F_dot: Array) -> None:
         """Count points beyond the range by quantity, and keep the farthest value of each."""

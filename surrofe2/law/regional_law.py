@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
@@ -85,14 +85,16 @@ class RegionalLaw(Viewed):
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         parts = self._parts_of(response)
-        prepared = [
-            _prepare(law, F[own], F_dot[own], part)
+        checked = [
+            (law.check if isinstance(law, LearningLaw) else law.accept)(F[own], F_dot[own], part)
             for (law, own), part in zip(self._parts, parts, strict=True)
         ]
-        if any(objections.any() for objections, _ in prepared):
-            pairs = zip(parts, prepared, strict=True)
-            return self._joined(replace(part, status=status) for part, (status, _) in pairs)
-        return self._together(response, [commit() for _, commit in prepared], parts)
+        if not any(each.status.any() for each in checked):
+            checked = [
+                law.commit(F[own], F_dot[own], each) if isinstance(law, LearningLaw) else each
+                for (law, own), each in zip(self._parts, checked, strict=True)
+            ]
+        return self._together(response, checked, parts)
 
     def restart_step(
         self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
@@ -181,13 +183,3 @@ class RegionalLaw(Viewed):
         answers = tuple(answers)
         parts = [*zip(self.points.values(), answers, strict=True)]
         return joined(parts, tuple(answer.state for answer in answers))
-
-
-def _prepare(
-    law: StressLaw, F: Array, F_dot: Array, response: StressResponse
-) -> tuple[NDArray[np.int8], Callable[[], StressResponse]]:
-    """As `LearningLaw.prepare`; `accept` of other laws changes nothing."""
-    if isinstance(law, LearningLaw):
-        return law.prepare(F, F_dot, response)
-    accepted = law.accept(F, F_dot, response)
-    return accepted.status, lambda: accepted

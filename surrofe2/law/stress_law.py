@@ -240,12 +240,14 @@ class StressLaw(Protocol):
 
 @runtime_checkable
 class LearningLaw(StressLaw, Protocol):
-    """A law that a kept step changes beyond its state, as by what it counts or learns."""
+    """A law that a kept step changes beyond its state, as by what it counts or learns. Its `accept`
+    is `commit` of what `check` returns, unless that objects."""
 
-    def prepare(
-        self, F: Array, F_dot: Array, response: StressResponse
-    ) -> tuple[NDArray[np.int8], Callable[[], StressResponse]]:
-        """`accept` in two parts: what it objects to, (n,) codes, without a change; and the rest."""
+    def check(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
+        """`response` with what the law objects to, without a change of the law."""
+
+    def commit(self, F: Array, F_dot: Array, checked: StressResponse) -> StressResponse:
+        """Change by a checked response; the response by which the next step begins."""
 
 
 class SwitchingLaw(StressLaw, Protocol):

@@ -76,10 +76,10 @@ class Kept(CachedLaw):
         super().__init__(*args)
         self.open, self.standing = [], []
 
-    def _learn(self, F, F_dot, accepted):
-        free = accepted.state.free()
-        self.open.append((F[free], F_dot[free], accepted.stress[free]))
-        return super()._learn(F, F_dot, accepted)
+    def commit(self, F, F_dot, checked):
+        free = checked.state.free()
+        self.open.append((F[free], F_dot[free], checked.stress[free]))
+        return super().commit(F, F_dot, checked)
 
     def mark(self, t, state):
         super().mark(t, state)
