@@ -38,6 +38,11 @@ def taught(F, F_dot, table=None):
     return table
 
 
+def rising(least, slope):
+    """A bound that rises with |F₂₁|, µN/µm."""
+    return lambda F, F_dot: least + slope * abs(F[:, 1, 0])
+
+
 def cached(error, bound, audit=0.0, *, kind=CachedLaw, truth=None, tolerance=0.01, **more):
     """A law of a surrogate off by an error and `truth`, with 0.1 µN/µm allowed."""
     settings = CacheSettings(tolerance=tolerance, audit=audit, **more)

@@ -6,7 +6,7 @@ from surrofe2 import LoadCase
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.cache import CachedLaw, CacheSettings, StressTable
 from surrofe2.macro import MacroSettings, simulate
-from tests.cache.tables import cached, keeping, resumed
+from tests.cache.tables import cached, keeping, resumed, rising
 from tests.folders import assert_equal
 from tests.laws import Truth, failing, shear_error
 from tests.macro.bars import assert_same_run
@@ -18,19 +18,16 @@ LOAD_CASE = LoadCase(
 )  # fmt: skip
 SETTINGS = MacroSettings()
 RANGE = SamplingRange(stretch=(0.92, 1.08), shear=0.08, rate=0.01)
-
-
-def bound(F, F_dot):
-    return 0.02 + 3.0 * abs(F[:, 1, 0])
+BOUND = rising(0.02, 3.0)
 
 
 def untrustworthy():
     """Off by more than its bound says, so that audits tighten and switch it off."""
-    return cached(shear_error(0.3), bound, 0.3)
+    return cached(shear_error(0.3), BOUND, 0.3)
 
 
 def falling_back():
-    return cached(shear_error(0.02), bound, 0.05, tolerance=0.008)
+    return cached(shear_error(0.02), BOUND, 0.05, tolerance=0.008)
 
 
 def learning():
@@ -97,7 +94,7 @@ def test_an_interrupt_while_the_law_commits_leaves_no_checkpoint_of_half_a_step(
         raise Stop
 
     truth, kept = failing(Truth(), refuses=stop), []
-    law = cached(shear_error(0.02), bound, 1.0, truth=truth)
+    law = cached(shear_error(0.02), BOUND, 1.0, truth=truth)
     with pytest.raises(Stop):
         simulate(LOAD_CASE, law, SETTINGS, checkpoint=kept.append, checkpoint_interval=1e9)
     assert not kept

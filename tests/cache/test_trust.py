@@ -23,22 +23,17 @@ from surrofe2.cache.trust import (
 )
 from surrofe2.law.stress_law import Status
 from surrofe2.macro import MacroSettings, simulate
-from tests.cache.tables import LOAD_CASE, cached
+from tests.cache.tables import LOAD_CASE, cached, rising
 from tests.laws import Learnt, Truth, shear_error
 
 LOAD_CASE = replace(LOAD_CASE, duration=6.0)
 SETTINGS = MacroSettings(frames=5)
-
-
-def sound_bound(F, F_dot):
-    return 0.02 + 0.4 * abs(F[:, 1, 0])
-
-
+BOUND = rising(0.02, 0.4)
 SMALL = shear_error(0.01)
 LIE = lambda F, F_dot: 3.0 + 0.0 * F[:, 0, 0]  # noqa: E731
 
 
-def run(error=SMALL, bound=sound_bound, audit=0.05):
+def run(error=SMALL, bound=BOUND, audit=0.05):
     """A bar on a cache with tolerance 0.1 µN/µm; the cache and what it reports."""
     law = cached(error, bound, audit)
     done = simulate(LOAD_CASE, law, SETTINGS)
@@ -55,7 +50,7 @@ def test_a_sound_cache_is_left_alone(caplog):
 
 def test_a_biased_surrogate_is_tightened_until_it_keeps_its_word(caplog):
     """Errors three times the bound: the bound comes to count as often, and then holds."""
-    biased = lambda F, F_dot: 3.0 * sound_bound(F, F_dot)  # noqa: E731
+    biased = lambda F, F_dot: 3.0 * BOUND(F, F_dot)  # noqa: E731
     law, report, _ = run(error=biased, audit=0.2)
     trust = report["trust"]
     assert not trust["off"]
@@ -73,7 +68,7 @@ def test_a_biased_surrogate_is_tightened_until_it_keeps_its_word(caplog):
 
 
 def test_a_surrogate_that_lies_grossly_is_switched_off_and_the_run_is_the_true_one(caplog):
-    law, report, done = run(LIE, lambda F, F_dot: 5e-4 + 0.4 * abs(F[:, 1, 0]))
+    law, report, done = run(LIE, rising(5e-4, 0.4))
     assert law.history()["trust"]["off"]
     assert report["trust"]["events"][-1]["action"] == "off"
     assert "the cache is off from here on" in caplog.text
@@ -91,7 +86,7 @@ def test_a_surrogate_that_lies_grossly_is_switched_off_and_the_run_is_the_true_o
 @pytest.mark.parametrize(("times", "is_refused"), [(1.0, False), (3.0, True), (1e6, True)])
 def test_a_scale_of_stress_that_is_not_the_rves_is_refused(times, is_refused):
     """Tolerances are shares of it, so no audit by the file's own scale would find the fault."""
-    learnt = Learnt(SMALL, sound_bound)
+    learnt = Learnt(SMALL, BOUND)
     learnt.range = SamplingRange(stretch=(0.95, 1.05), shear=0.05, rate=0.01)
     learnt.stress_spread = times * sampled_spread(Truth(), learnt.range)
     with pytest.raises(MismatchError, match="spread of stress") if is_refused else nullcontext():
@@ -99,7 +94,7 @@ def test_a_scale_of_stress_that_is_not_the_rves_is_refused(times, is_refused):
 
 
 def test_audits_say_so_where_the_tolerance_is_larger_than_the_stress():
-    learnt = Learnt(SMALL, sound_bound)
+    learnt = Learnt(SMALL, BOUND)
     learnt.stress_spread = 1e6
     law = CachedLaw(learnt, Truth(), CacheSettings(audit=0.05))
     simulate(LOAD_CASE, law, SETTINGS)
@@ -224,7 +219,7 @@ def test_windows_that_fail_again_and_again_switch_off():
 
 def test_a_law_that_nobody_marks_is_more_cautious_after_a_window_that_failed():
     """As a caller without roll-back uses it."""
-    law = cached(lambda F, F_dot: 3.0 * sound_bound(F, F_dot), sound_bound, 0.5)
+    law = cached(lambda F, F_dot: 3.0 * BOUND(F, F_dot), BOUND, 0.5)
     F = np.tile(np.eye(2), (60, 1, 1))
     F[:, 1, 0] = np.linspace(0.0, 0.12, 60)
     hits = []
