@@ -81,27 +81,26 @@ class CachedState:
 
     def to_arrays(self, fallback: Fallback) -> dict[str, NDArray]:
         """Of a state that was accepted, which carries no risk."""
-        before = np.empty((0, self.count, 2, 2)) if self.before is None else np.stack(self.before)
+        assert self.before is not None
         return {
-            "count": np.array(self.count),
             "limit": np.array(self.limit),
             "reach": self.reach,
             "points": self.on_fallback.points,
             "why": self.on_fallback.why,
-            "before": before,
+            "before": np.stack(self.before),
             **within("fallback", state_arrays(fallback, self.on_fallback.state)),
         }
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray], fallback: Fallback) -> CachedState:
         """The state whose `to_arrays` gave `arrays`, with the warm start of this fallback."""
-        state, before = state_of(fallback, part_of(arrays, "fallback")), arrays["before"]
+        state, (F, F_dot) = state_of(fallback, part_of(arrays, "fallback")), arrays["before"]
         return cls(
-            count=int(arrays["count"]),
+            count=len(F),
             on_fallback=PointSet(arrays["points"].astype(np.intp), arrays["why"], state),
             limit=float(arrays["limit"]),
             reach=arrays["reach"],
-            before=(before[0], before[1]) if len(before) else None,
+            before=(F, F_dot),
         )
 
     def free(self) -> NDArray[np.bool_]:
