@@ -36,10 +36,6 @@ def learning():
     return CachedLaw(table, Truth(), settings)
 
 
-class Stop(KeyboardInterrupt):
-    pass
-
-
 def interrupted(make, steps):
     """The arrays of the checkpoint of a run that is stopped after so many steps."""
     law, kept, left = make(), [], [steps]
@@ -47,10 +43,10 @@ def interrupted(make, steps):
     def stop(t, duration):
         left[0] -= 1
         if left[0] == 0:
-            raise Stop
+            raise KeyboardInterrupt
 
     checkpoints = {"checkpoint": keeping(law, kept), "checkpoint_interval": 1e9}
-    with pytest.raises(Stop):
+    with pytest.raises(KeyboardInterrupt):
         simulate(LOAD_CASE, law, SETTINGS, progress=stop, **checkpoints)
     return kept[-1]
 
@@ -91,10 +87,10 @@ def test_a_resumed_run_is_the_uninterrupted_one(make):
 def test_an_interrupt_while_the_law_commits_leaves_no_checkpoint_of_half_a_step():
     def stop(F, F_dot):
         """Ctrl-C within the first audit."""
-        raise Stop
+        raise KeyboardInterrupt
 
     truth, kept = failing(Truth(), refuses=stop), []
     law = cached(shear_error(0.02), BOUND, 1.0, truth=truth)
-    with pytest.raises(Stop):
+    with pytest.raises(KeyboardInterrupt):
         simulate(LOAD_CASE, law, SETTINGS, checkpoint=kept.append, checkpoint_interval=1e9)
     assert not kept
