@@ -9,7 +9,9 @@ from mpi4py import MPI
 
 from surrofe2 import CellParameters, RveLaw
 from surrofe2.base.errors import SimulationError
+from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.ranks import DistributedLaw, Driver, distributed_law, serve
+from tests.laws import Learnt, shear_error
 
 
 def check(laws, F, F_dot, states, **options):
@@ -48,6 +50,26 @@ def check_states(law, there):
     check(laws, 1.001 * F, F_dot, again)
 
 
+def check_checkpoint(there):
+    """A cached law stores what ranks hold of its points and audits, and carries on from it."""
+    learnt = Learnt(shear_error(0.0), shear_error(0.0), outside=lambda F: F[:, 0, 0] > 1.005)
+    learnt.initialisation = there.initialisation
+    laws = [CachedLaw(learnt, there, CacheSettings(tolerance=np.inf, audit=1.0)) for _ in range(2)]
+    F = np.tile(np.eye(2), (40, 1, 1))
+    F[::2, 0, 0] = 1.01
+    state = laws[0].accept(F, 0.0 * F, laws[0].respond(F, 0.0 * F)).state
+    states = state, laws[1].state_from_arrays(laws[0].state_to_arrays(state))
+    one, other = (
+        law.accept(1.001 * F, 0.0 * F, law.respond(1.001 * F, 0.0 * F, each))
+        for law, each in zip(laws, states, strict=True)
+    )
+    assert len(other.state.on_fallback) == 20
+    np.testing.assert_allclose(other.stress, one.stress, rtol=0.0, atol=1e-9)
+    reports = [law.report()["audit"] for law in laws]
+    assert reports[0]["audited"] == reports[1]["audited"] == 40
+    assert abs(reports[0]["largest"] - reports[1]["largest"]) < 1e-9
+
+
 def check_few_points(driver, there):
     """They go to one rank, in turns."""
     F = np.tile(np.eye(2), (8, 1, 1))
@@ -66,6 +88,7 @@ def main():
     with Driver(MPI.COMM_WORLD) as driver:
         there = DistributedLaw(law, driver)
         check_states(law, there)
+        check_checkpoint(there)
         check_few_points(driver, there)
         assert len(driver._worker.states) < 3  # the others were dropped with the next task
         try:

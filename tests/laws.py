@@ -46,24 +46,22 @@ def tangents_by_differences(stress, F, F_dot, step=1e-5):
 
 @dataclass(frozen=True)
 class PointStates:
-    """A law's state that knows F of each of its points."""
+    """A law's state that knows F of its points; they left a bifurcation where F₁₁ is above one."""
 
     F: np.ndarray
+    leaves_above: float = np.inf
 
     def take(self, indices):
-        return PointStates(self.F[indices])
+        return replace(self, F=self.F[indices])
 
     def put(self, indices, part):
         F = self.F.copy()
         F[indices] = part.F
-        return PointStates(F)
-
-    def to_arrays(self):
-        return {"F": self.F}
+        return replace(self, F=F)
 
     @property
     def left_points(self):
-        return np.zeros(len(self.F), dtype=bool)
+        return self.F[:, 0, 0] > self.leaves_above
 
 
 class Memoryless:
@@ -290,6 +288,9 @@ class Remembering(Memoryless):
         answer = super().respond(F, F_dot, tangents=tangents)
         return replace(answer, state=PointStates(F.copy()))
 
+    def state_to_arrays(self, state):
+        return {"F": state.F}
+
     def state_from_arrays(self, arrays):
         return PointStates(arrays["F"])
 
@@ -388,10 +389,10 @@ class TrueLaw(Remembering):
         return replace(accepted, state=PointStates(response.state.F + 100.0))
 
 
-class Untaught:
-    """What a surrogate has that neither learns nor gives tangents."""
+class WithoutTangents:
+    """What a surrogate has without tangents."""
 
-    has_tangents, learns, stress_spread, range = False, False, 1.0, None
+    has_tangents, stress_spread, range = False, 1.0, None
     is_calibrated, allowed = True, 1.0
 
     def with_tolerance(self, tolerance, relative):
@@ -407,17 +408,8 @@ class Untaught:
     def tangents(self, F, F_dot):
         raise InputError("tangents: none")
 
-    def learn(self, F, F_dot, stress, state=None):
-        pass
 
-    def to_arrays(self):
-        return {}
-
-    def from_arrays(self, arrays):
-        pass
-
-
-class Surrogate(Untaught):
+class Surrogate(WithoutTangents):
     """Off by one, which its spread allows; out of range from F₁₁ = 1.5, NaN below 0.5."""
 
     stress_spread = 1e4
@@ -448,7 +440,7 @@ class Truth(KelvinVoigt):
     cell, initialisation = CELL, "elastic"
 
 
-class Learnt(Untaught):
+class Learnt(WithoutTangents):
     """`Truth` with an error of 1 in direction and size `error(F, F_dot)` (n,), and a bound.
 
     Its risk is `bound(F, F_dot)` (n,) over the tolerance; out of range where `outside`.

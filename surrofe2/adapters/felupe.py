@@ -11,9 +11,8 @@ With `dt` infinite, as it is at first, the material is at rest: quasi-static wit
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +23,7 @@ from surrofe2.law.stress_law import StressLaw, StressResponse, describe, require
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class _Answer:
+class _Answer(NamedTuple):
     """What the law answered at F (n, 2, 2), the substep begun at F₀ − 1 = `before` (n, 4)."""
 
     dt: float
@@ -87,7 +85,7 @@ class FelupeMaterial:
             return
         last, self._last = self._last, None
         accepted = self.law.accept(last.F, last.F_dot, last.response)
-        check_status(accepted.status, {})
+        require_stress(accepted)
         self._state = accepted.state
         self._report(accepted.left_bifurcation)
 
@@ -101,7 +99,7 @@ class FelupeMaterial:
             return last
         F_dot = (F - np.eye(2) - before.reshape(-1, 2, 2)) / self.dt
         response = self.law.respond(F, F_dot, self._state, tangents=True)
-        check_status(response.status, response.reasons)
+        require_stress(response)
         self._last = _Answer(self.dt, F, before, F_dot, response)
         self._report(response.left_bifurcation)
         return self._last
@@ -122,13 +120,14 @@ class FelupeMaterial:
             )
 
 
-def check_status(status: NDArray[np.int8], reasons: Mapping[int, str]) -> None:
+def require_stress(response: StressResponse) -> None:
     """Raise a SimulationError that names the first point without a stress."""
-    failed = np.flatnonzero(status)
+    failed = np.flatnonzero(response.status)
     if failed.size:
-        more = f": {reasons[failed[0]]}" if failed[0] in reasons else ""
+        reason = response.reasons.get(failed[0], "")
         raise SimulationError(
-            f"point {failed[0]} of {len(status)}: {describe(status[failed[0]])}{more}"
+            f"point {failed[0]} of {len(response.status)}: {describe(response.status[failed[0]])}"
+            + (f": {reason}" if reason else "")
         )
 
 

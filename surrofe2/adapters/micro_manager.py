@@ -18,6 +18,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +26,15 @@ import numpy as np
 from micro_manager import MicroSimulationInterface
 from numpy.typing import NDArray
 
-from surrofe2.adapters.felupe import check_status
+from surrofe2.adapters.felupe import require_stress
 from surrofe2.base.errors import InputError
-from surrofe2.law.stress_law import StressLaw, StressResponse, require_tangents
+from surrofe2.law.stress_law import (
+    StressLaw,
+    StressResponse,
+    require_tangents,
+    state_arrays,
+    state_of,
+)
 from surrofe2.recipe.recipe import Recipe, load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.surrogate import SurrogateLaw
@@ -84,7 +91,7 @@ class PointSimulation(MicroSimulationInterface):
         """What `solve` gives at rest, by name, with which adaptivity can begin."""
         F = np.eye(2)[None]
         answer = self._law.respond(F, 0.0 * F, tangents=True)
-        check_status(answer.status, answer.reasons)
+        require_stress(answer)
         return written(answer)
 
     def output(self) -> None:
@@ -111,24 +118,18 @@ class PointSimulation(MicroSimulationInterface):
         F, F_dot = deformation_of(micro_sim_input)
         self._keep()
         answer = self._law.respond(F, F_dot, self._state, tangents=True)
-        check_status(answer.status, answer.reasons)
+        require_stress(answer)
         self._solved = F, F_dot, answer
         return written(answer)
 
     def get_state(self) -> dict[str, NDArray[Any]] | None:
         """Arrays that another simulation of the same recipe may be given; None: at rest."""
         self._keep()
-        if self._state is None:
-            return None
-        arrays: dict[str, NDArray[Any]] = self._state.to_arrays()
-        return arrays
+        return state_arrays(self._law, self._state) or None
 
     def set_state(self, state: Mapping[str, NDArray[Any]] | None) -> None:
         """Continue from what `get_state` gave."""
-        self._solved = None
-        self._state = None
-        if state is not None:
-            self._state = the_rve().state_from_arrays(state)
+        self._solved, self._state = None, state_of(self._law, state or {})
 
     def get_global_id(self) -> int:
         """Number among all simulations."""
@@ -143,7 +144,7 @@ class PointSimulation(MicroSimulationInterface):
             return
         F, F_dot, answer = self._solved
         accepted = self._law.accept(F, F_dot, answer)
-        check_status(accepted.status, {})
+        require_stress(accepted)
         self._state, self._solved = accepted.state, None
 
 
@@ -214,10 +215,6 @@ def written(answer: StressResponse) -> dict[str, Array]:
     assert tangents is not None
     found = {f"Stress-{a}": answer.stress[0, a - 1] for a in _ROWS}
     for name, slope in (("F", tangents.P_by_F), ("F-dot", tangents.P_by_F_dot)):
-        found |= {
-            f"P-{a}{b}-by-{name}-{c}": slope[0, a - 1, b - 1, c - 1]
-            for a in _ROWS
-            for b in _ROWS
-            for c in _ROWS
-        }
+        for a, b, c in product(_ROWS, repeat=3):
+            found[f"P-{a}{b}-by-{name}-{c}"] = slope[0, a - 1, b - 1, c - 1]
     return found

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
@@ -11,23 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import QUANTITIES, farthest_out
 from surrofe2.base.tensors import to_inputs
 from surrofe2.cache.audit import Audit
 from surrofe2.cache.branches import (
     NO_POINTS,
     CachedState,
-    Indices,
     PointSet,
-    accept_known,
-    added,
-    answer_both,
-    beyond_bifurcation,
-    check_state,
+    are_unique,
     choose_branches,
-    is_ready,
-    look_up,
-    tangents_of_both,
+    look_up_free,
 )
 from surrofe2.cache.protocols import (
     Fallback,
@@ -37,6 +33,7 @@ from surrofe2.cache.protocols import (
     check_scale,
 )
 from surrofe2.cache.settings import CacheSettings
+from surrofe2.cache.table.stress_table import StressTable
 from surrofe2.cache.trust import Trust, Window
 from surrofe2.law.stress_law import (
     SURROGATE,
@@ -45,6 +42,7 @@ from surrofe2.law.stress_law import (
     Status,
     StressResponse,
     check_deformation,
+    joined_values,
     require_tangents,
 )
 from surrofe2.run.journal import part_of, within
@@ -103,6 +101,7 @@ class CachedLaw(Viewed):
         check_scale(surrogate, fallback)
         own = self.settings = settings or CacheSettings()
         self.surrogate = surrogate.with_tolerance(own.tolerance, own.relative)
+        self.table = self.surrogate if isinstance(self.surrogate, StressTable) else None
         self.fallback = fallback
         self.density = fallback.density
         self.on_true_answer = on_true_answer
@@ -134,7 +133,7 @@ class CachedLaw(Viewed):
         """Begin as if nothing had been asked: counts, audits and trust."""
         surrogate, own = self.surrogate, self.settings
         allowed = own.tolerance * surrogate.stress_spread
-        self._counts = {**NO_EFFORT, "in_domain": 0, "steps": 0, "switched": 0}
+        self._counts = Counter({**NO_EFFORT, "in_domain": 0, "steps": 0, "switched": 0})
         self._left_range: dict[str, dict[str, float]] = {}
         self._audit = Audit(surrogate, self.fallback, own.audit, own.seed, allowed)
         self._trust = Trust()
@@ -160,7 +159,7 @@ class CachedLaw(Viewed):
                 "absolute": record.tolerance,
             },
             "accepted": dict(self._counts),
-            "left_range": {name: dict(left) for name, left in self._left_range.items()},
+            "left_range": deepcopy(self._left_range),
             "audit": {"share": own.audit, "seed": own.seed, **record.to_dict()},
             "trust": self._trust.to_dict(),
         }
@@ -197,12 +196,7 @@ class CachedLaw(Viewed):
         if window.is_full and not window.failed:
             self._trust.stand()
         carried = [] if window.is_full or window.failed else window.audits
-        before = {
-            "carried": carried,
-            "counts": dict(self._counts),
-            "left_range": {name: dict(left) for name, left in self._left_range.items()},
-            "record": self._audit.record.to_values(),
-        }
+        before = {"carried": carried, **self._counted()}
         self._window = Window(t, self._counts["steps"], self._trust.limit, before, list(carried))
         self._audit.begin()
         self._marked = state
@@ -225,14 +219,18 @@ class CachedLaw(Viewed):
         assert before is not None
         assert self._marked is not None
         self._decide(t, "rolled back")
-        self._counts = dict(before["counts"])
-        self._left_range = {name: dict(left) for name, left in before["left_range"].items()}
+        self._counts, self._left_range = Counter(before["counts"]), deepcopy(before["left_range"])
         self._audit.go_back(window.step, before["record"])
         if window.failed:
             before["carried"] = []  # under another factor it says nothing
         at = window.begin, window.step, self._trust.limit
         self._window = Window(*at, before, list(before["carried"]))
-        return replace(self._marked, limit=self._trust.limit, reach=self._trust.reaches)
+        return replace(self._marked, limit=self._trust.limit, reach=np.array(self._trust.reach))
+
+    def _counted(self) -> dict[str, Any]:
+        """A copy of what is counted of kept steps, plain values."""
+        record, left_range = asdict(self._audit.record), deepcopy(self._left_range)
+        return {"counts": dict(self._counts), "left_range": left_range, "record": record}
 
     def _decide(self, t: float, decision: str) -> None:
         step, limit = self._counts["steps"], self._trust.limit
@@ -241,32 +239,31 @@ class CachedLaw(Viewed):
     def state_to_arrays(self, state: CachedState) -> dict[str, NDArray]:
         """All that decides what comes next, `state` being what `accept` gave last."""
         values = {
-            "counts": self._counts,
-            "left_range": self._left_range,
+            **self._counted(),
             "trust": asdict(self._trust),
             "audit": self._audit.to_values(),
             "window": asdict(self._window),
             "decisions": self._decisions,
         }
+        marked = {} if self._marked is None else self._marked.to_arrays(self.fallback)
         return {
             "values": np.frombuffer(json.dumps(values).encode(), dtype=np.uint8),
-            **within("state", state.to_arrays()),
-            **within("marked", {} if self._marked is None else self._marked.to_arrays()),
+            **within("state", state.to_arrays(self.fallback)),
+            **within("marked", marked),
             **within("audit", self._audit.to_arrays()),
-            **within("surrogate", self.surrogate.to_arrays()),
+            **within("table", {} if self.table is None else self.table.to_arrays()),
         }
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> CachedState:
         """Continue where a law of the same parts and settings gave these; the state to do so by."""
-        self.reset_counts()
         values = json.loads(arrays["values"].tobytes())
-        self._counts = dict(values["counts"])
-        self._left_range = dict(values["left_range"])
+        self._counts, self._left_range = Counter(values["counts"]), values["left_range"]
         self._trust = Trust(**values["trust"])
         self._window = Window(**values["window"])
-        self._decisions = list(values["decisions"])
-        self._audit.restore(part_of(arrays, "audit"), values["audit"])
-        self.surrogate.from_arrays(part_of(arrays, "surrogate"))
+        self._decisions = values["decisions"]
+        self._audit.restore(part_of(arrays, "audit"), values["audit"], values["record"])
+        if self.table is not None:
+            self.table.from_arrays(part_of(arrays, "table"))
         marked = part_of(arrays, "marked")
         self._marked = CachedState.from_arrays(marked, self.fallback) if marked else None
         return CachedState.from_arrays(part_of(arrays, "state"), self.fallback)
@@ -279,41 +276,48 @@ class CachedLaw(Viewed):
         Raises:
             InputError: tangents are asked for, and surrogate or fallback have none.
         """
-        if not (is_ready(F) and is_ready(F_dot) and F.shape == F_dot.shape):
+        if not (_is_ready(F) and _is_ready(F_dot) and F.shape == F_dot.shape):
             F, F_dot = check_deformation(F, F_dot)
         if tangents:
             require_tangents(self)
         count, is_first = len(F), state is None
         if state is None:
-            state = CachedState(count, limit=self._trust.limit, reach=self._trust.reaches)
-        state = check_state(state, count)
-        stress, status, risk = look_up(self.surrogate, F, F_dot, state)
+            state = CachedState(count, NO_POINTS, self._trust.limit, np.array(self._trust.reach))
+        if not isinstance(state, CachedState) or state.count != count:
+            raise InputError(
+                f"state: not a state of a CachedLaw for {count} points; pass what an earlier "
+                "answer for the same points carried, or None"
+            )
+        stress, status, risk = look_up_free(self.surrogate, F, F_dot, state)
         missed, known = status.nonzero()[0], state.on_fallback
-        effort, slopes, switched = {**NO_EFFORT, "hits": count}, None, None
+        effort, slopes, switched = {**NO_EFFORT, "hits": count}, [], None
         if len(missed) or len(known):
             check_deformation(F, F_dot)  # hits are in range, hence finite and det F > 0
-            why = status[missed]
-            answer = answer_both(self.fallback, F, F_dot, known, missed, tangents=tangents)
-            known = PointSet(
-                np.concatenate([known.points, missed]),
-                np.concatenate([known.why, why]),
-                answer.state,
-            )
+            new, known = PointSet(missed, status[missed]), NO_POINTS
             if len(missed) and not is_first:
                 switched = np.zeros(count, dtype=np.int8)
-                switched[missed] = why
-            stress[known.points], status[known.points] = answer.stress, answer.status
+                switched[missed] = new.why
             risk[missed] = np.inf
-            effort, slopes = added(effort_of(count, known.why), answer.effort), answer.tangents
+            effort = Counter(effort_of(count, np.concatenate([state.on_fallback.why, new.why])))
+            for each in filter(len, (state.on_fallback, new)):
+                at = F[each.points], F_dot[each.points]
+                answer = self.fallback.respond(*at, each.state, tangents=tangents)
+                stress[each.points], status[each.points] = answer.stress, answer.status
+                slopes.append((each.points, answer.tangents))
+                effort.update(answer.effort)
+                known = known.and_also(replace(each, state=answer.state))
         after = replace(state, on_fallback=known, risk=risk)
+        of_all = None
         if tangents:
-            slopes = tangents_of_both(self.surrogate, F, F_dot, after, slopes)
+            free = after.free()
+            of_free = self.surrogate.tangents(F[free], F_dot[free])
+            of_all = joined_values([(free.nonzero()[0], of_free), *slopes]) if slopes else of_free
         sources = partial(self._sources, after)
-        return StressResponse(stress, status, after, effort, slopes, switched, sources=sources)
+        return StressResponse(stress, status, after, effort, of_all, switched, sources=sources)
 
     def _sources(self, state: CachedState) -> Sources:
         """Where an answer came from, `state` being the one that it carries."""
-        source = np.full(state.count, TABLE if self.surrogate.learns else SURROGATE, dtype=np.int8)
+        source = np.full(state.count, SURROGATE if self.table is None else TABLE, dtype=np.int8)
         risk = np.zeros(state.count) if state.risk is None else state.risk.copy()
         known = state.on_fallback
         source[known.points], risk[known.points] = known.why, 0.0
@@ -322,38 +326,40 @@ class CachedLaw(Viewed):
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         """Let the fallback check what it answered; then count, audit, learn, and choose who is
         answered by which part in the next step."""
-        return self.prepare(F, F_dot, response)[1]()
+        checked = self.check(F, F_dot, response)
+        return checked if checked.status.any() else self.commit(F, F_dot, checked)
 
-    def prepare(
-        self, F: Array, F_dot: Array, response: StressResponse
-    ) -> tuple[NDArray[np.int8], Callable[[], StressResponse]]:
-        """As of `LearningLaw`: the fallback's check, and the rest."""
-        accepted = accept_known(self.fallback, F, F_dot, response)
-        if accepted.status.any():
-            return accepted.status, lambda: accepted
-        return accepted.status, partial(self._learn, F, F_dot, accepted)
+    def check(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
+        """The fallback accepts its points; see `LearningLaw`."""
+        state: CachedState = response.state
+        known = state.on_fallback
+        if not len(known):
+            return response
+        points = known.points
+        answer = StressResponse(response.stress[points], response.status[points], known.state)
+        accepted = self.fallback.accept(F[points], F_dot[points], answer)
+        status, stress, left = response.status.copy(), response.stress, None
+        status[points] = accepted.status
+        if accepted.left_bifurcation is not None:
+            stress, left = stress.copy(), np.zeros(len(status), dtype=np.bool_)
+            stress[points], left[points] = accepted.stress, accepted.left_bifurcation
+        state = replace(state, on_fallback=replace(known, state=accepted.state))
+        return replace(response, stress=stress, status=status, state=state, left_bifurcation=left)
 
-    def _learn(self, F: Array, F_dot: Array, accepted: StressResponse) -> StressResponse:
-        """What follows on what the fallback has accepted."""
-        self._note(F, F_dot, accepted.stress, accepted.state)
-        return self._choose_branches(F, F_dot, accepted)
-
-    def _note(self, F: Array, F_dot: Array, stress: Array, state: CachedState) -> None:
-        """Everything that changes at a kept step but the branches."""
-        counts, known, hits = self._counts, state.on_fallback, state.free().nonzero()[0]
-        for name, value in effort_of(state.count, known.why).items():
-            counts[name] += value
-        counts["steps"] += 1
-        counts["in_domain"] += len(hits)
+    def commit(self, F: Array, F_dot: Array, checked: StressResponse) -> StressResponse:
+        """Count, audit and learn, and choose the branches of the next step."""
+        counts, state = self._counts, checked.state
+        known, hits = state.on_fallback, state.free().nonzero()[0]
+        counts.update(effort_of(state.count, known.why), steps=1, in_domain=len(hits))
         if len(known):
             out = known.points[known.why == Status.OUT_OF_RANGE]
             self._note_what_left(F[out], F_dot[out])
-            self._distribute(F, F_dot, stress, known)
-        if self._trust.is_off or state.risk is None:
-            return
-        more = self._trust.more_audits
-        if self._audit.choose(counts["steps"], hits, F, F_dot, stress, state.risk, more):
-            self._run_audit(whole=False)
+            self._distribute(F, F_dot, checked.stress, known)
+        if not self._trust.is_off and state.risk is not None:
+            answers, more = (F, F_dot, checked.stress, state.risk), self._trust.more_audits
+            if self._audit.choose(counts["steps"], hits, *answers, more):
+                self._run_audit(whole=False)
+        return self._choose_branches(F, F_dot, checked)
 
     def _note_what_left(self, F: Array, F_dot: Array) -> None:
         """Count points beyond the range by quantity, and keep the farthest value of each."""
@@ -368,41 +374,39 @@ class CachedLaw(Viewed):
                     left["farthest"], left["bound"] = float(value), float(bound)
 
     def _distribute(self, F: Array, F_dot: Array, stress: Array, known: PointSet) -> None:
-        """Give the fallback's answers to whoever keeps or learns them."""
-        known = known.only(~beyond_bifurcation(known.state, len(known)))
-        if not len(known):
-            return
-        at, exact = (F[known.points], F_dot[known.points]), stress[known.points]
-        if self.on_true_answer is not None:
-            none = np.zeros(len(known), dtype=np.int8)
-            self.on_true_answer(*at, exact, none, np.full(len(known), FALLBACK, dtype=np.int8))
-        self.surrogate.learn(*at, exact, known.state)
+        """Give the fallback's answers at the known points to whoever keeps or learns them."""
+        at = known.points
+        answer = StressResponse(stress[at], np.zeros(len(at), dtype=np.int8), known.state)
+        self._keep(F[at], F_dot[at], answer, FALLBACK, np.ones(len(at), dtype=np.bool_))
+
+    def _keep(
+        self, F: Array, F_dot: Array, answer: StressResponse, why: int, is_news: NDArray[np.bool_]
+    ) -> None:
+        """Give RVE answers to whoever keeps them, and what is news to the table."""
+        unique, status = are_unique(answer.state, len(F)), answer.status
+        kept = unique.nonzero()[0]
+        if self.on_true_answer is not None and len(kept):
+            given = F[kept], F_dot[kept], answer.stress[kept], status[kept]
+            self.on_true_answer(*given, np.full(len(kept), why, dtype=np.int8))
+        new = (unique & is_news & (status == 0)).nonzero()[0]
+        if self.table is not None and len(new):
+            state = None if answer.state is None else answer.state.take(new)
+            self.table.learn(F[new], F_dot[new], answer.stress[new], state)
 
     def _run_audit(self, *, whole: bool = True) -> None:
-        """Audit what waits, or full tiles of it; distribute the RVEs' answers, learn from what was
-        wrong, and judge."""
+        """Audit what waits, or full tiles of it; keep the RVEs' answers, learn from what was wrong,
+        and judge a window of steps that nobody marked, to which nobody goes back."""
         result = self._audit.run(whole=whole)
         if result is None:
             return
-        asked, is_unique = result.asked, ~beyond_bifurcation(result.state, len(result.error))
-        if self.on_true_answer is not None:
-            kept = asked.F[is_unique], asked.F_dot[is_unique], result.stress[is_unique]
-            why = np.full(int(is_unique.sum()), AUDIT, dtype=np.int8)
-            self.on_true_answer(*kept, result.status[is_unique], why)
-        wrong = (result.broken & (result.status == 0) & is_unique).nonzero()[0]
-        if len(wrong):
-            state = None if result.state is None else result.state.take(wrong)
-            self.surrogate.learn(asked.F[wrong], asked.F_dot[wrong], result.stress[wrong], state)
+        asked = result.asked
+        self._keep(asked.F, asked.F_dot, result.truth, AUDIT, result.broken)
         x, _ = to_inputs(asked.F, asked.F_dot)
-        self._window.add(asked.points, result.broken, result.error, asked.risk, x)
-        if self._window.before is None:
-            self._judge_alone()
-
-    def _judge_alone(self) -> None:
-        """Judge a window of steps that nobody marked, to which nobody goes back."""
+        found = asked.points, result.broken, result.error, asked.risk, np.abs(x)
         window, trust = self._window, self._trust
-        if trust.is_off or (window.stands and not window.is_full):
-            return
+        window.audits += np.column_stack(found).tolist()
+        if window.before is not None or trust.is_off or (window.stands and not window.is_full):
+            return  # whoever marked the window judges it, or it is not over
         if window.stands:
             trust.stand()
         else:
@@ -414,45 +418,50 @@ class CachedLaw(Viewed):
     ) -> StressResponse:
         """The start of a step with the points `switched` on the fallback; see `SwitchingLaw`."""
         state: CachedState = response.state
-        new = (state.free() & (switched != 0)).nonzero()[0]
-        answer = self._solve_cold(F, F_dot, new)
+        points = (state.free() & (switched != 0)).nonzero()[0]
+        new, answer = self._solve_cold(F, F_dot, PointSet(points, switched[points]))
         stress, status = response.stress.copy(), response.status.copy()
-        stress[new], status[new] = answer.stress, answer.status
-        known = state.on_fallback.and_also(new, switched[new], answer.state)
-        state = replace(state, on_fallback=known)
+        stress[points], status[points] = answer.stress, answer.status
+        state = replace(state, on_fallback=state.on_fallback.and_also(new))
         return replace(response, stress=stress, status=status, state=state)
 
     def _choose_branches(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         """Choose the branches of the next step, looking ahead to where it will end."""
         state: CachedState = response.state
-        limit, known, stress = self._trust.limit, state.on_fallback, response.stress
-        if self._trust.is_off:
-            leaving = np.where(state.free(), np.int8(Status.NOT_TRUSTED), np.int8(0))
-            stay = np.ones(len(known), dtype=bool)
-        else:
-            leaving, of_surrogate, status, returning = choose_branches(
-                self.surrogate, F, F_dot, state, limit, self._trust.reaches
-            )
-            self._counts["in_domain"] += int((status != Status.OUT_OF_RANGE).sum())
-            stay = ~returning
-            if returning.any():
-                stress = stress.copy()
-                stress[known.points[returning]] = of_surrogate[returning]
-        after, new = known.only(stay), leaving.nonzero()[0]
-        if len(new):
-            answer = self._solve_cold(F, F_dot, new)
-            solved = answer.status == 0
-            fresh = PointSet(new, leaving[new], answer.state).only(solved)
+        limit, reach = self._trust.limit, np.array(self._trust.reach)
+        known, stress = state.on_fallback, response.stress
+        leaving, of_surrogate, status, returning = choose_branches(
+            self.surrogate, F, F_dot, state, limit, reach
+        )
+        self._counts["in_domain"] += int((status != Status.OUT_OF_RANGE).sum())
+        if returning.any():
             stress = stress.copy()
-            stress[fresh.points] = answer.stress[solved]
-            self._counts["switched"] += len(new)
-            if len(fresh):
-                self._distribute(F, F_dot, stress, fresh)
-                after = after.and_also(fresh.points, fresh.why, fresh.state)
-        state = CachedState(state.count, after, limit, self._trust.reaches, None, (F, F_dot))
+            stress[known.points[returning]] = of_surrogate[returning]
+            known = known.only(~returning)
+        points = leaving.nonzero()[0]
+        if len(points):
+            new, answer = self._solve_cold(F, F_dot, PointSet(points, leaving[points]))
+            self._counts["switched"] += len(points)
+            solved = answer.status == 0
+            new, stress = new.only(solved), stress.copy()
+            stress[new.points] = answer.stress[solved]
+            self._distribute(F, F_dot, stress, new)
+            known = known.and_also(new)
+        state = CachedState(state.count, known, limit, reach, None, (F, F_dot))
         return replace(response, stress=stress, state=state)
 
-    def _solve_cold(self, F: Array, F_dot: Array, points: Indices) -> StressResponse:
-        """The fallback's checked answer at points it does not know yet."""
-        answer = answer_both(self.fallback, F, F_dot, NO_POINTS, points)
-        return self.fallback.accept(F[points], F_dot[points], answer)
+    def _solve_cold(self, F: Array, F_dot: Array, new: PointSet) -> tuple[PointSet, StressResponse]:
+        """Points that the fallback does not know yet with its state, and its checked answer."""
+        at = F[new.points], F_dot[new.points]
+        answer = self.fallback.accept(*at, self.fallback.respond(*at))
+        return replace(new, state=answer.state), answer
+
+
+def _is_ready(tensors: Any) -> bool:
+    """Whether tensors are a contiguous float64 array (n, 2, 2), as it must be."""
+    return (
+        isinstance(tensors, np.ndarray)
+        and tensors.dtype == np.float64
+        and tensors.shape[1:] == (2, 2)
+        and tensors.flags.c_contiguous
+    )

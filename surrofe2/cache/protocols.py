@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import MismatchError
 from surrofe2.base.sampling import SamplingRange
-from surrofe2.law.stress_law import StressLaw, Tangents
+from surrofe2.law.stress_law import ResumableLaw, Tangents
 from surrofe2.plant_cell.parameters import CellParameters
 
 Array = NDArray[np.float64]
@@ -26,13 +26,7 @@ status (n,), and why (n,): 0 fallback, 1 audit."""
 
 
 class Surrogate(Protocol):
-    """A stress that is quick to look up, and says where it may not be used.
-
-    cell, initialisation: of the RVE whose stress was learnt. density: mass per reference area,
-    ng/µm². range: bounds outside which there is no answer; None: not known. stress_spread: µN/µm,
-    the unit of the user's tolerance. is_calibrated: whether the risk is finite anywhere. learns:
-    whether RVE answers change it; one that learns may begin empty.
-    """
+    """A stress that is quick to look up, and says where it may not be used."""
 
     @property
     def cell(self) -> CellParameters:
@@ -62,10 +56,6 @@ class Surrogate(Protocol):
     def has_tangents(self) -> bool:
         """Whether `tangents` answers."""
 
-    @property
-    def learns(self) -> bool:
-        """Whether true answers change it; one that learns may begin empty."""
-
     def with_tolerance(self, tolerance: float, relative: float) -> Surrogate:
         """The same, whose risks are by this tolerance; shares of the spread, and of the local
         stress. An infinite tolerance leaves no risk."""
@@ -92,26 +82,13 @@ class Surrogate(Protocol):
     def tangents(self, F: Array, F_dot: Array) -> Tangents:
         """Of the stress of `lookup`, for implicit macro steps; InputError where it has none."""
 
-    def learn(self, F: Array, F_dot: Array, stress: Array, state: Any = None) -> None:
-        """Take in RVE answers (m, 2, 2), all of status 0; nothing where it does not learn.
 
-        Called from `CachedLaw.accept` only, with what was not answered by the surrogate and what
-        an audit found wrong. state: the fallback's at these points, or None.
-        """
-
-    def to_arrays(self) -> dict[str, NDArray]:
-        """What it has learnt, for a checkpoint; empty where it does not learn."""
-
-    def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
-        """Know what it knew at `to_arrays`, exactly."""
-
-
-class Fallback(StressLaw, Protocol):
+class Fallback(ResumableLaw, Protocol):
     """The law of RVEs of the same plant cell.
 
     Its states are values of n points, never changed in place, or None: `take(indices)` and
-    `put(indices, state)` give others, `left_points` (n,) is where the stress is one of several,
-    beyond a bifurcation, and `to_arrays()` gives all of it.
+    `put(indices, state)` give others, and `left_points` (n,) is where the stress is one of several,
+    beyond a bifurcation.
     """
 
     @property
@@ -121,9 +98,6 @@ class Fallback(StressLaw, Protocol):
     @property
     def initialisation(self) -> str:
         """How its RVE is initialised."""
-
-    def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> Any:
-        """The state whose `to_arrays` gave these arrays."""
 
 
 def check_match(surrogate: Surrogate, fallback: Fallback) -> None:

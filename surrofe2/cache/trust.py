@@ -91,17 +91,6 @@ class Window:
     audits: list[list[float]] = field(default_factory=list)
     failed: bool = False
 
-    def add(
-        self,
-        points: NDArray[np.intp],
-        broken: NDArray[np.bool_],
-        error: Array,
-        risk: Array,
-        x: Array,
-    ) -> None:
-        """Take note of audits: all (k,), and inputs x (k, 7)."""
-        self.audits += np.column_stack([points, broken, error, risk, np.abs(x)]).tolist()
-
     @property
     def wrong(self) -> list[list[float]]:
         return [each for each in self.audits if each[1]]
@@ -114,12 +103,6 @@ class Window:
     def stands(self) -> bool:
         """Whether it does by its audits so far, of which it will have at least `AUDITS`."""
         return stands(len(self.wrong), len(self.audits))
-
-    def sizes(self) -> tuple[Array, Array]:
-        """Risk and sizes of inputs (k, 8) of the violations, and of the others."""
-        values = np.array(self.audits).reshape(-1, 4 + INPUTS)
-        is_wrong = values[:, 1] > 0.0
-        return values[is_wrong, 3:], values[~is_wrong, 3:]
 
     def decision(self, t: float, step: int, limit: float, decision: str) -> dict[str, Any]:
         """A line of the event log, of a window that ends at t after so many kept steps."""
@@ -146,15 +129,14 @@ class Trust:
 
     Attributes:
         factor: by which risks are multiplied before they are compared with 1.
-        reach: of the seven inputs of `tensors`, the sizes up to which they are trusted; none given:
-            as far as the surrogate says.
+        reach: of the seven inputs of `tensors`, the sizes up to which they are trusted.
         more_audits: by which the fraction of answers that are audited is multiplied.
         failures: windows that failed; standing: that stood since the factor changed.
         events: what was found and done, in order, each with its step.
     """
 
     factor: float = 1.0
-    reach: list[float] = field(default_factory=list)
+    reach: list[float] = field(default_factory=lambda: [np.inf] * INPUTS)
     is_off: bool = False
     more_audits: float = 1.0
     failures: int = 0
@@ -166,18 +148,15 @@ class Trust:
         """What a risk may be at most; negative: nothing is trusted."""
         return -1.0 if self.is_off else 1.0 / self.factor
 
-    @property
-    def reaches(self) -> Array | None:
-        """`reach` (7,); None: as far as the surrogate says."""
-        return np.array(self.reach) if self.reach else None
-
     def fail(self, step: int, window: Window) -> None:
         """Answer none of the window's violations any more: raise the factor or narrow the reach,
         whichever leaves more of what was right, or switch off where neither leaves anything."""
         window.failed = True
         self.failures += 1
         self.standing, self.more_audits = 0, MORE_AUDITS
-        wrong, right = window.sizes()
+        audits = np.array(window.audits)
+        is_wrong = audits[:, 1] > 0.0
+        wrong, right = audits[is_wrong, 3:], audits[~is_wrong, 3:]
         least = wrong.min(axis=0, initial=np.inf)
         usable = (least > 0.0) & (least < np.inf)
         most = np.where(usable, least / MARGIN, 0.0)
@@ -194,7 +173,6 @@ class Trust:
             self.factor = factor
             does, action = f"the risks count {factor:.3g} times from here on", "tightened"
         elif may_narrow:
-            self.reach = self.reach or [np.inf] * INPUTS
             self.reach[k - 1] = float(most[k])
             does = f"states with {INPUT_NAMES[k - 1]} of more than {most[k]:.3g} are left to RVEs"
             does, action = f"{does} from here on", "narrowed"
@@ -217,9 +195,10 @@ class Trust:
             self._note(step, finding, "none")
 
     def to_dict(self) -> dict[str, Any]:
+        is_narrowed = np.isfinite(self.reach).any()
         return {
             "factor": self.factor,
-            "reach": [None if np.isinf(each) else each for each in self.reach],
+            "reach": [None if np.isinf(x) else x for x in self.reach] if is_narrowed else [],
             "off": self.is_off,
             "events": list(self.events),
         }

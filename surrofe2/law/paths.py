@@ -127,28 +127,22 @@ def follow_path(
         if n == 0:
             F_dot[0][entries] = 0.0
         if n == 0 or not free:
-            answer = _answer(law, F[n], F_dot[n], state, float(t[n]))
+            answer = _checked(law.respond(F[n : n + 1], F_dot[n : n + 1], state), t[n])
         else:
             base, weight = F[n - 1], h
             if n > 1:
                 base, weight = (4.0 * F[n - 1] - F[n - 2]) / 3.0, 2.0 * h / 3.0
             rule = base[entries], weight
-            answer = _without_stress(law, F[n], F_dot[n], entries, rule, state, float(t[n]))
-        accepted = law.accept(F[n][None], F_dot[n][None], answer)
-        if accepted.status.any():
-            raise SimulationError(f"t = {t[n]:.6g} µs: {describe(accepted.status[0])}")
-        state = accepted.state
-        stress[n] = accepted.stress[0]
+            answer = _without_stress(law, F[n], F_dot[n], entries, rule, state, t[n])
+        accepted = _checked(law.accept(F[n : n + 1], F_dot[n : n + 1], answer), t[n])
+        state, stress[n] = accepted.state, accepted.stress[0]
     return StressPath(t, F, F_dot, stress, np.asarray(stress @ cofactor(F)))
 
 
-def _answer(
-    law: StressLaw, F: Array, F_dot: Array, state: object, t: float, tangents: bool = False
-) -> StressResponse:
-    answer = law.respond(F[None], F_dot[None], state, tangents=tangents)
-    if answer.status.any():
-        raise SimulationError(f"t = {t:.6g} µs: {describe(answer.status[0])}")
-    return answer
+def _checked(response: StressResponse, t: float) -> StressResponse:
+    if response.status.any():
+        raise SimulationError(f"t = {t:.6g} µs: {describe(response.status[0])}")
+    return response
 
 
 def _without_stress(
@@ -167,7 +161,7 @@ def _without_stress(
     base, weight = rule
     for _ in range(_ITERATIONS):
         F_dot[free] = (F[free] - base) / weight
-        answer = _answer(law, F, F_dot, state, t, tangents=True)
+        answer = _checked(law.respond(F[None], F_dot[None], state, tangents=True), t)
         P = answer.first_piola(F[None])[0]
         assert answer.tangents is not None
         slope = answer.tangents.over_step(weight)[0]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -14,11 +13,10 @@ from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import (
     AuditedLaw,
     LearningLaw,
-    Sources,
     StressLaw,
     StressResponse,
     SwitchingLaw,
-    Tangents,
+    joined,
     state_arrays,
     state_of,
 )
@@ -27,9 +25,6 @@ from surrofe2.run.views import Facts, Viewed
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-
-_ARRAYS = ("stress", "status", "tangents", "switched", "left_bifurcation")
-"""What a response has of each point."""
 
 
 class RegionalLaw(Viewed):
@@ -60,9 +55,8 @@ class RegionalLaw(Viewed):
             )
         self.laws = {name: laws[name] for name in points}
         self.points = dict(points)
+        self._audited = [law for law in self.laws.values() if isinstance(law, AuditedLaw)]
         self._parts = [(law, self.points[name]) for name, law in self.laws.items()]
-        found = self.laws.values()
-        self._audited = [law for law in found if isinstance(law, AuditedLaw) and law.is_audited]
         self.density = np.empty(everyone.size)
         for law, own in self._parts:
             self.density[own] = law.density
@@ -82,47 +76,43 @@ class RegionalLaw(Viewed):
         if len(F) != self.density.size:
             raise InputError(f"F: {len(F)} points; the regions have {self.density.size}")
         states = (None,) * len(self._parts) if state is None else state
-        if not isinstance(states, tuple) or len(states) != len(self._parts):
+        if not isinstance(states, tuple) or len(states) != len(self.laws):
             raise InputError("state: not of a law of these regions; pass one of it, or None")
-        answers = [
+        return self._joined(
             law.respond(F[own], F_dot[own], part, tangents=tangents)
             for (law, own), part in zip(self._parts, states, strict=True)
-        ]
-
-        return self._joined(answers)
+        )
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         parts = self._parts_of(response)
-        prepared = [
-            law.prepare(F[own], F_dot[own], part) if isinstance(law, LearningLaw) else None
+        checked = [
+            (law.check if isinstance(law, LearningLaw) else law.accept)(F[own], F_dot[own], part)
             for (law, own), part in zip(self._parts, parts, strict=True)
         ]
-        answers = [
-            replace(part, status=ready[0]) if ready else law.accept(F[own], F_dot[own], part)
-            for (law, own), part, ready in zip(self._parts, parts, prepared, strict=True)
-        ]
-        if not any(answer.status.any() for answer in answers):
-            pairs = zip(answers, prepared, strict=True)
-            answers = [answer if ready is None else ready[1]() for answer, ready in pairs]
-        return self._together(response, answers, parts)
+        if not any(each.status.any() for each in checked):
+            checked = [
+                law.commit(F[own], F_dot[own], each) if isinstance(law, LearningLaw) else each
+                for (law, own), each in zip(self._parts, checked, strict=True)
+            ]
+        return self._together(response, checked, parts)
 
     def restart_step(
         self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
     ) -> StressResponse:
         """As of `SwitchingLaw`; a law none of whose points switched stays as it is."""
-        parts, answers = self._parts_of(response), list[StressResponse]()
-        for (law, own), part in zip(self._parts, parts, strict=True):
-            if switched[own].any():
-                law = cast(SwitchingLaw, law)
-                answers.append(law.restart_step(F[own], F_dot[own], part, switched[own]))
-            else:
-                answers.append(part)
+        parts = self._parts_of(response)
+        answers = [
+            cast(SwitchingLaw, law).restart_step(F[own], F_dot[own], part, switched[own])
+            if switched[own].any()
+            else part
+            for (law, own), part in zip(self._parts, parts, strict=True)
+        ]
         return self._together(response, answers, parts)
 
     @property
     def is_audited(self) -> bool:
         """Whether all laws are."""
-        return len(self._audited) == len(self.laws)
+        return len(self._audited) == len(self.laws) and all(law.is_audited for law in self._audited)
 
     def mark(self, t: float, state: Any) -> None:
         for law, part in zip(self._audited, state, strict=True):
@@ -150,35 +140,31 @@ class RegionalLaw(Viewed):
         return None if all(state is None for state in states) else tuple(states)
 
     def history(self) -> dict[str, Any] | None:
-        return self._reported(lambda law: law.history())
+        return self._reported([law.history() for law in self._audited])
 
     def report(self) -> dict[str, Any] | None:
-        return self._reported(lambda law: law.report())
+        return self._reported([law.report() for law in self._audited])
 
-    def _reported(self, of: Callable[[AuditedLaw], Any]) -> dict[str, Any] | None:
+    def _reported(self, found: Sequence[Any]) -> dict[str, Any] | None:
         """What all laws report, each under the name of its region; None where one does not."""
-        laws = self.laws.items()
-        found = {name: of(law) for name, law in laws if isinstance(law, AuditedLaw)}
-        return {"cells": found} if len(found) == len(laws) else None
+        if len(found) < len(self.laws):
+            return None
+        return {"cells": dict(zip(self.laws, found, strict=True))}
 
     @property
     def decisions(self) -> list[dict[str, Any]] | None:
         """Those of all laws, each with the name of its region."""
         if not self.is_audited:
             return None
-        found = [
-            {"cell": name, **line}
-            for name, law in self.laws.items()
-            if isinstance(law, AuditedLaw)
-            for line in law.decisions or ()
-        ]
+        pairs = zip(self.laws, self._audited, strict=True)
+        found = [{"cell": name, **line} for name, law in pairs for line in law.decisions or ()]
         return sorted(found, key=lambda line: float(line["t"]))
 
     def _parts_of(self, response: StressResponse) -> list[StressResponse]:
         """Stress, status and state of each law's points."""
         return [
             StressResponse(response.stress[own], response.status[own], state)
-            for (_, own), state in zip(self._parts, response.state, strict=True)
+            for own, state in zip(self.points.values(), response.state, strict=True)
         ]
 
     def _together(
@@ -188,37 +174,12 @@ class RegionalLaw(Viewed):
         parts: Sequence[StressResponse],
     ) -> StressResponse:
         """What all laws make of their `parts` of a response; its own stress if none changed."""
-        joined = self._joined(answers)
+        whole = self._joined(answers)
         changed = any(a.stress is not part.stress for a, part in zip(answers, parts, strict=True))
-        return joined if changed else replace(joined, stress=response.stress)
+        return whole if changed else replace(whole, stress=response.stress)
 
-    def _joined(self, answers: Sequence[StressResponse]) -> StressResponse:
+    def _joined(self, answers: Iterable[StressResponse]) -> StressResponse:
         """The responses of all laws as one."""
-        effort, reasons = Counter[str](), dict[int, str]()
-        for answer, (_, own) in zip(answers, self._parts, strict=True):
-            reasons |= {int(own[k]): reason for k, reason in answer.reasons.items()}
-            effort.update(answer.effort)
-        sources: list[Any] = [answer.sources for answer in answers]
-        return StressResponse(
-            state=tuple(answer.state for answer in answers),
-            effort=effort,
-            reasons=reasons,
-            sources=None if None in sources else lambda: self._whole([tell() for tell in sources]),
-            **{name: self._whole([getattr(each, name) for each in answers]) for name in _ARRAYS},
-        )
-
-    def _whole(self, values: Sequence[Any]) -> Any:
-        """Values of all points from those of each law's points: arrays (k, …), 0 where a law gave
-        none, or tangents or sources of such arrays; None if no law gave any.
-        """
-        given: Any = next((value for value in values if value is not None), None)
-        if given is None:
-            return None
-        if isinstance(given, Tangents | Sources):
-            columns = ([getattr(v, item.name) for v in values] for item in fields(given))
-            return type(given)(*map(self._whole, columns))
-        whole = np.zeros((self.density.size, *given.shape[1:]), given.dtype)
-        for (_, own), value in zip(self._parts, values, strict=True):
-            if value is not None:
-                whole[own] = value
-        return whole
+        answers = tuple(answers)
+        parts = [*zip(self.points.values(), answers, strict=True)]
+        return joined(parts, tuple(answer.state for answer in answers))

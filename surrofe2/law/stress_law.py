@@ -6,8 +6,9 @@ the macro scale knows nothing else of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from enum import IntEnum
 from typing import Any, Protocol, runtime_checkable
 
@@ -18,6 +19,7 @@ from surrofe2.base.errors import InputError
 from surrofe2.base.tensors import cofactor
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 
 class Status(IntEnum):
@@ -154,6 +156,45 @@ class StressResponse:
         return f"<StressResponse: {count} point{'s' * (count != 1)}{more}>"
 
 
+def joined(parts: Sequence[tuple[Index, StressResponse]], state: Any) -> StressResponse:
+    """One response of all points, with this state, from those at parts of them and the indices of
+    each part; see `joined_values`. Efforts are summed."""
+    effort, reasons = Counter[str](), dict[int, str]()
+    for index, part in parts:
+        effort.update(part.effort)
+        reasons |= {int(index[k]): reason for k, reason in part.reasons.items()}
+    tell: list[tuple[Index, Any]] = [(index, part.sources) for index, part in parts]
+    known = all(sources for _, sources in tell)
+    arrays = {
+        name: joined_values([(index, getattr(part, name)) for index, part in parts])
+        for name in ("stress", "status", "tangents", "switched", "left_bifurcation")
+    }
+    return StressResponse(
+        state=state,
+        effort=effort,
+        reasons=reasons,
+        sources=(lambda: joined_values([(own, of()) for own, of in tell])) if known else None,
+        **arrays,
+    )
+
+
+def joined_values(parts: Sequence[tuple[Index, Any]]) -> Any:
+    """Values of all points from those at parts of them, whose indices together are 0 … n − 1:
+    arrays (k, …), 0 where a part has None; or tangents or sources of such arrays. None if all are.
+    """
+    known: Any = next((values for _, values in parts if values is not None), None)
+    if known is None:
+        return None
+    if isinstance(known, Tangents | Sources):
+        columns = ([(own, getattr(v, item.name)) for own, v in parts] for item in fields(known))
+        return type(known)(*map(joined_values, columns))
+    whole = np.zeros((sum(len(index) for index, _ in parts), *known.shape[1:]), known.dtype)
+    for index, values in parts:
+        if values is not None:
+            whole[index] = values
+    return whole
+
+
 class StressLaw(Protocol):
     """A constitutive law σ(F, Ḟ) for tissue.
 
@@ -199,12 +240,14 @@ class StressLaw(Protocol):
 
 @runtime_checkable
 class LearningLaw(StressLaw, Protocol):
-    """A law that a kept step changes beyond its state, as by what it counts or learns."""
+    """A law that a kept step changes beyond its state, as by what it counts or learns. Its `accept`
+    is `commit` of what `check` returns, unless that objects."""
 
-    def prepare(
-        self, F: Array, F_dot: Array, response: StressResponse
-    ) -> tuple[NDArray[np.int8], Callable[[], StressResponse]]:
-        """`accept` in two parts: what it objects to, (n,) codes, without a change; and the rest."""
+    def check(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
+        """`response` with what the law objects to, without a change of the law."""
+
+    def commit(self, F: Array, F_dot: Array, checked: StressResponse) -> StressResponse:
+        """Change by a checked response; the response by which the next step begins."""
 
 
 class SwitchingLaw(StressLaw, Protocol):

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,8 +13,9 @@ from surrofe2.base.errors import InputError
 from surrofe2.base.simd import TILE
 from surrofe2.law.stress_law import (
     StressResponse,
-    Tangents,
     check_deformation,
+    joined,
+    joined_values,
     require_tangents,
 )
 from surrofe2.plant_cell.tiles import tiles_for
@@ -31,7 +31,7 @@ PIECE = 4096
 
 
 class RankState:
-    """Warm start of n points that stays on the ranks which own them; see `cache.PointStates`.
+    """Warm start of n points that stays on the ranks which own them; see `cache.Fallback`.
 
     The states themselves never travel but for a checkpoint: a point stays on its rank.
 
@@ -44,10 +44,10 @@ class RankState:
 
     def __init__(self, law: DistributedLaw, owner: Index, left: NDArray[np.bool_]) -> None:
         self.law, self.owner, self.left_points = law, owner, left
-        self.number = law.driver.new_number()
+        self.number = next(law.driver.numbers)
 
     def __del__(self) -> None:
-        self.law.driver.drop(self.number)
+        self.law.driver.dropped.append(self.number)
 
     def shares(self) -> list[Index]:
         """For each rank its points, in ascending order."""
@@ -98,7 +98,7 @@ class DistributedLaw:
 
     def __init__(self, law: RveLaw, driver: Driver) -> None:
         self.law, self.driver = law, driver
-        self._number, self._next = driver.new_number(), 0
+        self._number, self._next = next(driver.numbers), 0
         self.cell, self.initialisation = law.cell, law.initialisation
         self.density, self.has_tangents = law.density, law.has_tangents
         driver.do(_have, [(self._number, law)] * driver.ranks)
@@ -109,7 +109,12 @@ class DistributedLaw:
         for begin in range(0, max(map(len, shares)), PIECE):
             pieces = [own[begin : begin + PIECE] for own in shares]
             tasks = [(state.number, begin, len(own)) if len(own) else None for own in pieces]
-            _collect(whole, len(state.owner), pieces, self.driver.do(_to_arrays, tasks))
+            for own, part in zip(pieces, self.driver.do(_to_arrays, tasks), strict=True):
+                for name, values in (part or {}).items():
+                    if name not in whole:
+                        shape = len(state.owner), *values.shape[1:]
+                        whole[name] = np.empty(shape, values.dtype)
+                    whole[name][own] = values
         return whole
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> RankState:
@@ -130,44 +135,32 @@ class DistributedLaw:
             return StressResponse(np.empty((0, 2, 2)), np.empty(0, np.int8), state, {})
         before = None if state is None else self._checked(state, len(F)).number
         owner = self._dealt(len(F)) if state is None else state.owner
-        after = RankState(self, owner, np.zeros(len(F), dtype=np.bool_))
-        found, effort = self._done(_respond, (before, after.number, tangents), after, (F, F_dot))
-        after.left_points = left = found["left"]
-        return StressResponse(
-            found["stress"],
-            found["status"],
-            after,
-            effort,
-            Tangents(found["P_by_F"], found["P_by_F_dot"]) if tangents else None,
-            left_bifurcation=left if left.any() else None,
-        )
+        return self._by_ranks(_respond, owner, (before, tangents), (F, F_dot))
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         if not len(F):
             return response
         F, F_dot = check_deformation(F, F_dot)
         before = self._checked(response.state, len(F))
-        after = RankState(self, before.owner, before.left_points)
         answered = F, F_dot, response.stress, response.status
-        found, _ = self._done(_accept, (before.number, after.number), after, answered)
-        after.left_points, new = found["left"], found["newly_left"]
-        stress, left = (found["stress"], new) if new.any() else (response.stress, None)
+        found = self._by_ranks(_accept, before.owner, (before.number,), answered)
+        left, state = found.left_bifurcation, found.state
+        stress = response.stress if left is None else found.stress
         return replace(
-            response, stress=stress, status=found["status"], state=after, left_bifurcation=left
+            response, stress=stress, status=found.status, state=state, left_bifurcation=left
         )
 
-    def _done(
-        self, work: Any, given: tuple[Any, ...], state: RankState, arrays: Iterable[NDArray]
-    ) -> tuple[dict[str, NDArray], dict[str, int]]:
-        """What ranks find of arrays (n, …) for the points of a state: arrays, and their effort."""
-        shares = state.shares()
-        tasks = [(self._number, *given, *(a[own] for a in arrays)) for own in shares]
+    def _by_ranks(
+        self, work: Any, owner: Index, given: tuple[Any, ...], arrays: Sequence[NDArray]
+    ) -> StressResponse:
+        """What ranks make of arrays (n, …), each at the points that it owns."""
+        after = RankState(self, owner, np.zeros(len(owner), dtype=np.bool_))
+        shares, of_all = after.shares(), (self._number, *given, after.number)
+        tasks = [(*of_all, *(each[own] for each in arrays)) for own in shares]
         results = self.driver.do(work, [task if len(task[-1]) else None for task in tasks])
-        whole, total = dict[str, NDArray](), Counter[str]()
-        _collect(whole, len(state.owner), shares, [each and each[0] for each in results])
-        for each in results:
-            total.update(each[1] if each else {})
-        return whole, dict(total)
+        parts = [(own, part) for own, part in zip(shares, results, strict=True) if len(own)]
+        after.left_points = joined_values([(own, part.state) for own, part in parts])
+        return joined(parts, after)
 
     def _dealt(self, points: int) -> Index:
         """(points,) owners of points without a state."""
@@ -182,17 +175,6 @@ class DistributedLaw:
         if isinstance(state, RankState) and len(state.owner) == points and state.law is self:
             return state
         raise InputError(f"state: not one of this DistributedLaw for {points} points; pass None")
-
-
-def _collect(
-    whole: dict[str, NDArray], points: int, shares: Sequence[Index], parts: Sequence[Any]
-) -> None:
-    """Put what ranks found of their shares into arrays (points, …), made where there are none."""
-    for own, part in zip(shares, parts, strict=True):
-        for name, values in (part or {}).items():
-            if name not in whole:
-                whole[name] = np.empty((points, *values.shape[1:]), values.dtype)
-            whole[name][own] = values
 
 
 # Tasks: what each rank does, rank 0 too, with its `Worker` and the arguments scattered to it.
@@ -213,28 +195,22 @@ def _join(worker: Worker, after: int, numbers: Index, rows: Index) -> None:
 
 
 def _respond(
-    worker: Worker, law: int, before: int | None, after: int, tangents: bool, *at: Array
-) -> tuple[dict[str, NDArray], Mapping[str, int]]:
-    """Arrays of the answer at (F, Ḟ), and its effort; its state stays here."""
+    worker: Worker, law: int, before: int | None, tangents: bool, after: int, *at: Any
+) -> StressResponse:
+    """The answer, whose state stays here; it carries (k,) `left_points` instead."""
     state = None if before is None else worker.states[before]
     answer = worker.laws[law].respond(at[0], at[1], state, tangents=tangents)
     worker.states[after] = answer.state
-    found = {"stress": answer.stress, "status": answer.status, "left": answer.state.left_points}
-    if answer.tangents is not None:
-        found |= {"P_by_F": answer.tangents.P_by_F, "P_by_F_dot": answer.tangents.P_by_F_dot}
-    return found, answer.effort
+    return replace(answer, state=answer.state.left_points)
 
 
-def _accept(
-    worker: Worker, law: int, before: int, after: int, *answered: Any
-) -> tuple[dict[str, NDArray], Mapping[str, int]]:
-    """As of `_respond`, with marks of a bifurcation filled in where there are none."""
+def _accept(worker: Worker, law: int, before: int, after: int, *answered: Any) -> StressResponse:
+    """As `_respond`."""
     F, F_dot, stress, status = answered
-    said = worker.laws[law].accept(F, F_dot, StressResponse(stress, status, worker.states[before]))
-    worker.states[after] = said.state
-    new = np.zeros(len(F), np.bool_) if said.left_bifurcation is None else said.left_bifurcation
-    left = said.state.left_points
-    return {"status": said.status, "stress": said.stress, "left": left, "newly_left": new}, {}
+    answer = StressResponse(stress, status, worker.states[before])
+    accepted = worker.laws[law].accept(F, F_dot, answer)
+    worker.states[after] = accepted.state
+    return replace(accepted, state=accepted.state.left_points)
 
 
 def _to_arrays(worker: Worker, number: int, begin: int, points: int) -> dict[str, NDArray]:

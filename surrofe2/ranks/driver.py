@@ -7,8 +7,9 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
+from itertools import count
 from typing import Any
 
 import numba
@@ -113,13 +114,15 @@ class Worker:
     states: dict[int, RveState] = field(default_factory=dict)
 
 
-class Driver:
+class Driver(AbstractContextManager["Driver"]):
     """Sends tasks from rank 0 to all ranks and collects their results.
 
     An interruption waits while ranks exchange messages, so that they stay in step.
 
     Attributes:
         ranks: how many there are.
+        numbers: of laws and states, each used once.
+        dropped: states that all ranks forget with the next task.
         seconds: spent on tasks: "computing" by the slowest rank of each, "messages" the rest.
         tasks: how many there were.
     """
@@ -128,13 +131,9 @@ class Driver:
         self._comm = comm
         self.ranks = int(comm.size)
         self.tasks, self.seconds = 0, {"computing": 0.0, "messages": 0.0}
+        self.numbers, self.dropped = count(), list[int]()
         self._worker = Worker()
-        self._dropped: list[int] = []
-        self._numbers = 0
         _drivers.append(self)
-
-    def __enter__(self) -> Driver:
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         """End the workers, all with one exit code: launchers take that of any rank."""
@@ -142,15 +141,6 @@ class Driver:
         _drivers.remove(self)
         with held():
             self._comm.scatter([code] * self.ranks)
-
-    def new_number(self) -> int:
-        """A number for a law or a state."""
-        self._numbers += 1
-        return self._numbers
-
-    def drop(self, number: int) -> None:
-        """Forget this state on all ranks, with the next task."""
-        self._dropped.append(number)
 
     def do(
         self, work: Callable[..., Any], arguments: Sequence[tuple[Any, ...] | None]
@@ -161,7 +151,7 @@ class Driver:
             SimulationError: it failed on a rank, which the message names.
         """
         with held():
-            dropped, self._dropped = self._dropped, []
+            dropped, self.dropped = self.dropped, []
             began = clock()
             own = self._comm.scatter([(work, each, dropped) for each in arguments])
             results: list[_Result] = self._comm.gather(_done(self._worker, own))

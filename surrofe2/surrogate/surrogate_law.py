@@ -62,7 +62,7 @@ class SurrogateLaw(Viewed):
         arrays, bound_arrays: network, and range, domain and bound, as its kernels read them.
     """
 
-    has_tangents, learns = True, False
+    has_tangents = True
 
     network: NetworkParameters
     cell: CellParameters
@@ -106,16 +106,6 @@ class SurrogateLaw(Viewed):
     def density(self) -> float:
         """ng/µm²."""
         return self.cell.density
-
-    def learn(self, F: Array, F_dot: Array, stress: Array, state: Any = None) -> None:
-        """Nothing is learnt."""
-
-    def to_arrays(self) -> dict[str, NDArray]:
-        """Nothing that a run could have changed."""
-        return {}
-
-    def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
-        """Nothing."""
 
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False

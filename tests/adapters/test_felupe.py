@@ -11,14 +11,13 @@ import pytest
 from surrofe2 import Problem
 from surrofe2.adapters.felupe import FelupeMaterial
 from surrofe2.base.errors import SimulationError
-from surrofe2.law.stress_law import Status
 from surrofe2.macro.elements import reference_shapes
 from surrofe2.macro.rest import find_rest
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem.conditions import Fixed, Traction
 from surrofe2.problem.mesh import element_nodes
 from surrofe2.rve import RveLaw
-from tests.laws import KelvinVoigt
+from tests.laws import KelvinVoigt, failing
 from tests.macro.meshes import plate
 
 felupe = pytest.importorskip("felupe")
@@ -186,17 +185,8 @@ def nodal_forces(mesh):
     return force
 
 
-class Torn(KelvinVoigt):
-    """Without stress where F₁₁ is above 1.1."""
-
-    def respond(self, F, F_dot, state=None, *, tangents=False):
-        answer = super().respond(F, F_dot, state, tangents=tangents)
-        answer.status[F[:, 0, 0] > 1.1] = Status.NOT_CONVERGED
-        return answer
-
-
 def test_a_point_without_stress_is_named():
-    material = FelupeMaterial(Torn())
+    material = FelupeMaterial(failing(KelvinVoigt(), fails_above=1.1))
     F, before = points()
     F[0, 0, 1, 2] = 1.2
     with pytest.raises(SimulationError, match="point 6 of 12: the RVE solve did not converge"):

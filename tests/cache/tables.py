@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -37,6 +38,11 @@ def taught(F, F_dot, table=None):
     return table
 
 
+def rising(least, slope):
+    """A bound that rises with |F₂₁|, µN/µm."""
+    return lambda F, F_dot: least + slope * abs(F[:, 1, 0])
+
+
 def cached(error, bound, audit=0.0, *, kind=CachedLaw, truth=None, tolerance=0.01, **more):
     """A law of a surrogate off by an error and `truth`, with 0.1 µN/µm allowed."""
     settings = CacheSettings(tolerance=tolerance, audit=audit, **more)
@@ -45,10 +51,15 @@ def cached(error, bound, audit=0.0, *, kind=CachedLaw, truth=None, tolerance=0.0
 
 def observed(truth, surrogate=None, **settings):
     """A cached law, and what it hands to be kept and to be learnt."""
-    kept, learnt, surrogate = [], [], surrogate or Surrogate()
-    surrogate.learn = lambda *answers: learnt.append(answers)
-    settings = CacheSettings(**settings)
-    return CachedLaw(surrogate, truth, settings, lambda *answer: kept.append(answer)), kept, learnt
+    kept, learnt = [], []
+    law = CachedLaw(
+        surrogate or Surrogate(),
+        truth,
+        CacheSettings(**settings),
+        lambda *answer: kept.append(answer),
+    )
+    law.table = SimpleNamespace(learn=lambda *answers: learnt.append(answers))
+    return law, kept, learnt
 
 
 def keeping(law, kept):
@@ -70,10 +81,10 @@ class Kept(CachedLaw):
         super().__init__(*args)
         self.open, self.standing = [], []
 
-    def _learn(self, F, F_dot, accepted):
-        free = accepted.state.free()
-        self.open.append((F[free], F_dot[free], accepted.stress[free]))
-        return super()._learn(F, F_dot, accepted)
+    def commit(self, F, F_dot, checked):
+        free = checked.state.free()
+        self.open.append((F[free], F_dot[free], checked.stress[free]))
+        return super().commit(F, F_dot, checked)
 
     def mark(self, t, state):
         super().mark(t, state)

@@ -163,7 +163,6 @@ def test_fallback_and_audit_answers_are_kept_and_learnt():
 def test_what_an_audit_finds_wrong_is_learnt():
     error = lambda F, F_dot: np.where(F[:, 0, 1] > 0.002, 0.2, 0.01)  # noqa: E731
     cached, _, learnt = law(audit=1.0, error=error)
-    cached.reset_counts()
     walked = walk(cached, 3, points=20)
     (F, _, stress, _), *_ = learnt
     wrong = walked[2][0][:, 0, 1] > 0.002

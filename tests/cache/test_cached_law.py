@@ -1,6 +1,6 @@
 """Which part answers which point, what is counted, and what becomes of the fallback's state."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -122,7 +122,7 @@ def test_a_point_that_leaves_the_range_later_is_solved_cold_and_called_moved(cac
     assert np.array_equal(fallback.accepted[0][0], F[[1, 3]])
     later, _ = stretched(1.51, 1.52, 1.1, 1.54)
     answer = cached.respond(later, F_dot, state)
-    (cold_F, cold), (warm_F, warm) = fallback.asked[1:]
+    (warm_F, warm), (cold_F, cold) = fallback.asked[1:]
     assert np.array_equal(warm_F, later[[1, 3]])
     assert np.array_equal(warm.F, F[[1, 3]] + 100.0)
     assert np.array_equal(cold_F, later[[0]])
@@ -219,27 +219,12 @@ def test_other_parameters_or_initialisation_are_refused():
         CachedLaw(Surrogate(), TrueLaw(initialisation="cauchy-born"))
 
 
-@dataclass(frozen=True)
-class Branch(PointStates):
-    """A state beyond a bifurcation where F₁₁ > 1.6."""
-
-    def take(self, indices):
-        return Branch(self.F[indices])
-
-    def put(self, indices, state):
-        return Branch(super().put(indices, state).F)
-
-    @property
-    def left_points(self):
-        return self.F[:, 0, 0] > 1.6
-
-
 class Leaving(TrueLaw):
     """Leaves at accepted steps where F₁₁ > 1.6, and has a stress of 7 everywhere from there."""
 
     def respond(self, F, F_dot, state=None, *, tangents=False):
         answer = super().respond(F, F_dot, state)
-        return replace(answer, state=Branch(F.copy()))
+        return replace(answer, state=PointStates(F.copy(), leaves_above=1.6))
 
     def accept(self, F, F_dot, response):
         left = response.state.left_points

@@ -6,7 +6,7 @@ from surrofe2 import LoadCase
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.cache import CachedLaw, CacheSettings, StressTable
 from surrofe2.macro import MacroSettings, simulate
-from tests.cache.tables import cached, keeping, resumed
+from tests.cache.tables import cached, keeping, resumed, rising
 from tests.folders import assert_equal
 from tests.laws import Truth, failing, shear_error
 from tests.macro.bars import assert_same_run
@@ -18,29 +18,22 @@ LOAD_CASE = LoadCase(
 )  # fmt: skip
 SETTINGS = MacroSettings()
 RANGE = SamplingRange(stretch=(0.92, 1.08), shear=0.08, rate=0.01)
-
-
-def bound(F, F_dot):
-    return 0.02 + 3.0 * abs(F[:, 1, 0])
+BOUND = rising(0.02, 3.0)
 
 
 def untrustworthy():
     """Off by more than its bound says, so that audits tighten and switch it off."""
-    return cached(shear_error(0.3), bound, 0.3)
+    return cached(shear_error(0.3), BOUND, 0.3)
 
 
 def falling_back():
-    return cached(shear_error(0.02), bound, 0.05, tolerance=0.008)
+    return cached(shear_error(0.02), BOUND, 0.05, tolerance=0.008)
 
 
 def learning():
     table = StressTable(Truth(), 0.02, RANGE, 10.0)
     settings = CacheSettings(tolerance=0.006, audit=0.05)
     return CachedLaw(table, Truth(), settings)
-
-
-class Stop(KeyboardInterrupt):
-    pass
 
 
 def interrupted(make, steps):
@@ -50,10 +43,10 @@ def interrupted(make, steps):
     def stop(t, duration):
         left[0] -= 1
         if left[0] == 0:
-            raise Stop
+            raise KeyboardInterrupt
 
     checkpoints = {"checkpoint": keeping(law, kept), "checkpoint_interval": 1e9}
-    with pytest.raises(Stop):
+    with pytest.raises(KeyboardInterrupt):
         simulate(LOAD_CASE, law, SETTINGS, progress=stop, **checkpoints)
     return kept[-1]
 
@@ -94,10 +87,10 @@ def test_a_resumed_run_is_the_uninterrupted_one(make):
 def test_an_interrupt_while_the_law_commits_leaves_no_checkpoint_of_half_a_step():
     def stop(F, F_dot):
         """Ctrl-C within the first audit."""
-        raise Stop
+        raise KeyboardInterrupt
 
     truth, kept = failing(Truth(), refuses=stop), []
-    law = cached(shear_error(0.02), bound, 1.0, truth=truth)
-    with pytest.raises(Stop):
+    law = cached(shear_error(0.02), BOUND, 1.0, truth=truth)
+    with pytest.raises(KeyboardInterrupt):
         simulate(LOAD_CASE, law, SETTINGS, checkpoint=kept.append, checkpoint_interval=1e9)
     assert not kept

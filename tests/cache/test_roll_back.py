@@ -12,29 +12,26 @@ from surrofe2.cache.trust import AUDITS, VIOLATIONS
 from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.run.displacement_curve import difference
-from tests.cache.tables import LOAD_CASE, Kept, cached, keeping, resumed
+from tests.cache.tables import LOAD_CASE, Kept, cached, keeping, resumed, rising
 from tests.laws import Learnt, Truth, shear_error
 from tests.macro.bars import assert_same_run
 
 SETTINGS = MacroSettings(frames=5)
 ALLOWED = 0.1
 """µN/µm: a hundredth of the spread of `Learnt`."""
-
-
-def bound(F, F_dot):
-    return 0.01 + 0.2 * abs(F[:, 1, 0])
+BOUND = rising(0.01, 0.2)
 
 
 def bad_beyond(shear):
     """Errors within the bound below a shear, and five times the tolerance above."""
-    return lambda F, F_dot: np.where(abs(F[:, 1, 0]) > shear, 5.0 * ALLOWED, 0.5 * bound(F, F_dot))
+    return lambda F, F_dot: np.where(abs(F[:, 1, 0]) > shear, 5.0 * ALLOWED, 0.5 * BOUND(F, F_dot))
 
 
 @pytest.mark.parametrize("shear", [0.0, 0.02, 0.03])
 @pytest.mark.parametrize("integrator", ["explicit", "implicit"])
 def test_no_window_that_stands_has_a_wrong_share(shear, integrator):
     settings = replace(SETTINGS, integrator=integrator)
-    law = cached(bad_beyond(shear), bound, 0.3, kind=Kept)
+    law = cached(bad_beyond(shear), BOUND, 0.3, kind=Kept)
     run = simulate(LOAD_CASE, law, settings)
     true = simulate(LOAD_CASE, Truth(), settings)
     assert run.rolled_back["steps"] > 0
@@ -50,7 +47,7 @@ class Counted(CachedLaw):
 
     def __init__(self):
         super().__init__(
-            Learnt(bad_beyond(0.02), bound),
+            Learnt(bad_beyond(0.02), BOUND),
             Truth(),
             CacheSettings(tolerance=0.01, audit=0.3),
             lambda *answer: self.audits.extend(answer[-1] == AUDIT),
@@ -87,7 +84,7 @@ def test_counts_are_of_what_stands_and_what_was_rolled_back_is_apart():
 
 
 def test_a_fault_that_is_entered_late_leaves_the_steps_before_alone():
-    law = cached(bad_beyond(0.03), bound, 0.3)
+    law = cached(bad_beyond(0.03), BOUND, 0.3)
     run = simulate(LOAD_CASE, law, SETTINGS)
     told = [line["decision"] for line in law.decisions]
     assert told[0] == "stands"
@@ -110,7 +107,7 @@ def test_a_fault_that_is_entered_late_leaves_the_steps_before_alone():
 
 def test_a_run_without_violation_keeps_its_bits(monkeypatch):
     """The same run by a law that nobody asks for verdicts."""
-    law, plain = (cached(shear_error(0.01), bound, 0.3) for _ in range(2))
+    law, plain = (cached(shear_error(0.01), BOUND, 0.3) for _ in range(2))
     run = simulate(LOAD_CASE, law, SETTINGS)
     monkeypatch.setattr(CachedLaw, "is_audited", False)
     alone = simulate(LOAD_CASE, plain, SETTINGS)
@@ -134,7 +131,7 @@ def test_answers_that_lead_a_run_astray_are_taken_back():
             return stress, status, risk
 
     settings = CacheSettings(tolerance=0.01, audit=0.05)
-    law = CachedLaw(Astray(shear_error(0.01), bound), Truth(), settings)
+    law = CachedLaw(Astray(shear_error(0.01), BOUND), Truth(), settings)
     run = simulate(LOAD_CASE, law, SETTINGS)
     true = simulate(LOAD_CASE, Truth(), SETTINGS)
     assert run.rolled_back["steps"] > 0
@@ -146,7 +143,7 @@ def test_regions_go_back_together_and_a_fault_of_one_does_not_cost_the_other_aud
     points = {"sound": np.arange(0, 30), "wrong": np.arange(30, 60)}
     audited = []
     for error in (shear_error(0.01), bad_beyond(0.02)):
-        laws = {"sound": cached(shear_error(0.01), bound, 0.3), "wrong": cached(error, bound, 0.3)}
+        laws = {"sound": cached(shear_error(0.01), BOUND, 0.3), "wrong": cached(error, BOUND, 0.3)}
         run = simulate(LOAD_CASE, RegionalLaw(laws, points), SETTINGS)
         counted = laws["sound"].history()
         assert counted["accepted"]["hits"] == 30 * (run.counts["steps"] + 1)
@@ -162,7 +159,7 @@ def test_regions_go_back_together_and_a_fault_of_one_does_not_cost_the_other_aud
 
 def test_a_window_that_ends_early_carries_on_its_audits():
     """One of three answers a window is wrong: the third such window fails, and alone goes back."""
-    law = cached(lambda F, F_dot: np.where(np.arange(len(F)), 0.0, 5.0 * ALLOWED), bound, 1.0)
+    law = cached(lambda F, F_dot: np.where(np.arange(len(F)), 0.0, 5.0 * ALLOWED), BOUND, 1.0)
     F = np.tile(np.eye(2), (3, 1, 1))
     state, found = law.respond(F, 0.0 * F).state, []
     for k in range(1, 4):

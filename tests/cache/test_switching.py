@@ -11,7 +11,7 @@ from surrofe2.cache.branches import extrapolate
 from surrofe2.macro import MacroSettings, find_rest, simulate
 from surrofe2.macro.simulation import make_method
 from surrofe2.macro.time_stepping import Stepper
-from tests.cache.tables import cached
+from tests.cache.tables import cached, rising
 from tests.laws import Learnt, Truth, shear_error
 from tests.macro.bars import LOAD_CASE, equations_of_bar
 from tests.numerics import assert_near
@@ -22,7 +22,7 @@ SETTINGS = MacroSettings(frames=5)
 
 def cached_law(limit=0.02, kind=CachedLaw, size=0.01):
     """Trusted up to a shear of `limit`, beyond which the bound rises above 0.1 µN/µm."""
-    return cached(shear_error(size), lambda F, F_dot: 0.1 * abs(F[:, 1, 0]) / limit, kind=kind)
+    return cached(shear_error(size), rising(0.0, 0.1 / limit), kind=kind)
 
 
 def blind(F, F_dot, before):

@@ -10,7 +10,7 @@ from scipy.stats import binom
 from surrofe2.base.errors import MismatchError
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.cache import CachedLaw, CacheSettings, sampled_spread
-from surrofe2.cache.branches import Narrowed
+from surrofe2.cache.branches import look_up
 from surrofe2.cache.trust import (
     AUDITS,
     CONFIDENCE,
@@ -23,22 +23,17 @@ from surrofe2.cache.trust import (
 )
 from surrofe2.law.stress_law import Status
 from surrofe2.macro import MacroSettings, simulate
-from tests.cache.tables import LOAD_CASE, cached
+from tests.cache.tables import LOAD_CASE, cached, rising
 from tests.laws import Learnt, Truth, shear_error
 
 LOAD_CASE = replace(LOAD_CASE, duration=6.0)
 SETTINGS = MacroSettings(frames=5)
-
-
-def sound_bound(F, F_dot):
-    return 0.02 + 0.4 * abs(F[:, 1, 0])
-
-
+BOUND = rising(0.02, 0.4)
 SMALL = shear_error(0.01)
 LIE = lambda F, F_dot: 3.0 + 0.0 * F[:, 0, 0]  # noqa: E731
 
 
-def run(error=SMALL, bound=sound_bound, audit=0.05):
+def run(error=SMALL, bound=BOUND, audit=0.05):
     """A bar on a cache with tolerance 0.1 µN/µm; the cache and what it reports."""
     law = cached(error, bound, audit)
     done = simulate(LOAD_CASE, law, SETTINGS)
@@ -55,7 +50,7 @@ def test_a_sound_cache_is_left_alone(caplog):
 
 def test_a_biased_surrogate_is_tightened_until_it_keeps_its_word(caplog):
     """Errors three times the bound: the bound comes to count as often, and then holds."""
-    biased = lambda F, F_dot: 3.0 * sound_bound(F, F_dot)  # noqa: E731
+    biased = lambda F, F_dot: 3.0 * BOUND(F, F_dot)  # noqa: E731
     law, report, _ = run(error=biased, audit=0.2)
     trust = report["trust"]
     assert not trust["off"]
@@ -73,7 +68,7 @@ def test_a_biased_surrogate_is_tightened_until_it_keeps_its_word(caplog):
 
 
 def test_a_surrogate_that_lies_grossly_is_switched_off_and_the_run_is_the_true_one(caplog):
-    law, report, done = run(LIE, lambda F, F_dot: 5e-4 + 0.4 * abs(F[:, 1, 0]))
+    law, report, done = run(LIE, rising(5e-4, 0.4))
     assert law.history()["trust"]["off"]
     assert report["trust"]["events"][-1]["action"] == "off"
     assert "the cache is off from here on" in caplog.text
@@ -91,7 +86,7 @@ def test_a_surrogate_that_lies_grossly_is_switched_off_and_the_run_is_the_true_o
 @pytest.mark.parametrize(("times", "is_refused"), [(1.0, False), (3.0, True), (1e6, True)])
 def test_a_scale_of_stress_that_is_not_the_rves_is_refused(times, is_refused):
     """Tolerances are shares of it, so no audit by the file's own scale would find the fault."""
-    learnt = Learnt(SMALL, sound_bound)
+    learnt = Learnt(SMALL, BOUND)
     learnt.range = SamplingRange(stretch=(0.95, 1.05), shear=0.05, rate=0.01)
     learnt.stress_spread = times * sampled_spread(Truth(), learnt.range)
     with pytest.raises(MismatchError, match="spread of stress") if is_refused else nullcontext():
@@ -99,7 +94,7 @@ def test_a_scale_of_stress_that_is_not_the_rves_is_refused(times, is_refused):
 
 
 def test_audits_say_so_where_the_tolerance_is_larger_than_the_stress():
-    learnt = Learnt(SMALL, sound_bound)
+    learnt = Learnt(SMALL, BOUND)
     learnt.stress_spread = 1e6
     law = CachedLaw(learnt, Truth(), CacheSettings(audit=0.05))
     simulate(LOAD_CASE, law, SETTINGS)
@@ -146,10 +141,14 @@ def test_upper_bound_on_the_wrong_share(violations, audits):
 
 def window(risk=0.5, violations=3, audits=100):
     """One with errors twice the tolerance of 0.1 µN/µm."""
-    made = Window(0.0, 0, 1.0)
     error = np.where(np.arange(audits) < violations, 0.2, 0.01)
-    made.add(np.arange(audits), error > 0.1, error, np.full(audits, risk), np.zeros((audits, 7)))
-    return made
+    return window_of(error > 0.1, error, np.full(audits, risk), np.zeros((audits, 7)))
+
+
+def window_of(*audits):
+    """One with these audits."""
+    rows = np.column_stack([np.arange(len(audits[0])), *audits])
+    return Window(0.0, 0, 1.0, audits=rows.tolist())
 
 
 def test_the_factor_is_raised_just_enough_and_comes_back():
@@ -187,21 +186,18 @@ def test_a_fault_that_no_risk_tells_narrows_one_input():
     random = np.random.default_rng(2)
     x, risk = random.uniform(-1.0, 1.0, (400, 7)), random.uniform(1e-4, 1e-3, 400)
     is_wrong = np.abs(x[:, 1]) > 0.6
-    made = Window(0.0, 0, 1.0)
-    made.add(np.arange(400), is_wrong, np.where(is_wrong, 0.2, 0.01), risk, x)
     trust = Trust()
-    trust.fail(1, made)
+    trust.fail(1, window_of(is_wrong, np.where(is_wrong, 0.2, 0.01), risk, np.abs(x)))
     assert (trust.factor, trust.is_off) == (1.0, False)
     assert np.isfinite(trust.reach).tolist() == [False, True, *[False] * 5]
     assert 0.5 < trust.reach[1] < 0.6
     assert trust.events[0]["action"] == "narrowed"
     assert "with a difference of U − I of more than 0.5" in trust.events[0]["finding"]
     none = lambda F, F_dot: 0.0 * F[:, 0, 0]  # noqa: E731
-    law = Narrowed(Learnt(none, none).with_tolerance(1.0, 1.0), np.array(trust.reach))
     F = np.stack([np.diag([1.0 + d, 1.0]) for d in (0.1, 0.5, 0.7)])
-    for status, risk in (law.lookup(F, 0.0 * F, 1.0)[1:], law.status_and_risk(F, 0.0 * F, 1.0)):
-        assert status.tolist() == [0, 0, Status.NOT_TRUSTED]
-        assert np.isinf(risk).tolist() == [False, False, True]
+    stress, status, risk = look_up(Learnt(none, none), F, 0.0 * F, 1.0, np.array(trust.reach))
+    assert status.tolist() == [0, 0, Status.NOT_TRUSTED]
+    assert np.isinf(risk).tolist() == np.isnan(stress[:, 0, 0]).tolist() == [False, False, True]
 
 
 @pytest.mark.parametrize("risk", [0.0, 0.01, np.inf])
@@ -223,7 +219,7 @@ def test_windows_that_fail_again_and_again_switch_off():
 
 def test_a_law_that_nobody_marks_is_more_cautious_after_a_window_that_failed():
     """As a caller without roll-back uses it."""
-    law = cached(lambda F, F_dot: 3.0 * sound_bound(F, F_dot), sound_bound, 0.5)
+    law = cached(lambda F, F_dot: 3.0 * BOUND(F, F_dot), BOUND, 0.5)
     F = np.tile(np.eye(2), (60, 1, 1))
     F[:, 1, 0] = np.linspace(0.0, 0.12, 60)
     hits = []

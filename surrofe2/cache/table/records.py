@@ -19,24 +19,18 @@ Shrinking is the same with a larger target: the error that was seen, and a margi
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.compilation import kernel
 from surrofe2.base.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
-from surrofe2.base.tensors import INPUTS, from_components, from_inputs, to_components, transpose
-from surrofe2.cache.protocols import Fallback
+from surrofe2.base.tensors import INPUTS, from_components, to_components, transpose
 
 Array = NDArray[np.float64]
 
 OUTPUTS = 4
-NEIGHBOUR = 0.1
-"""How far a neighbour lies from its record, in half widths of the range."""
-MARGIN = 1.2
-"""On the second derivatives, for what they change within the ellipsoid."""
-_GROUP = 1 + INPUTS
 
 
 class Records(NamedTuple):
@@ -58,10 +52,12 @@ class Records(NamedTuple):
         return Records(*(part[index] for part in self))
 
 
-def no_records() -> Records:
-    """An empty table's records."""
-    inner = (INPUTS,), (OUTPUTS,), (OUTPUTS, INPUTS), (INPUTS, INPUTS)
-    return Records(*(np.empty((0, *shape)) for shape in inner))
+NO_RECORDS = Records(
+    np.empty((0, INPUTS)),
+    np.empty((0, OUTPUTS)),
+    np.empty((0, OUTPUTS, INPUTS)),
+    np.empty((0, INPUTS, INPUTS)),
+)
 
 
 def curvature_from_slopes(slope: Array, probed: Array, step: Array, reach: Array) -> Array:
@@ -81,62 +77,12 @@ def curvature_from_slopes(slope: Array, probed: Array, step: Array, reach: Array
     return 0.5 * root / (reach[:, None] * reach)
 
 
-def curvature_from_constant(slope: Array, tolerance: float, reach: Array) -> Array:
+def curvature_from_constant(slope: Array, tolerance: float) -> Array:
     """C (n, 7, 7) such that the stress changes by at most the tolerance over the ellipsoid.
 
     ISAT's first, conservative ellipsoid (Pope 1997, section 3.3), from the slopes alone.
     """
-    curvature = 0.5 * np.swapaxes(slope, 1, 2) @ slope / tolerance
-    return limited(curvature, tolerance, reach)
-
-
-def limited(curvature: Array, tolerance: float, reach: Array) -> Array:
-    """C with semi-axes of the ellipsoid of at most `reach` (7,) along the inputs."""
-    return curvature + np.diag(tolerance / reach**2)
-
-
-def records_from_neighbours(
-    law: Fallback,
-    x: Array,
-    R: Array,
-    state: Any,
-    points: NDArray[np.intp],
-    tolerance: float,
-    reach: Array,
-) -> tuple[Records, NDArray[np.intp], int]:
-    """(records, which of the points they are at, RVE solves) for points x (m, 7) at R (m, 2, 2).
-
-    Eight RVEs each: the point, and a neighbour along every input. Where a neighbour has no
-    tangents, the ellipsoid is that of the stress taken as constant; a point that has none itself
-    gets no record.
-
-    Args:
-        state: the law's warm start, of which `points` (m,) are these, or None.
-        tolerance: µN/µm. reach: (7,) half widths of the range.
-    """
-    m = len(x)
-    step = NEIGHBOUR * reach
-    nearby = (x[:, None] + np.concatenate([np.zeros((1, INPUTS)), np.diag(step)])).reshape(-1, 7)
-    frame = np.repeat(R, _GROUP, axis=0)
-    F, F_dot = from_inputs(nearby, frame)
-    warm = None if state is None else state.take(np.repeat(points, _GROUP))
-    answer = law.respond(F, F_dot, warm, tangents=True)
-    tangents = answer.tangents
-    assert tangents is not None  # a law without them has no table
-    stress = np.where(answer.status[:, None, None] == 0, answer.stress, 0.0)
-    by_F, by_F_dot = tangents.cauchy(F, stress)
-    slopes = input_slopes(frame, by_F, by_F_dot).reshape(m, _GROUP, 4, INPUTS)
-    sound = (answer.status == 0).reshape(m, _GROUP) & np.isfinite(slopes).all(axis=(2, 3))
-    found = np.flatnonzero(sound[:, 0])
-    whole, slopes = sound[found].all(axis=1), slopes[found]
-    s = to_components(transpose(frame) @ stress @ frame).reshape(m, _GROUP, 4)[found, 0]
-    curvature = curvature_from_constant(slopes[:, 0], tolerance, reach)
-    curvature[whole] = limited(
-        MARGIN * curvature_from_slopes(slopes[whole, 0], slopes[whole, 1:], step, reach),
-        tolerance,
-        reach,
-    )
-    return Records(x[found], s, slopes[:, 0], curvature), found, len(F)
+    return 0.5 * np.swapaxes(slope, 1, 2) @ slope / tolerance
 
 
 def input_slopes(R: Array, by_F: Array, by_F_dot: Array) -> Array:
@@ -268,19 +214,10 @@ def merged(first: Records, second: Records, tolerance: float, images: int) -> Re
 
     The stress at each centre is an RVE's, and shrinks every ellipsoid that is wrong there.
     """
-    is_known = np.empty(len(second.centre), dtype=np.bool_)
-    _hold_any(second.centre, SAME * tolerance, first, is_known)
-    new = second.take(np.flatnonzero(~is_known))
+    away = (centre - first.centre for centre in second.centre)
+    bounds = (np.einsum("ni,nij,nj->n", d, first.curvature, d) for d in away)
+    is_new = [not (bound <= SAME * tolerance).any() for bound in bounds]
+    new = second.take(np.flatnonzero(is_new))
     records = Records(*(np.concatenate(pair) for pair in zip(first, new, strict=True)))
     update_ellipsoids(records.centre, records.stress, images, records, tolerance, _NO_GROWTH)
     return records
-
-
-@kernel
-def _hold_any(x, limit, records, held):  # type: ignore[no-untyped-def]
-    """Fill held (m,): whether the bound of any record at x (m, 7) is at most `limit`."""
-    for p in range(x.shape[0]):
-        held[p] = False
-        for k in range(records.centre.shape[0]):
-            d = x[p] - records.centre[k]
-            held[p] |= _quadratic(d, records.curvature[k]) <= limit
