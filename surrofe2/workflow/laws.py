@@ -29,8 +29,8 @@ from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.law.stress_law import StressLaw
 from surrofe2.law.surface_law import SurfaceLaw
 from surrofe2.macro.free_sides import free_sides
+from surrofe2.plant_cell.arrangement import ReferenceState
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.problem import Problem, Surface
 from surrofe2.problem.mesh import extent
 from surrofe2.ranks.distributed_law import shared

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from surrofe2.plant_cell.arrangement import ReferenceState
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.rve import RveLaw
 from surrofe2.store.samples import read_reference, write_reference
 from surrofe2.workflow import laws
