@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import SimulationError
-from surrofe2.base.simd import TILE
+from surrofe2.base.simd import TILE, pack
 from surrofe2.law.stress_law import Status
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.tiles import pack
 from surrofe2.questions.memory import steady_shear
 from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
@@ -30,8 +29,7 @@ from surrofe2.rve import INITIALISATIONS, RveLaw, RveSettings
 from surrofe2.rve.constrained_runs import Stepping, iterate
 from surrofe2.rve.micro_integration import integrate_rve
 from surrofe2.rve.newton import SOLVE, newton
-from surrofe2.rve.particle_state import Drive, empty_answer, stress_at
-from surrofe2.rve.rve_state import Factors
+from surrofe2.rve.rve_state import Drive, Factors, empty_answer, stress_at
 from surrofe2.rve.unit_cell import UnitCell
 from validation.case import Setting
 

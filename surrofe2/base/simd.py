@@ -8,8 +8,11 @@ of the machine. Arrays with the lanes last are read and written whole::
 
 ``+ - * /`` and unary minus work between lanes, and between lanes and a float. Plain loops over
 lanes leave the compiler to prove that arrays do not overlap; here a whole vector is read before
-another is written. At the end: a tanh without branches for plain arrays, which the compiler
-vectorises by itself.
+another is written. Of many points, `pack` makes tiles; arrays of one tile lack the first index::
+
+    x[tile, axis, particle, lane]    axis: 0, 1    particle: own 0..n-1, then images
+
+At the end: a tanh without branches for plain arrays, which the compiler vectorises by itself.
 """
 
 from __future__ import annotations
@@ -19,14 +22,49 @@ import operator
 from typing import Any
 
 import numba
+import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
+from numpy.typing import NDArray
 
 from surrofe2.base.compilation import FAST, compiled
 
 TILE = 8
+
+
+def tiles_for(points: int) -> int:
+    """Number of tiles that hold `points` points."""
+    return -(-points // TILE)
+
+
+def pack(values: NDArray[Any]) -> NDArray[Any]:
+    """(n, …) → (tiles, …, TILE); the last tile is filled up with copies of the last point."""
+    n = len(values)
+    if n % TILE:
+        values = values[np.minimum(np.arange(tiles_for(n) * TILE), n - 1)]
+    tiles = values.reshape(-1, TILE, *values.shape[1:])
+    return np.ascontiguousarray(tiles.transpose(0, *range(2, tiles.ndim), 1))
+
+
+def unpack(tiles: NDArray[Any], points: int) -> NDArray[Any]:
+    """(tiles, …, TILE) → (n, …); inverse of `pack`."""
+    lanes = tiles.transpose(0, tiles.ndim - 1, *range(1, tiles.ndim - 1))
+    return np.ascontiguousarray(lanes.reshape(-1, *lanes.shape[2:])[:points])
+
+
+def take_points(tiles: NDArray[Any], index: NDArray[np.intp]) -> NDArray[Any]:
+    """The points `index` of packed `tiles`, packed."""
+    return pack(tiles[index // TILE, ..., index % TILE])
+
+
+def put_points(
+    tiles: NDArray[Any], index: NDArray[np.intp], part: NDArray[Any], row: NDArray[np.intp]
+) -> None:
+    """Overwrite the points `index` of packed `tiles` by the points `row` of packed `part`."""
+    tiles[index // TILE, ..., index % TILE] = part[row // TILE, ..., row % TILE]
+
 
 _FLAGS = tuple(sorted(FAST - {"reassoc"}))
 _Indices: Any = types.StarArgTuple  # type: ignore[attr-defined]

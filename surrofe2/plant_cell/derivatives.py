@@ -30,14 +30,12 @@ from surrofe2.base.simd import TILE, load, spread, store
 from surrofe2.plant_cell.forces import (
     add_pair,
     central_law,
-    difference,
-    fluid_specific_volume,
-    pair_at,
-)
-from surrofe2.plant_cell.pair_laws import (
     contact_bend,
+    difference,
     fluid_coefficients,
+    fluid_specific_volume,
     fluid_volume_slopes,
+    pair_at,
     spline_bend,
     tension,
 )

@@ -13,20 +13,21 @@ lanes. Until then a pair is a row (i, j, a, b): own particles, and the lattice s
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.compilation import kernel
-from surrofe2.base.simd import TILE, any_less, load, store, where_less
+from surrofe2.base.simd import TILE, any_less, load, put_points, store, take_points, where_less
 from surrofe2.plant_cell.arrangement import Arrangement, make_arrangement
-from surrofe2.plant_cell.block_pattern import factorisation_work, make_pattern
+from surrofe2.plant_cell.block_matrices import dense_pattern, factorisation_work, make_pattern
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.tiles import Topology, pack, put_points, unpack
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Ints = NDArray[np.int32]
+Index = NDArray[np.intp]
 
 SKIN = 0.2
 """How much farther than the cut-off contacts are listed, in cut-offs."""
@@ -37,6 +38,49 @@ SPARSE_PAYS_BELOW = 0.8
 """Groups where they multiply less than this part of what a dense matrix does."""
 _SHIFTS = 128
 """Lattice shifts are smaller than half of this."""
+
+
+class Topology(NamedTuple):
+    """Who interacts, by local indices; at its end, how matrices lie, which is a `Pattern`.
+
+    Its fields are repeated here, for parallel kernels do not accept a tuple within a tuple.
+
+    bonds, contacts, fluid_pairs: (·, 2) local i, j, the first an own particle.
+    bond_weight, contact_weight: (·,) part of a pair's force and damping that acts: ½ where one of
+        the two walls is missing, along a slab's outer walls.
+    particles, of which `walls` come first: own.
+    owner, image_offset: (g,) own particle of each image, (g, 2) µm from there to it; image k has
+        the local index particles + k.
+    fluid_start, fluid_pair_start: (cells + 1,) where each plant cell's fluid, counted from the
+        first of all, and its pairs begin.
+    area: of the reference, µm².
+    """
+
+    bonds: Ints
+    contacts: Ints
+    fluid_pairs: Ints
+    bond_weight: Array
+    contact_weight: Array
+    owner: Ints
+    image_offset: Array
+    particles: int
+    walls: int
+    fluid_start: Ints
+    fluid_pair_start: Ints
+    area: float
+    group: Ints
+    column: Ints
+    first: Ints
+    width: Ints
+    start: Ints
+    offset: Ints
+    lower: Ints
+    lower_start: Ints
+    upper: Ints
+    upper_start: Ints
+    block: Ints
+    stride: Ints
+    size: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,18 +114,20 @@ class Near:
             mark_apart(F, z, self.unlisted, every.owner, every.image_offset, self.cutoff, covered)
         return covered
 
-    def take(self, index: NDArray[np.intp], points: int) -> Near:
+    def take(self, index: Index) -> Near:
         """The same list for some of the points it was made for."""
-        F, z = (pack(unpack(tiles, points)[index]) for tiles in (self.F, self.z))
-        return replace(self, F=F, z=z)
+        return replace(self, F=take_points(self.F, index), z=take_points(self.z, index))
 
-    def put(self, index: NDArray[np.intp], part: Near) -> Near | None:
-        """The list of all points where `part` is of the points `index`; None: they differ."""
+    def put(self, index: Index, part: Near, row: Index) -> Near | None:
+        """The list of all points where that of the points `index` is `part`, of its points `row`.
+
+        None: the two lists differ.
+        """
         if part.topology is not self.topology:
             return None
         F, z = self.F.copy(), self.z.copy()
-        put_points(F, index, part.F)
-        put_points(z, index, part.z)
+        put_points(F, index, part.F, row)
+        put_points(z, index, part.z, row)
         return replace(self, F=F, z=z)
 
 
@@ -107,7 +153,7 @@ class Neighbours:
         """The contacts that any RVE at F (tiles, 2, 2, TILE), z (tiles, 2, n, TILE) may soon have.
 
         Args:
-            skin: µm beyond the cut-off; None: `SKIN`.
+            skin: µm beyond the cut-off; None: `SKIN`; infinite: every contact is listed.
         """
         every, own = self.topology, self.topology.particles
         reach = self.cutoff + (SKIN * self.cutoff if skin is None else skin)
@@ -126,11 +172,6 @@ class Neighbours:
             image_offset=every.image_offset[images],
         )
         return Near(topology, every, every.contacts[~listed], F, z, reach, self.cutoff)
-
-    def everywhere(self, F: Array, z: Array) -> Near:
-        """The list of every contact, which covers all positions."""
-        every = self.topology
-        return Near(every, every, every.contacts[:0], F, z, np.inf, self.cutoff)
 
 
 @kernel
@@ -201,8 +242,6 @@ def make_neighbours(
     cell: CellParameters,
     position: Array,
     lattice: Array,
-    *,
-    sparse: bool | None = None,
     arrangement: Arrangement | None = None,
 ) -> Neighbours:
     """Everyone who can interact in an arrangement.
@@ -210,7 +249,6 @@ def make_neighbours(
     Args:
         position: (n, 2) reference positions, µm.
         lattice: (2, 2), its columns the lattice vectors, µm.
-        sparse: whether matrices have blocks of interacting groups alone; None: where that pays.
         arrangement: instead of the cell's own, such as a slab.
     """
     arrangement, particles = arrangement or make_arrangement(cell), len(position)
@@ -223,12 +261,10 @@ def make_neighbours(
         [first + np.stack(np.triu_indices(count, 1), axis=1)
          for first, count in zip(walls + arrangement.fluid_start, counts, strict=False)]
     )  # fmt: skip
-    pattern = make_pattern(*interacting_groups(arrangement, contacts[has_block]))
-    if sparse is None:
-        dense = int(pattern.first[-1]) ** 3 / 3.0
-        sparse = factorisation_work(pattern) < SPARSE_PAYS_BELOW * dense
-    if not sparse:
-        pattern = make_pattern(np.zeros(particles, dtype=np.int32), [])
+    pattern = make_pattern(*_interacting_groups(arrangement, contacts[has_block]))
+    dense = dense_pattern(particles)
+    if factorisation_work(pattern) >= SPARSE_PAYS_BELOW * factorisation_work(dense):
+        pattern = dense
     lists = [pairs[np.lexsort(pairs.T[::-1])] for pairs in (arrangement.bonds, contacts)]
     weights = [np.where(_is_outer(arrangement, pairs), weight, 1.0) for pairs in lists]
     owner, shift, (bonds, contacts) = _localised(lists, particles)
@@ -250,7 +286,7 @@ def make_neighbours(
     return Neighbours(topology, mass, lattice, shift, cutoff)
 
 
-def interacting_groups(
+def _interacting_groups(
     arrangement: Arrangement, contacts: Ints
 ) -> tuple[Ints, set[tuple[int, int]]]:
     """(n,) group of each particle, the walls of an edge or a plant cell's fluid; coupled groups.

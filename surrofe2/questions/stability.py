@@ -19,7 +19,7 @@ from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.run.charts import Curve, Panel
 from surrofe2.rve import RveLaw
-from surrofe2.rve.continuation import Continuation
+from surrofe2.rve.continuation import seek
 
 Array = NDArray[np.float64]
 
@@ -114,12 +114,12 @@ def find_onset(
     """
     law = RveLaw(cell, initialisation="elastic")
     unit = law.unit_cell
-    continuation = Continuation(unit, law.settings.tolerance)
     xx, yy, xy = direction
     way = np.array([[xx, xy], [0.0, yy]])
     z, s, step = unit.position.T[None].copy(), 0.0, _MARCH
     while s < length:
-        trial = continuation.newton((np.eye(2) + (s + step) * way)[None], z)
+        F = (np.eye(2) + (s + step) * way)[None]
+        trial = seek(unit, F, z, law.settings.tolerance)
         if trial.stable[0]:
             z, s = trial.z, s + step
         elif step < _CLOSE:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError
-from surrofe2.base.simd import TILE
+from surrofe2.base.simd import TILE, tiles_for
 from surrofe2.law.stress_law import (
     StressResponse,
     check_deformation,
@@ -18,7 +18,6 @@ from surrofe2.law.stress_law import (
     joined_values,
     require_tangents,
 )
-from surrofe2.plant_cell.tiles import tiles_for
 from surrofe2.ranks.driver import Driver, Worker, driver_at_work
 from surrofe2.rve.rve_law import RveLaw
 

@@ -1,11 +1,10 @@
 """Representative volume elements: (F, Ḟ) in, stress out.
 
 In reading order: `settings`, `rve_law` (the law), `solve` (one call of it), `unit_cell` (what an
-RVE is at rest), `rve_state` (the warm start), `particle_state` (forces and stress of given
-positions), `newton` and `block_lu` (equilibria), `constrained_runs` (the paper's iteration),
-`slow_manifold`, `continuation` (far loads, stability), `tangents`, `parameter_gradients`
-(identification), `particles` (a look into RVEs), `micro_integration` (the reference of all
-initialisations).
+RVE is at rest), `rve_state` (the warm start, and what particles feel), `newton` (equilibria),
+`constrained_runs` (the paper's iteration), `slow_manifold`, `continuation` (far loads, stability),
+`tangents`, `parameter_gradients` (identification), `particles` (a look into RVEs),
+`micro_integration` (the reference of all initialisations).
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING
 from surrofe2.base.public_names import public_names
 
 if TYPE_CHECKING:
-    from surrofe2.plant_cell.reference_state import ReferenceState
+    from surrofe2.plant_cell.arrangement import ReferenceState
     from surrofe2.rve.rve_law import RveLaw
     from surrofe2.rve.rve_state import RveState
     from surrofe2.rve.settings import INITIALISATIONS, SOLVERS, RveSettings

@@ -14,8 +14,8 @@ import numpy as np
 
 from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, load, store
-from surrofe2.plant_cell.tiles import make_workspace
-from surrofe2.rve.particle_state import (
+from surrofe2.plant_cell.forces import make_workspace
+from surrofe2.rve.rve_state import (
     answer_of,
     copy_particles,
     drive_of,
@@ -38,14 +38,13 @@ class Stepping(NamedTuple):
 def iterate(drive, x, v, mass, topology, c, stepping, answer):
     """Iterate x, v (tiles, 2, own, TILE) in place; iterations: Euler steps, −1 at the limit."""
     for t in numba.prange(x.shape[0]):
-        iterate_tile(
+        _iterate_tile(
             drive_of(drive, t), x[t], v[t], mass, topology, c, stepping, answer_of(answer, t)
         )
 
 
 @kernel
-def iterate_tile(drive, x, v, mass, topology, c, stepping, answer):
-    """`iterate` for one tile."""
+def _iterate_tile(drive, x, v, mass, topology, c, stepping, answer):
     F, rate, dt, stop = drive.F, drive.rate, stepping.dt, stepping.stop
     work = make_workspace(topology)
     sigma, mean = np.empty((2, 2, TILE)), np.empty((1, TILE))

@@ -22,9 +22,7 @@ Forces and Hessian are by x of all particles but the held one, ordered x₁, y�
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -32,14 +30,20 @@ import scipy  # scipy.linalg is loaded where an RVE leaves its branch
 from numpy.typing import NDArray
 
 from surrofe2.base.compilation import kernel, parallel_kernel
-from surrofe2.base.simd import TILE, load, spread, store, where_less
+from surrofe2.base.simd import TILE, load, pack, spread, store, unpack, where_less
 from surrofe2.base.tensors import rotation, transpose
-from surrofe2.plant_cell.block_pattern import make_pattern
-from surrofe2.plant_cell.forces import difference, elastic_energy, fold_images, local_forces
-from surrofe2.plant_cell.tiles import Topology, make_workspace, pack, tiles_for, unpack
+from surrofe2.plant_cell.block_matrices import dense_pattern
+from surrofe2.plant_cell.forces import (
+    difference,
+    elastic_energy,
+    fold_images,
+    local_forces,
+    make_workspace,
+)
+from surrofe2.plant_cell.neighbours import Topology
 from surrofe2.rve.newton import SEEK, SEEK_LIMIT, move, set_elastic_jacobian
-from surrofe2.rve.particle_state import ASTRAY, place, place_images
-from surrofe2.rve.unit_cell import UnitCell, relax
+from surrofe2.rve.rve_state import ASTRAY, place, place_images
+from surrofe2.rve.unit_cell import Equilibria, UnitCell, relax
 
 Reals = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -50,8 +54,6 @@ LONGEST, SHORTEST = 0.05, 0.004
 """Longest step, and the one that is not halved any further: largest change of an entry of F."""
 JUMP = 1.0
 """Material displacement of a particle, µm, that no step along one branch makes."""
-FAR = 0.15
-"""Largest entry of |U − I| up to which a cold solve may go from F = I in one step."""
 EFFORT, OF_STEP_DOWN = 2700, 10
 """Newton iterations on the path of a point after which it is given up; a step down counts ten."""
 
@@ -71,47 +73,32 @@ ROAM = 2.0
 """How far particles may move, µm, before their contacts are listed again."""
 
 
-def is_far(F: Reals) -> Flags:
-    """(tiles, TILE) whether F (tiles, 2, 2, TILE) is too far from I to be reached in one step."""
-    flat = unpack(F, len(F) * TILE)
-    U = transpose(rotation(flat)) @ flat
-    return pack(np.abs(U - np.eye(2)).max(axis=(1, 2)) > FAR)
+class Continuation:
+    """m points that are led from F = start to F = end; `follow` does it.
 
-
-@dataclass(frozen=True, slots=True)
-class Path:
-    """How far m points have come from F = `start` to F = `end`, (m, 2, 2) each.
-
-    `follow` writes into the arrays as points move on.
+    Args:
+        start, end: (m, 2, 2); a rotation between the two is made at once.
+        z: (m, 2, n) equilibria at `start`.
 
     Attributes:
-        z: (m, 2, n) their equilibria there.
-        done: (m,) the part of the path. step: the next step, as such a part.
+        z: (m, 2, n) their equilibria where they have come to.
+        done: (m,) the part of the path so far. step: the next step, as such a part.
         effort: (m,) what it took, in Newton iterations. solves: (m,) of Newton's method.
         left: (m,) whether a branch was left.
         unstable: (m,) whether the last equilibrium met was unstable.
     """
 
-    start: Reals
-    end: Reals
-    z: Reals
-    done: Reals
-    step: Reals
-    effort: Counts
-    solves: Counts
-    left: Flags
-    unstable: Flags
-
-    @classmethod
-    def between(cls, start: Reals, end: Reals, z: Reals) -> Path:
-        """From z (m, 2, n) at F = `start`; a rotation between the two F is made at once."""
-        start, count = rotation(end) @ transpose(rotation(start)) @ start, len(z)
-        effort, solves = np.zeros((2, count), dtype=np.int_)
-        left, unstable = np.zeros((2, count), dtype=np.bool_)
-        z, done, step = z.copy(), np.zeros(count), np.full(count, 0.5)
-        path = cls(start, end, z, done, step, effort, solves, left, unstable)
-        np.minimum(step, path.part_of(LONGEST), out=step)
-        return path
+    def __init__(self, unit: UnitCell, tolerance: float, start: Reals, end: Reals, z: Reals):
+        self.unit, self.tolerance = unit, tolerance
+        self.start, self.end = rotation(end) @ transpose(rotation(start)) @ start, end
+        self.z, self.done = z.copy(), np.zeros(len(z))
+        length = np.abs(self.end - self.start).max(axis=(1, 2))
+        self.longest, self.shortest = (
+            change / np.maximum(length, change) for change in (LONGEST, SHORTEST)
+        )
+        self.step = np.minimum(self.longest, 0.5)
+        self.effort, self.solves = np.zeros((2, len(z)), dtype=np.int_)
+        self.left, self.unstable = np.zeros((2, len(z)), dtype=np.bool_)
 
     @property
     def arrived(self) -> Flags:
@@ -119,76 +106,37 @@ class Path:
         arrived: Flags = self.done >= 1.0
         return arrived
 
-    def part_of(self, change: float) -> Reals:
-        """(m,) the part of the path on which F changes by so much, at most 1."""
-        length = np.abs(self.end - self.start).max(axis=(1, 2))
-        part: Reals = change / np.maximum(length, change)
-        return part
-
-
-class Trial(NamedTuple):
-    """What there is near where k elastic equilibria were sought.
-
-    z: (k, 2, particles) material positions, µm. iterations: (k,) force evaluations that it took.
-    found, stable: (k,).
-    """
-
-    z: Reals
-    iterations: Counts
-    found: Flags
-    stable: Flags
-
-    def take(self, index: Index) -> Trial:
-        """Those of the points `index`."""
-        z, iterations, found, stable = self
-        return Trial(z[index], iterations[index], found[index], stable[index])
-
-
-class Continuation:
-    """Follows equilibria of one unit cell."""
-
-    def __init__(self, unit: UnitCell, tolerance: float) -> None:
-        self.unit, self.tolerance = unit, tolerance
-
-    def follow(self, path: Path) -> None:
+    def follow(self) -> None:
         """Lead all points towards the end of the path, as far as `EFFORT` goes.
 
         `active` numbers points of the path. What one step finds is numbered as `active` is: F, z,
         trial, good (a step on the same branch) and `stuck`, those whose branch has ended.
         """
-        longest, shortest = path.part_of(LONGEST), path.part_of(SHORTEST)
-        active = np.arange(len(path.z))
+        active = np.arange(len(self.z))
         while len(active):
-            z = path.z[active]
-            F, trial, good = self._next(path, active, shortest[active])
-            part, there = np.minimum(path.done[active] + path.step[active], 1.0), trial.z
-            path.solves[active] += 1
-            stuck = np.flatnonzero(~good & (path.step[active] <= shortest[active]))
+            z = self.z[active]
+            F, trial, good = self._next(active)
+            step, shortest = self.step[active], self.shortest[active]
+            part, there = np.minimum(self.done[active] + step, 1.0), trial.z
+            self.solves[active] += 1
+            stuck = np.flatnonzero(~good & (step <= shortest))
             if len(stuck):
                 ended = active[stuck]
-                path.unstable[ended] = trial.found[stuck]
-                begin, spare = trial.take(stuck), EFFORT - path.effort[ended]
+                self.unstable[ended] = trial.found[stuck]
+                begin, spare = trial.take(stuck), EFFORT - self.effort[ended]
                 there[stuck], good[stuck], tried = self._leave(F[stuck], z[stuck], begin, spare)
-                path.effort[ended] += OF_STEP_DOWN * tried
-                path.solves[ended] += 1
-                path.left[ended] |= good[stuck]
+                self.effort[ended] += OF_STEP_DOWN * tried
+                self.solves[ended] += 1
+                self.left[ended] |= good[stuck]
             ahead = active[good]
-            path.z[ahead], path.done[ahead] = there[good], part[good]
-            step = path.step[active] * np.where(good, 2.0, 0.5)
-            path.step[active] = np.clip(step, shortest[active], longest[active])
-            keeps_on = ~path.arrived[active] & (path.effort[active] < EFFORT)
+            self.z[ahead], self.done[ahead] = there[good], part[good]
+            step = step * np.where(good, 2.0, 0.5)
+            self.step[active] = np.clip(step, shortest, self.longest[active])
+            keeps_on = ~self.arrived[active] & (self.effort[active] < EFFORT)
             keeps_on[stuck] &= good[stuck]
             active = active[keeps_on]
 
-    def newton(self, F: Reals, z: Reals) -> Trial:
-        """The elastic equilibrium near z (m, 2, n) by Newton's method."""
-        skin = 2.0 * ASTRAY * np.linalg.norm(F, axis=(1, 2)).max()
-        topology = self.unit.neighbours.near(pack(F), pack(z), skin).topology
-        found = relax(topology, self.unit.constants, z, F, self.tolerance, task=SEEK)
-        count = np.where(found.iterations == -1, SEEK_LIMIT, np.abs(found.iterations))
-        return Trial(found.z, count, found.found, found.stable)
-
-    def _next(self, path: Path, active: Index, shortest: Reals) -> tuple[Reals, Trial, Flags]:
+    def _next(self, active: Index) -> tuple[Reals, Equilibria, Flags]:
         """The next step of the `active` points, halved as often as a tile has room to try at once.
 
         Returns:
@@ -196,22 +144,22 @@ class Continuation:
             the path's step is the one that was taken, its effort that of all before it, too.
         """
         # a tile solves eight points for the price of one: its free lanes try shorter steps at once
-        count, tries = len(active), max(TILE // len(active), 1)
-        step = np.maximum(path.step[active, None] * 0.5 ** np.arange(tries), shortest[:, None])
-        part = np.minimum(path.done[active, None] + step, 1.0)[:, :, None, None]
-        F = (1.0 - part) * path.start[active, None] + part * path.end[active, None]
-        z = np.repeat(path.z[active], tries, axis=0)
-        trial = self.newton(F.reshape(-1, 2, 2), z)
+        count, tries, shortest = len(active), max(TILE // len(active), 1), self.shortest[active]
+        step = np.maximum(self.step[active, None] * 0.5 ** np.arange(tries), shortest[:, None])
+        part = np.minimum(self.done[active, None] + step, 1.0)[:, :, None, None]
+        F = (1.0 - part) * self.start[active, None] + part * self.end[active, None]
+        z = np.repeat(self.z[active], tries, axis=0)
+        trial = seek(self.unit, F.reshape(-1, 2, 2), z, self.tolerance)
         good = (trial.stable & ~_jumped(trial.z, z)).reshape(count, tries)
-        effort = path.effort[active, None] + trial.iterations.reshape(count, tries).cumsum(axis=1)
+        effort = self.effort[active, None] + trial.iterations.reshape(count, tries).cumsum(axis=1)
         last = good | (step <= shortest[:, None]) | (effort >= EFFORT)
         last[:, -1] = True
         taken, every = last.argmax(axis=1), np.arange(count)
-        path.step[active], path.effort[active] = step[every, taken], effort[every, taken]
+        self.step[active], self.effort[active] = step[every, taken], effort[every, taken]
         return F[every, taken], trial.take(tries * every + taken), good[every, taken]
 
     def _leave(
-        self, F: Reals, z: Reals, trial: Trial, spare: Counts
+        self, F: Reals, z: Reals, trial: Equilibria, spare: Counts
     ) -> tuple[Reals, Flags, Counts]:
         """z of points in a stable state, whether there is one, and how many steps down it took.
 
@@ -219,15 +167,22 @@ class Continuation:
         last stable one.
         """
         saddle = trial.found & ~trial.stable & ~_jumped(trial.z, z)
-        begin, most = (
-            np.where(saddle[:, None, None], trial.z, z),
-            np.maximum(spare // OF_STEP_DOWN, 1),
-        )
+        begin = np.where(saddle[:, None, None], trial.z, z)
+        most = np.maximum(spare // OF_STEP_DOWN, 1)
         below, found, tried = descend(self.unit, F, begin, most)
-        solved = self.newton(F, below)
+        solved = seek(self.unit, F, below, self.tolerance)
         there = np.where(solved.found[:, None, None], solved.z, below)
         found &= solved.stable & ~_paired(self.unit.topology, F, there)
         return there, found, tried
+
+
+def seek(unit: UnitCell, F: Reals, z: Reals, tolerance: float) -> Equilibria:
+    """Elastic equilibria near z (m, 2, n) by Newton's method; iterations, however it ends."""
+    skin = 2.0 * ASTRAY * np.linalg.norm(F, axis=(1, 2)).max()
+    topology = unit.neighbours.near(pack(F), pack(z), skin).topology
+    found = relax(topology, unit.constants, z, F, tolerance, task=SEEK)
+    count = np.where(found.iterations == -1, SEEK_LIMIT, np.abs(found.iterations))
+    return found._replace(iterations=count)
 
 
 def _jumped(z: Reals, before: Reals) -> Flags:
@@ -284,7 +239,7 @@ def _go_down_tile(F, z, step, topology, c, found):
         place(work, z, F, topology)
         move(step, F, work.z)
         place_images(work, F, topology)
-        elastic_energy(work.x, topology, c, trial)
+        elastic_energy(work, topology, c, trial)
         left = 0
         for k in range(TILE):
             if falls[k]:
@@ -316,12 +271,6 @@ def _go_down_tile(F, z, step, topology, c, found):
     store(nearest, found.nearest, 0)
 
 
-@cache
-def _dense_pattern(particles: int) -> dict[str, Any]:
-    """Of full matrices, whatever those of a topology are: all eigenvalues are wanted."""
-    return make_pattern(np.zeros(particles, dtype=np.int32), [])._asdict()
-
-
 def descend(
     unit: UnitCell, F: Reals, z: Reals, most: Counts | int = STEPS
 ) -> tuple[Reals, Flags, Counts]:
@@ -339,12 +288,20 @@ def descend(
     while len(active):
         # Whenever an RVE stops, the others are packed into tiles again, so that no lane is idle.
         count, tensors, moving = len(active), pack(F[active]), pack(z[active])
-        here, room = _not_found(energy[active], step.shape[1]), 0.0
+        tiles, free, room = len(tensors), step.shape[1], 0.0
+        here = Found(
+            energy=pack(energy[active, None]),
+            falls=np.empty((tiles, TILE), dtype=np.bool_),
+            forces=np.empty((tiles, free, TILE)),
+            slope=np.empty((tiles, free * free, TILE)),
+            nearest=np.empty((tiles, 1, TILE)),
+        )
         continues = np.ones(count, dtype=np.bool_)
         while continues.all():
             if room < DOWN:
                 topology, room = unit.neighbours.near(tensors, moving, 2.0 * ROAM).topology, ROAM
-                topology = topology._replace(**_dense_pattern(topology.particles))
+                # full matrices, whatever those of a topology are: all eigenvalues are wanted
+                topology = topology._replace(**dense_pattern(topology.particles)._asdict())
             room -= float(_lengths(step).max())
             go_down(tensors, moving, pack(step), topology, unit.constants, here)
             apart = here.nearest[:, 0] >= PAIRED**2
@@ -358,18 +315,6 @@ def descend(
         z[active], energy[active] = unpack(moving, count), unpack(here.energy, count)[:, 0]
         active, step = active[continues], step[continues]
     return z, found, tried
-
-
-def _not_found(energy: Reals, free: int) -> Found:
-    """Nothing found yet by RVEs that are to fall below the energies (k,)."""
-    tiles = tiles_for(len(energy))
-    return Found(
-        energy=pack(energy[:, None]),
-        falls=np.empty((tiles, TILE), dtype=np.bool_),
-        forces=np.empty((tiles, free, TILE)),
-        slope=np.empty((tiles, free * free, TILE)),
-        nearest=np.empty((tiles, 1, TILE)),
-    )
 
 
 def _step(F: Reals, forces: Reals, values: Reals) -> tuple[Reals, bool]:
@@ -394,19 +339,16 @@ def over_saddle(F: Reals, forces: Reals, hessian: Reals, resting: bool) -> Reals
         hessian, subset_by_value=(-np.inf, 0.0), driver="evr", check_finite=False
     )
     if resting:
-        step = modes @ (-stiffness * (modes.T @ _pattern(F, len(forces))))
+        # displacements that single out one of mirrored branches, whatever F
+        angle = np.arange(1, len(forces) // 2 + 1) * np.sqrt(2.0)
+        pattern = (F @ np.stack([np.cos(angle), np.sin(2.0 * angle)])).T.ravel()
+        step = modes @ (-stiffness * (modes.T @ pattern))
         return step * (KICK / max(_lengths(step[None]).max(), 1e-300))
     least = LEAST * np.abs(np.diagonal(hessian)).max()  # a particle that touches nothing stays
     shifted = hessian + least * np.eye(len(forces))
     step = scipy.linalg.lapack.dsysv(shifted, forces)[2]
     turned = 1.0 / np.maximum(-stiffness, least) - 1.0 / (stiffness + least)
     return step + modes @ (turned * (modes.T @ forces))
-
-
-def _pattern(F: Reals, free: int) -> Reals:
-    """(free,) displacements that single out one of mirrored branches, whatever F (2, 2)."""
-    angle = np.arange(1, free // 2 + 1) * np.sqrt(2.0)
-    return (F @ np.stack([np.cos(angle), np.sin(2.0 * angle)])).T.ravel()
 
 
 def _lengths(vectors: Reals) -> Reals:

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from surrofe2.base.compilation import kernel
 from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.base.simd import TILE, load, store
-from surrofe2.plant_cell.forces import fold_images, local_forces
-from surrofe2.plant_cell.tiles import make_workspace
+from surrofe2.plant_cell.forces import fold_images, local_forces, make_workspace
 from surrofe2.rve.constrained_runs import set_moving_images
-from surrofe2.rve.particle_state import Drive, cauchy_stress, drive_of, map_affine
 from surrofe2.rve.rve_law import RveLaw
+from surrofe2.rve.rve_state import Drive, cauchy_stress, drive_of, map_affine
 
 Array = NDArray[np.float64]
 Path = Callable[[float], tuple[Array, Array]]

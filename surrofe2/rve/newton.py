@@ -22,9 +22,7 @@ from numpy.typing import NDArray
 
 from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, load, store
-from surrofe2.plant_cell.derivatives import force_jacobian
-from surrofe2.plant_cell.tiles import Constants, Topology, make_workspace
-from surrofe2.rve.block_lu import (
+from surrofe2.plant_cell.block_matrices import (
     COLUMNS,
     factorise,
     has_negative_pivots,
@@ -32,8 +30,12 @@ from surrofe2.rve.block_lu import (
     solve,
     solved_columns,
 )
-from surrofe2.rve.particle_state import (
+from surrofe2.plant_cell.derivatives import force_jacobian
+from surrofe2.plant_cell.forces import Constants, make_workspace
+from surrofe2.plant_cell.neighbours import Topology
+from surrofe2.rve.rve_state import (
     Drive,
+    Factors,
     answer_of,
     copy_particles,
     drive_of,
@@ -42,12 +44,13 @@ from surrofe2.rve.particle_state import (
     evaluate,
     give_up,
     inverse,
+    keep_factors,
     keep_lane,
+    kept_factors,
     limit_step,
     map_affine,
     set_images,
 )
-from surrofe2.rve.rve_state import Factors, keep_factors, kept_factors
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

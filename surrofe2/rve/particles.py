@@ -14,7 +14,7 @@ import scipy  # scipy.sparse is loaded where particles are looked at
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.arrangement import make_arrangement
-from surrofe2.plant_cell.tiles import Topology
+from surrofe2.plant_cell.neighbours import Topology
 from surrofe2.rve.unit_cell import UnitCell
 
 Array = NDArray[np.float64]

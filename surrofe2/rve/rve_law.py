@@ -4,34 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError
-from surrofe2.base.simd import TILE
-from surrofe2.law.stress_law import (
-    Status,
-    StressResponse,
-    check_deformation,
-    describe,
-)
+from surrofe2.base.simd import TILE, pack, unpack
+from surrofe2.law.stress_law import Status, StressResponse, check_deformation, describe
+from surrofe2.plant_cell.arrangement import ReferenceState
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.plant_cell.tiles import pack, unpack
 from surrofe2.run.views import Facts, Viewed
 from surrofe2.rve.newton import renew
-from surrofe2.rve.particle_state import Drive
 from surrofe2.rve.particles import Particles, look_into
-from surrofe2.rve.rve_state import RveState
+from surrofe2.rve.rve_state import Drive, RveState
 from surrofe2.rve.settings import RveSettings
 from surrofe2.rve.slow_manifold import renew_slow
 from surrofe2.rve.solve import dashpot_rate, solve_rves
 from surrofe2.rve.unit_cell import make_unit_cell
 
-_RENEW_AFTER = {"slow-manifold": 9}
-_RENEW_AFTER_ELSE = 4
+_RENEW_AFTER, _RENEW_SLOW_AFTER = 4, 9
 """Force evaluations of a warm solve above which `accept` refactorises."""
 _SAME = 1e-4
 """Material distance of particles, µm, below which two solutions are the same."""
@@ -85,7 +78,7 @@ class RveLaw(Viewed):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """What another process makes the same law of; the reference is not settled again."""
-        return _same_law, (self.cell, self.settings, self.reference)
+        return partial(RveLaw, reference=self.reference), (self.cell, self.settings)
 
     def facts(self) -> Facts:
         return {
@@ -212,7 +205,7 @@ class RveLaw(Viewed):
         response = replace(response, left_bifurcation=None)
         if unchecked or state.is_checked:
             return response
-        limit = _RENEW_AFTER.get(self.initialisation, _RENEW_AFTER_ELSE)
+        limit = _RENEW_SLOW_AFTER if self.initialisation == "slow-manifold" else _RENEW_AFTER
         state, stable = self._renewed(state, (state.iterations > limit).any(axis=1))
         lost = ~unpack(stable, state.points) & (response.status == Status.OK)
         response = replace(response, state=state)
@@ -253,7 +246,3 @@ class RveLaw(Viewed):
         if not left.any():
             return replace(response, status=status, state=state)
         return replace(response, status=status, state=state, stress=stress, left_bifurcation=left)
-
-
-def _same_law(cell: CellParameters, settings: RveSettings, reference: ReferenceState) -> RveLaw:
-    return RveLaw(cell, settings, reference=reference)

@@ -1,8 +1,11 @@
-"""The warm start of an RVE law: what its particles did last, and the factorisations kept.
+"""Particles of RVEs: what a law keeps of them from call to call, and what they feel at (F, Ḟ).
 
-Factorisations and slopes are by far the largest part of a state (22 kB a point) and few change
-from one state to the next. Each tile has a block of memory of its own, in single precision, lanes
-last::
+Unknowns are material positions z, so that x = F z moves along with F, and velocities v = Ḟ z are
+affine: v = L x. z of particle 0, a wall corner, stays at the origin.
+
+A state is a warm start: where particles were last, and kept factorisations, see `newton`. These and
+their slopes are by far the largest part of it (22 kB a point) and few change from one state to the
+next. Each tile has a block of memory of its own, in single precision, lanes last::
 
     block   lu (size, TILE), then slopes (free, 8, TILE)      free = 2 particles − 2
 
@@ -13,10 +16,11 @@ for as long as any state refers to it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 from llvmlite import ir
 from numba import carray
@@ -24,12 +28,30 @@ from numba.core import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from surrofe2.base.compilation import kernel
-from surrofe2.base.simd import TILE, load, store
-from surrofe2.plant_cell.neighbours import Near
-from surrofe2.plant_cell.tiles import Topology, pack, put_points, tiles_for, unpack
+from surrofe2.base.compilation import kernel, pair_law, parallel_kernel
+from surrofe2.base.simd import (
+    TILE,
+    load,
+    pack,
+    put_points,
+    root,
+    spread,
+    store,
+    take_points,
+    tiles_for,
+    unpack,
+)
+from surrofe2.plant_cell.forces import (
+    Constants,
+    elastic_energy,
+    fold_images,
+    local_forces,
+    make_workspace,
+)
+from surrofe2.plant_cell.neighbours import Near, Topology
 
-Reals = NDArray[np.float64]
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 SLOPES = 8
 _BYTES = 4
@@ -49,7 +71,7 @@ class Factors:
     address: NDArray[np.intp]
 
     @classmethod
-    def of(cls, blocks: list[NDArray[np.float32]]) -> Factors:
+    def of(cls, blocks: Sequence[NDArray[np.float32]]) -> Factors:
         """The factors kept in these blocks."""
         address = [block.__array_interface__["data"][0] for block in blocks]
         return cls(tuple(blocks), np.array(address, dtype=np.intp))
@@ -67,44 +89,34 @@ class Factors:
 
     def repeated(self, tiles: int) -> Factors:
         """The first tile's factors for `tiles` tiles."""
-        return Factors(self.blocks[:1] * tiles, np.repeat(self.address[:1], tiles))
+        return Factors.of(self.blocks[:1] * tiles)
 
     def renewed(self, wanted: Any) -> Factors:
         """These with new, uninitialised blocks for the tiles that `wanted` (tiles,) marks."""
-        blocks, address = list(self.blocks), self.address.copy()
-        for tile in wanted.nonzero()[0].tolist():
-            blocks[tile] = np.empty_like(blocks[tile])
-            address[tile] = blocks[tile].__array_interface__["data"][0]
-        return Factors(tuple(blocks), address)
+        pairs = zip(self.blocks, wanted, strict=True)
+        return Factors.of([np.empty_like(block) if new else block for block, new in pairs])
 
-    def take(self, index: NDArray[np.intp]) -> Factors:
+    def take(self, index: Index) -> Factors:
         """The factors of the points `index` alone; the last tile filled up as by `pack`."""
-        tiles = -(-len(index) // TILE)
-        padded = index[np.minimum(np.arange(tiles * TILE), len(index) - 1)].reshape(tiles, TILE)
-        return Factors.of([self._gathered(*np.divmod(points, TILE)) for points in padded])
-
-    def put(self, index: NDArray[np.intp], part: Factors) -> Factors:
-        """These with the points `index` replaced by the first ones of `part`."""
-        tile, lane = np.divmod(index, TILE)
-        from_tile, from_lane = np.divmod(np.arange(len(index)), TILE)
-        blocks = list(self.blocks)
-        for changed in np.unique(tile).tolist():
-            block = blocks[changed].copy()
-            for k in (tile == changed).nonzero()[0].tolist():
-                block[:, lane[k]] = part.blocks[from_tile[k]][:, from_lane[k]]
-            blocks[changed] = block
+        blocks = []
+        for points in pack(index):
+            tile, lane = np.divmod(points, TILE)
+            block = self.blocks[tile[0]]
+            if (points != TILE * tile[0] + np.arange(TILE)).any():  # else the block is shared
+                columns = zip(tile, lane, strict=True)
+                block = np.stack([self.blocks[t][:, k] for t, k in columns], axis=-1)
+            blocks.append(block)
         return Factors.of(blocks)
 
-    def _gathered(self, tile: NDArray[np.intp], lane: NDArray[np.intp]) -> NDArray[np.float32]:
-        """One block of TILE points."""
-        first = self.blocks[tile[0]]
-        if (tile == tile[0]).all() and (lane == np.arange(TILE)).all():
-            return first
-        block = np.empty_like(first)
-        for source in np.unique(tile).tolist():
-            here = (tile == source).nonzero()[0]
-            block[:, here] = self.blocks[source][:, lane[here]]
-        return block
+    def put(self, index: Index, part: Factors, row: Index) -> Factors:
+        """These with the points `index` replaced by the points `row` of `part`."""
+        blocks = list(self.blocks)
+        for tile in np.unique(index // TILE):
+            blocks[tile] = blocks[tile].copy()
+        for at, source in zip(index, row, strict=True):
+            lanes = part.blocks[source // TILE]
+            blocks[at // TILE][:, at % TILE] = lanes[:, source % TILE]
+        return Factors.of(blocks)
 
 
 @intrinsic
@@ -154,24 +166,24 @@ class RveState:
 
     of: str
     points: int
-    z: Reals
-    F: Reals
-    F_dot: Reals
+    z: Array
+    F: Array
+    F_dot: Array
     factors: Factors
     near: Near | None
     iterations: NDArray[np.int32]
     left: NDArray[np.bool_]
-    fluctuation: Reals | None = None
-    elastic: Reals | None = None
+    fluctuation: Array | None = None
+    elastic: Array | None = None
     is_checked: bool = False
 
     @property
-    def relaxed(self) -> Reals:
+    def relaxed(self) -> Array:
         """z of the elastic equilibrium."""
         return self.z if self.elastic is None else self.elastic
 
     @property
-    def beyond_affine(self) -> Reals:
+    def beyond_affine(self) -> Array:
         """v − L x."""
         return np.zeros_like(self.z) if self.fluctuation is None else self.fluctuation
 
@@ -194,36 +206,30 @@ class RveState:
         factors = factors.repeated(tiles_for(points))
         return cls(of=of, points=points, factors=factors, near=None, **tiles)
 
-    def take(self, index: NDArray[np.intp]) -> RveState:
+    def take(self, index: Index) -> RveState:
         """The state of the points `index` alone."""
         if len(index) == self.points and (index == np.arange(self.points)).all():
             return self
         tiles = self._tiles(self).items()
-        taken: dict[str, Any] = {k: pack(unpack(v, self.points)[index]) for k, v in tiles}
-        near, factors = self.near and self.near.take(index, self.points), self.factors.take(index)
+        taken: dict[str, Any] = {name: take_points(values, index) for name, values in tiles}
+        near, factors = self.near and self.near.take(index), self.factors.take(index)
         return replace(self, points=len(index), factors=factors, near=near, **taken)
 
-    def put(self, index: NDArray[np.intp], part: RveState) -> RveState:
+    def put(self, index: Index, part: RveState) -> RveState:
         """This state with the points `index` replaced by those of `part`."""
         index, row = with_copies(index, self.points)
-        part = part.take(row)
         tiles = {name: values.copy() for name, values in self._tiles(part).items()}
         for name, values in part._tiles(self).items():
-            put_points(tiles[name], index, values)
-        factors = self.factors.put(index, part.factors)
-        near = self.near and part.near and self.near.put(index, part.near)
+            put_points(tiles[name], index, values, row)
+        factors = self.factors.put(index, part.factors, row)
+        near = self.near and part.near and self.near.put(index, part.near, row)
         is_checked = self.is_checked and part.is_checked
         return replace(self, factors=factors, near=near, is_checked=is_checked, **tiles)
 
     def _tiles(self, other: RveState) -> dict[str, Any]:
         """Arrays of tiles by name, but those that neither this state nor the other has."""
-        tiles: dict[str, Any] = {
-            "z": self.z,
-            "F": self.F,
-            "F_dot": self.F_dot,
-            "iterations": self.iterations,
-            "left": self.left,
-        }
+        names = ("z", "F", "F_dot", "iterations", "left")
+        tiles: dict[str, Any] = {name: getattr(self, name) for name in names}
         if self.fluctuation is not None or other.fluctuation is not None:
             tiles["fluctuation"] = self.beyond_affine
         if self.elastic is not None or other.elastic is not None:
@@ -231,7 +237,7 @@ class RveState:
         return tiles
 
 
-def with_copies(index: NDArray[np.intp], points: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def with_copies(index: Index, points: int) -> tuple[Index, Index]:
     """`index` and, if the last point is in it, the lanes that fill its tile up with copies of it.
 
     The second array says which place of the given `index` each comes from.
@@ -240,3 +246,238 @@ def with_copies(index: NDArray[np.intp], points: int) -> tuple[NDArray[np.intp],
     last = place[index == points - 1]
     copies = np.arange(points, tiles_for(points) * TILE if len(last) else points)
     return np.append(index, copies), np.append(place, np.repeat(last, len(copies)))
+
+
+# What particles feel
+
+LONGEST_STEP = 0.4
+"""Longest Newton step of a particle, µm; contacts stiffen over r/7."""
+ASTRAY = 1.2
+"""Material displacement of a particle, µm, at which an equilibrium nearby is not sought on."""
+PATIENCE = 6
+"""From so many evaluations on the residual is to be halved by each while such is sought."""
+
+
+class Drive(NamedTuple):
+    """F and Ḟ (the rate that particles feel) of all tiles, (tiles, 2, 2, TILE)."""
+
+    F: Array
+    rate: Array
+
+
+class Answer(NamedTuple):
+    """What a solver says of all tiles.
+
+    stress: (tiles, 2, 2, TILE) µN/µm. residual: (tiles, 1, TILE) mean force, µN.
+    iterations: (tiles, TILE) evaluations of forces used; 0: to be solved, −1: not converged.
+    stable: (tiles, TILE) whether the elastic Hessian is positive definite.
+    """
+
+    stress: Array
+    residual: Array
+    iterations: NDArray[np.int32]
+    stable: NDArray[np.bool_]
+
+
+def empty_answer(tiles: int) -> Answer:
+    """Nothing solved, no stress, and all stable."""
+    return Answer(
+        stress=np.full((tiles, 2, 2, TILE), np.nan),
+        residual=np.empty((tiles, 1, TILE)),
+        iterations=np.zeros((tiles, TILE), dtype=np.int32),
+        stable=np.ones((tiles, TILE), dtype=np.bool_),
+    )
+
+
+@kernel
+def drive_of(drive, t):
+    """The `Drive` of tile t."""
+    return Drive(drive.F[t], drive.rate[t])
+
+
+@kernel
+def answer_of(answer, t):
+    """The `Answer` of tile t."""
+    return Answer(answer.stress[t], answer.residual[t], answer.iterations[t], answer.stable[t])
+
+
+@kernel
+def copy_particles(source, target):
+    """Copy as many particles as both (2, …, TILE) have."""
+    for axis in range(2):
+        for i in range(min(source.shape[1], target.shape[1])):
+            store(load(source, axis, i), target, axis, i)
+
+
+@kernel
+def keep_lane(source, k, target):
+    """Copy lane k of an array with three axes to one that may be shorter along the second."""
+    for a in range(target.shape[0]):
+        for i in range(target.shape[1]):
+            target[a, i, k] = source[a, i, k]
+
+
+@kernel
+def limit_step(step):
+    """Shorten the step of each lane to LONGEST_STEP; a step that is not finite to nothing."""
+    for k in range(TILE):
+        longest = 0.0
+        for i in range(step.shape[0]):
+            longest = max(longest, abs(step[i, k])) if step[i, k] == step[i, k] else np.inf
+        if longest > LONGEST_STEP:
+            factor = LONGEST_STEP / longest
+            for i in range(step.shape[0]):
+                step[i, k] = factor * step[i, k] if longest < np.inf else 0.0
+
+
+@kernel
+def give_up(z, start, count, residual, bound, iterations):
+    """iterations −count where z is `ASTRAY` from the start, or the residual (TILE,) above bound."""
+    for k in range(TILE):
+        if count <= 1:
+            bound[k] = residual[k]
+        elif count >= PATIENCE:
+            if iterations[k] == 0 and residual[k] > bound[k]:
+                iterations[k] = -count
+            bound[k] *= 0.5
+        if iterations[k] == 0:
+            farthest = 0.0
+            for i in range(start.shape[1]):
+                dx, dy = z[0, i, k] - start[0, i, k], z[1, i, k] - start[1, i, k]
+                farthest = max(farthest, dx * dx + dy * dy)
+            if farthest > ASTRAY * ASTRAY:
+                iterations[k] = -count
+
+
+@kernel
+def set_images(z, topology):
+    """Fill the image part of local material positions from its own part."""
+    own = topology.particles
+    for k in range(topology.owner.shape[0]):
+        i = topology.owner[k]
+        for axis in range(2):
+            store(load(z, axis, i) + topology.image_offset[k, axis], z, axis, own + k)
+
+
+@pair_law
+def entries(tensor):
+    """(xx, xy, yx, yy) of a tensor (2, 2, TILE)."""
+    return load(tensor, 0, 0), load(tensor, 0, 1), load(tensor, 1, 0), load(tensor, 1, 1)
+
+
+@pair_law
+def inverse(of):
+    """The entries of the inverse of a tensor with the entries `of`."""
+    xx, xy, yx, yy = of
+    per_det = 1.0 / (xx * yy - xy * yx)
+    return yy * per_det, -xy * per_det, -yx * per_det, xx * per_det
+
+
+@kernel
+def map_affine(F, z, x):
+    """x = F z; F (2, 2, TILE), z and x (2, local, TILE)."""
+    xx, xy, yx, yy = entries(F)
+    for i in range(z.shape[1]):
+        zx, zy = load(z, 0, i), load(z, 1, i)
+        store(xx * zx + xy * zy, x, 0, i)
+        store(yx * zx + yy * zy, x, 1, i)
+
+
+@kernel
+def place_images(work, F, topology):
+    """Images of the own particles in work.z, and x = F z of all."""
+    set_images(work.z, topology)
+    map_affine(F, work.z, work.x)
+
+
+@kernel
+def place(work, z, F, topology):
+    """Material positions z of own particles, their images, and x = F z of all."""
+    copy_particles(z, work.z)
+    place_images(work, F, topology)
+
+
+@kernel
+def cauchy_stress(x, f, F, area, stress):
+    """Virial stress (eq. 57b) from unfolded local forces: σ = −1/V Σ_k f_k ⊗ x_k, µN/µm.
+
+    Every pair adds f and −f to its two local particles, so the sum over pairs of f ⊗ r is minus
+    the sum over local particles of force ⊗ position. V = det F times the reference area.
+    """
+    xx, xy, yx, yy = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    for k in range(x.shape[1]):
+        px, py = load(x, 0, k), load(x, 1, k)
+        fx, fy = load(f, 0, k), load(f, 1, k)
+        xx -= fx * px
+        xy -= fx * py
+        yx -= fy * px
+        yy -= fy * py
+    fxx, fxy, fyx, fyy = entries(F)
+    per_volume = 1.0 / (area * (fxx * fyy - fxy * fyx))
+    store(xx * per_volume, stress, 0, 0)
+    store(xy * per_volume, stress, 0, 1)
+    store(yx * per_volume, stress, 1, 0)
+    store(yy * per_volume, stress, 1, 1)
+
+
+@kernel
+def mean_force(f, own, residual):
+    """residual (1, TILE): mean over own particles of the folded force's magnitude, µN."""
+    total = spread(0.0)
+    for i in range(own):
+        fx, fy = load(f, 0, i), load(f, 1, i)
+        total += root(fx * fx + fy * fy)
+    store(total * (1.0 / own), residual, 0)
+
+
+@kernel
+def measure(work, F, topology, c, stress, residual):
+    """Forces (folded), stress and mean force at work.x and work.v."""
+    local_forces(work, topology, c)
+    cauchy_stress(work.x, work.f, F, topology.area, stress)
+    fold_images(work.f, topology)
+    mean_force(work.f, topology.particles, residual)
+
+
+@kernel
+def evaluate(work, drive, is_affine, topology, c, stress, residual):
+    """`measure` at work.z with velocities v = rate z if `is_affine`, else those in work.v."""
+    place_images(work, drive.F, topology)
+    if is_affine:
+        map_affine(drive.rate, work.z, work.v)
+    measure(work, drive.F, topology, c, stress, residual)
+
+
+@parallel_kernel
+def stress_at(drive, z, topology, c, answer):
+    """Stress and mean force at given z with affine velocities, all tiles."""
+    for t in numba.prange(z.shape[0]):
+        _stress_tile(drive_of(drive, t), z[t], topology, c, answer_of(answer, t))
+
+
+@kernel
+def _stress_tile(drive, z, topology, c, answer):
+    work = make_workspace(topology)
+    copy_particles(z, work.z)
+    evaluate(work, drive, True, topology, c, answer.stress, answer.residual)
+
+
+def stored_energy(F: Array, z: Array, topology: Topology, c: Constants) -> Array:
+    """(m,) elastic energy at F (m, 2, 2) and material positions z (m, 2, n), pJ."""
+    energy = np.empty((tiles_for(len(z)), 1, TILE))
+    energies(pack(F), pack(z), topology, c, energy)
+    return unpack(energy, len(z))[:, 0]
+
+
+@parallel_kernel
+def energies(F, z, topology, c, energy):
+    """Elastic energy (tiles, 1, TILE) of every cell at z (tiles, 2, n, TILE), pJ."""
+    for t in numba.prange(z.shape[0]):
+        _energy_tile(F[t], z[t], topology, c, energy[t])
+
+
+@kernel
+def _energy_tile(F, z, topology, c, energy):
+    work = make_workspace(topology)
+    place(work, z, F, topology)
+    elastic_energy(work, topology, c, energy)

@@ -28,10 +28,14 @@ from numpy.typing import NDArray
 
 from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, load, store
+from surrofe2.plant_cell.block_matrices import (
+    COLUMNS,
+    has_negative_pivots,
+    make_matrices,
+    solve_columns,
+)
 from surrofe2.plant_cell.derivatives import elastic_forces_and_rates
-from surrofe2.plant_cell.forces import fold_images, local_forces
-from surrofe2.plant_cell.tiles import make_workspace
-from surrofe2.rve.block_lu import COLUMNS, has_negative_pivots, make_matrices, solve_columns
+from surrofe2.plant_cell.forces import fold_images, local_forces, make_workspace
 from surrofe2.rve.newton import (
     NEWTON_LIMIT,
     Stop,
@@ -46,18 +50,19 @@ from surrofe2.rve.newton import (
     set_residual,
     settle,
 )
-from surrofe2.rve.particle_state import (
+from surrofe2.rve.rve_state import (
     Answer,
     Drive,
     answer_of,
     copy_particles,
     drive_of,
+    keep_factors,
     keep_lane,
+    kept_factors,
     mean_force,
     place,
     place_images,
 )
-from surrofe2.rve.rve_state import keep_factors, kept_factors
 from surrofe2.rve.tangents import along, equilibrium_modes, set_velocities, unit_velocities
 
 LIMIT = 40

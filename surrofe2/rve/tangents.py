@@ -22,12 +22,17 @@ import numpy as np
 
 from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, load, store
+from surrofe2.plant_cell.block_matrices import (
+    COLUMNS,
+    factorise,
+    make_matrices,
+    solve_columns,
+    solved_columns,
+)
 from surrofe2.plant_cell.derivatives import add_force_gradients, add_stiffness_rates
-from surrofe2.plant_cell.forces import fold_images, local_forces
-from surrofe2.plant_cell.tiles import make_workspace
-from surrofe2.rve.block_lu import COLUMNS, factorise, make_matrices, solve_columns, solved_columns
+from surrofe2.plant_cell.forces import fold_images, local_forces, make_workspace
 from surrofe2.rve.newton import move, set_elastic_jacobian, set_jacobian
-from surrofe2.rve.particle_state import Drive, drive_of, entries, inverse, map_affine, place
+from surrofe2.rve.rve_state import Drive, drive_of, entries, inverse, map_affine, place
 
 KINDS = ("constrained-runs", "elastic", "cauchy-born")
 _ELASTIC, _CAUCHY_BORN = 1, 2

@@ -12,22 +12,32 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import scipy  # scipy.optimize and scipy.linalg are loaded where a state has to be settled
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError
-from surrofe2.base.simd import TILE
-from surrofe2.plant_cell.arrangement import Arrangement, make_arrangement, start_positions
-from surrofe2.plant_cell.neighbours import Near, Neighbours, make_neighbours
+from surrofe2.base.simd import TILE, pack, tiles_for, unpack
+from surrofe2.plant_cell.arrangement import (
+    Arrangement,
+    ReferenceState,
+    make_arrangement,
+    start_positions,
+)
+from surrofe2.plant_cell.forces import Constants, make_constants
+from surrofe2.plant_cell.neighbours import Near, Neighbours, Topology, make_neighbours
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.plant_cell.tiles import Constants, Topology, make_constants, pack, tiles_for, unpack
-from surrofe2.rve.constrained_runs import Stepping, iterate_tile
+from surrofe2.rve.constrained_runs import Stepping, iterate
 from surrofe2.rve.newton import SOLVE, newton, renew
-from surrofe2.rve.particle_state import Drive, answer_of, drive_of, empty_answer, stored_energy
-from surrofe2.rve.rve_state import Factors, RveState
+from surrofe2.rve.rve_state import (
+    Drive,
+    Factors,
+    RveState,
+    empty_answer,
+    stored_energy,
+)
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -159,22 +169,24 @@ def resettled(cell: CellParameters, near: ReferenceState) -> ReferenceState:
     return _free_of_stress(cell, z, near.rest_length, irregular=False)
 
 
-@dataclass(frozen=True, slots=True)
-class Equilibria:
+class Equilibria(NamedTuple):
     """Elastic equilibria of k points.
 
     z: (k, 2, particles) material positions, µm. stress: (k, 2, 2) Cauchy stress, µN/µm. energy:
     (k,) of the RVE, pJ; NaN where none was found. iterations: (k,) force evaluations; not positive
-    there. factors: kept factorisations.
+    there. found, stable: (k,).
     """
 
     z: Array
     stress: Array
     energy: Array
-    iterations: NDArray[np.int32]
+    iterations: NDArray[np.int_]
     found: Flags
     stable: Flags
-    factors: Factors
+
+    def take(self, index: NDArray[np.intp]) -> Equilibria:
+        """Those of the points `index`."""
+        return Equilibria._make(values[index] for values in self)
 
 
 def equilibria_in(
@@ -213,18 +225,16 @@ def relax(
     starts: Array,
     F: Array,
     tolerance: float = RELAXED,
-    rate: Array | None = None,
     task: int = SOLVE,
 ) -> Equilibria:
     """Equilibria at F (k, 2, 2) by Newton from material positions (k, 2, n).
 
     Args:
-        rate: (k, 2, 2) Ḟ that the particles feel; None: none, the equilibria are elastic.
-        task: `SOLVE`, or `SEEK` near the starts, which makes no factors; see `newton`.
+        task: `SOLVE`, or `SEEK` near the starts; see `newton`.
     """
     points, z, tensors = len(starts), pack(starts), pack(F)
     factors, answer = Factors.empty(len(z), topology), empty_answer(len(z))
-    drive = Drive(tensors, np.zeros_like(tensors) if rate is None else pack(rate))
+    drive = Drive(tensors, np.zeros_like(tensors))
     tasks = np.full(len(z), task, dtype=np.int8)
     newton(drive, z, factors.address, tasks, topology, constants, tolerance, answer)
     z, iterations = unpack(z, points), unpack(answer.iterations, points)
@@ -232,7 +242,7 @@ def relax(
     energy = np.where(found, stored_energy(F, z, topology, constants), np.nan)
     stable = found & unpack(answer.stable, points)
     stress = unpack(answer.stress, points)
-    return Equilibria(z, stress, energy, iterations, found, stable, factors)
+    return Equilibria(z, stress, energy, iterations, found, stable)
 
 
 def lowest(equilibria: Equilibria) -> int:
@@ -259,11 +269,7 @@ def _settled(
     unit = pack(np.broadcast_to(np.eye(2), (len(starts), 2, 2)))
     drive, v, answer = Drive(unit, np.zeros_like(unit)), np.zeros_like(x), empty_answer(len(x))
     stepping = Stepping(_SETTLING_STEP, _SETTLED[cell.arrangement], _SETTLING_LIMIT)
-    for t in range(len(x)):
-        iterate_tile(
-            drive_of(drive, t), x[t], v[t], mass, neighbours.topology, constants, stepping,
-            answer_of(answer, t),
-        )  # fmt: skip
+    iterate(drive, x, v, mass, neighbours.topology, constants, stepping, answer)
     rested = unpack(answer.iterations, len(starts)) >= 0
     if not rested.any():
         raise InputError(

@@ -24,8 +24,8 @@ from surrofe2.base.sampling import SEQUENCE, SamplingRange
 from surrofe2.base.units import RATE, STRESS, VISCOSITY
 from surrofe2.law.samples import TANGENTS, StressSamples
 from surrofe2.law.stress_law import Status, StressResponse, describe
+from surrofe2.plant_cell.arrangement import ReferenceState
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.run.loop import CheckpointClock
 from surrofe2.rve.unit_cell import settle_reference
 from surrofe2.store.hdf5 import (

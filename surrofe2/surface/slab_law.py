@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError
+from surrofe2.base.simd import pack, unpack
 from surrofe2.law.stress_law import Status, Tangents
 from surrofe2.law.surface_law import SurfaceResponse
+from surrofe2.plant_cell.arrangement import ReferenceState
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.plant_cell.tiles import pack, unpack
-from surrofe2.rve.particle_state import Drive
 from surrofe2.rve.rve_law import RveLaw
+from surrofe2.rve.rve_state import Drive
 from surrofe2.rve.settings import RveSettings
 from surrofe2.rve.solve import Solved, solve_rves
 from surrofe2.surface.slab import bend, make_slab

@@ -27,10 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError
-from surrofe2.base.simd import TILE
+from surrofe2.base.simd import TILE, tiles_for
+from surrofe2.plant_cell.arrangement import ReferenceState
+from surrofe2.plant_cell.forces import Constants, make_constants
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.plant_cell.tiles import Constants, make_constants, tiles_for
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

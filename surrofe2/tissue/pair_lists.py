@@ -35,8 +35,8 @@ from numpy.typing import NDArray
 from surrofe2.base.compilation import kernel, pair_law, parallel_kernel
 from surrofe2.base.errors import SimulationError
 from surrofe2.base.simd import TILE, load
+from surrofe2.plant_cell.forces import Constants
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.tiles import Constants
 from surrofe2.tissue.layout import Tissue, shares, tiled, wall_grid
 
 Array = NDArray[np.float64]
@@ -136,7 +136,7 @@ class PairConstants(NamedTuple):
         )
 
 
-# of a bond, a contact and the fluid in a tile, as `pair_laws` takes them; lanes
+# of a bond, a contact and the fluid in a tile, as `forces` takes them; lanes
 Bond = namedtuple("Bond", "wall_stiffness rest_length wall_damping")
 Contact = namedtuple("Contact", "repulsion contact_damping cutoff")
 FluidConstants = namedtuple(

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import SimulationError
+from surrofe2.plant_cell.arrangement import ReferenceState
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.tissue.dynamics import TissueDynamics
 from surrofe2.tissue.layout import make_tissue
 from surrofe2.tissue.pair_lists import ELASTIC

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from surrofe2.base.compilation import clock
 from surrofe2.base.errors import InputError, MismatchError, SimulationError
+from surrofe2.plant_cell.arrangement import ReferenceState
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.problem.mesh import extent
 from surrofe2.problem.problem import Problem, label
 from surrofe2.run.journal import (

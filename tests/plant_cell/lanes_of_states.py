@@ -7,9 +7,9 @@ import numpy as np
 from surrofe2.base.simd import TILE
 from surrofe2.plant_cell import derivatives, forces
 from surrofe2.plant_cell.arrangement import start_positions
+from surrofe2.plant_cell.forces import Workspace, make_constants
 from surrofe2.plant_cell.neighbours import make_neighbours
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.tiles import Workspace, make_constants
 from tests.plant_cell.twin import Twin
 
 REST = 1.9
@@ -22,7 +22,7 @@ class Patch:
         rng = np.random.default_rng(seed)
         self.cell = CellParameters.preset(preset)
         base, lattice = start_positions(self.cell), self.cell.tessellation.lattice
-        self.topology = make_neighbours(self.cell, base, lattice, sparse=False).topology
+        self.topology = make_neighbours(self.cell, base, lattice).topology
         self.constants = make_constants(self.cell, REST)
         self.twin = Twin(self.cell, REST)
         self.z = base + 0.1 * rng.uniform(-1, 1, (TILE, *base.shape))
@@ -71,5 +71,6 @@ class Patch:
 
     def energy(self, z, F):
         energy = np.empty((1, TILE))
-        forces.elastic_energy(self.local(z, F), self.topology, self.constants, energy)
+        x = self.local(z, F)
+        forces.elastic_energy(self.workspace(x, x), self.topology, self.constants, energy)
         return energy[0]

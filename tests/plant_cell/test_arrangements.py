@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from surrofe2.base.errors import InputError
+from surrofe2.base.simd import pack
 from surrofe2.plant_cell.arrangement import make_arrangement, start_positions
 from surrofe2.plant_cell.neighbours import FARTHEST, make_neighbours
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.tiles import pack
 from tests.plant_cell.twin import Twin
 
 CASES = (("square", 4, 38, 64), ("hexagon", 1, 17, 19), ("voronoi", 9, None, 144))

@@ -8,7 +8,7 @@ import pytest
 
 from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import Status
-from surrofe2.plant_cell.neighbours import make_neighbours
+from surrofe2.plant_cell.block_matrices import dense_pattern
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import INITIALISATIONS, RveLaw, RveSettings
 from surrofe2.rve.unit_cell import relax
@@ -84,11 +84,9 @@ def test_plant_cells_rest_without_stress(arrangement):
 def test_sparse_and_dense_matrices_find_the_same_equilibrium():
     unit = law("square", 4).unit_cell
     z = np.broadcast_to(unit.position.T, (8, *unit.position.T.shape))
-    found = []
-    for sparse in (True, False):
-        lattice = unit.reference.lattice
-        neighbours = make_neighbours(unit.cell, unit.position, lattice, sparse=sparse)
-        found.append(relax(neighbours.topology, unit.constants, z, F))
+    dense = unit.topology._replace(**dense_pattern(unit.topology.particles)._asdict())
+    assert len(unit.topology.width) > len(dense.width) == 1
+    found = [relax(each, unit.constants, z, F) for each in (unit.topology, dense)]
     np.testing.assert_allclose(found[0].stress, found[1].stress, rtol=0, atol=1e-9)
     np.testing.assert_allclose(found[0].energy, found[1].energy, rtol=1e-13)
     np.testing.assert_array_equal(found[0].stable, found[1].stable)

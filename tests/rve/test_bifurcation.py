@@ -8,10 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from surrofe2.base.simd import pack, unpack
 from surrofe2.law.stress_law import Status, describe
-from surrofe2.plant_cell.tiles import pack, unpack
 from surrofe2.rve.continuation import KICK, ROAM, descend, over_saddle
-from surrofe2.rve.particle_state import stored_energy
+from surrofe2.rve.rve_state import stored_energy
 from tests.numerics import turn
 from tests.rve import rves
 from tests.rve.curvature_twin import Curvatures

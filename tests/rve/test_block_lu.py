@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 
 from surrofe2.base.simd import TILE
-from surrofe2.plant_cell.block_pattern import factorisation_work, make_pattern
-from surrofe2.rve.block_lu import factorise, has_negative_pivots, solve, solve_columns
+from surrofe2.plant_cell.block_matrices import (
+    factorisation_work,
+    factorise,
+    has_negative_pivots,
+    make_pattern,
+    solve,
+    solve_columns,
+)
 
 PAIRS = [(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (6, 0), (0, 3)]
 GROUPS = ("several", 1, 3, 4, 5, 9, 34)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from surrofe2.base.errors import SimulationError
+from surrofe2.base.simd import unpack
 from surrofe2.law.stress_law import Status
-from surrofe2.plant_cell.tiles import unpack
 from surrofe2.rve.micro_integration import integrate_rve
 from surrofe2.rve.parameter_gradients import parameter_gradients
 from tests.laws import tangents_by_differences

@@ -8,11 +8,11 @@ import pytest
 from scipy.optimize import brentq
 
 from surrofe2.base.errors import InputError, MismatchError
+from surrofe2.base.simd import unpack
 from surrofe2.plant_cell.arrangement import make_slab_arrangement
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.tiles import unpack
 from surrofe2.rve import INITIALISATIONS, RveLaw
-from surrofe2.rve.particle_state import stored_energy
+from surrofe2.rve.rve_state import stored_energy
 from surrofe2.surface import SlabLaw
 from surrofe2.surface.slab import GAP, TURN, bend, make_slab
 from surrofe2.surface.slab_law import rows_across, side_free
