@@ -80,14 +80,6 @@ class Body(NamedTuple):
     retained: float
 
 
-class Fluid(NamedTuple):
-    """Fluid pairs (·, 2) of a plant cell of so many particles, of which `walls` come first."""
-
-    fluid_pairs: NDArray[np.int32]
-    particles: int
-    walls: int
-
-
 class Watch(NamedTuple):
     """Motion since lists were made.
 
@@ -105,7 +97,7 @@ class Watch(NamedTuple):
 
 
 @parallel_kernel
-def leap(particles, lists, constants, grid, fluid, body, driven, bodies, outline, watch, steps):
+def leap(particles, lists, constants, cells, body, driven, bodies, outline, watch, steps):
     """Leapfrog steps in place; how many were taken before lists could miss a pair.
 
     A step takes forces at x with the velocities at hand, then v += kick a, x += drift v. One
@@ -114,9 +106,9 @@ def leap(particles, lists, constants, grid, fluid, body, driven, bodies, outline
     tiles = particles.x.shape[0] - 1
     for n in range(len(steps.length)):
         for k in numba.prange(tiles):
-            _sum_forces(lists.order[k], particles, lists, constants, fluid)
-            _measure_apart(lists.order[k], grid, watch)
-        if not _largest_motion(watch) <= lists.skin:
+            _sum_forces(cells.order[k], particles, lists, constants, cells)
+            _measure_apart(cells.order[k], cells, watch)
+        if not _largest_motion(watch) <= cells.skin:
             return n
         kick, amplitude, speed = steps.length[n, 0], steps.amplitude[n], steps.speed[n]
         add_normal_contact(particles, bodies)
@@ -125,13 +117,13 @@ def leap(particles, lists, constants, grid, fluid, body, driven, bodies, outline
             drive_particles(particles.v, driven, speed)
         if bodies.rubs:
             for k in numba.prange(tiles):
-                _fold(lists.order[k], particles.f, lists)
+                _fold(cells.order[k], particles.f, lists)
             add_friction(particles, body, bodies, kick, amplitude, speed)
         if kick != 0.0:
             move_bodies(bodies, steps.length[n], speed)
         step = kick, steps.length[n, 1], bodies.rubs
         for k in numba.prange(tiles):
-            _kick_and_drift(lists.order[k], particles, lists, grid, body, watch, amplitude, step)
+            _kick_and_drift(cells.order[k], particles, lists, cells, body, watch, amplitude, step)
         if kick != 0.0:
             add_driving_work(particles, body.loads, driven, kick, amplitude)
             add_contact_loss(particles, bodies, kick)
@@ -140,9 +132,9 @@ def leap(particles, lists, constants, grid, fluid, body, driven, bodies, outline
 
 
 @kernel
-def _sum_forces(t, particles, lists, constants, fluid):
+def _sum_forces(t, particles, lists, constants, cells):
     """Images of tile t and the forces on its local particles, not folded."""
-    own = fluid.particles
+    own = cells.particles
     here, end = lists.starts[t], lists.starts[t + 1]
     _gather_images(particles.x, t, own, here[0], end[0], lists.source)
     _gather_images(particles.v, t, own, here[0], end[0], lists.source)
@@ -157,18 +149,15 @@ def _sum_forces(t, particles, lists, constants, fluid):
         add_pair(f, i, j, a * pair.rx, a * pair.ry)
     for k in range(here[2], end[2]):
         i, j = lists.contacts[k, 0], lists.contacts[k, 1]
-        pair, c = (
-            pair_at(x, v, i, j),
-            contact_at(constants.contacts, constants.row[k], constants.cutoff),
-        )
+        pair, c = pair_at(x, v, i, j), contact_at(constants, k)
         law = contact(pair.length, pair.inverse, c)
         a = tension(law, pair.rate) * within(pair.length, pair.inverse, c)
         add_pair(f, i, j, a * pair.rx, a * pair.ry)
-    if t < lists.fluid_tiles:
-        slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
-        volume = np.empty((own - fluid.walls, TILE))
+    if t < cells.fluid_tiles:
+        slope = np.empty((cells.fluid_pairs.shape[0], TILE))
+        volume = np.empty((own - cells.walls, TILE))
         row = min(np.int64(t), constants.fluid.shape[0] - 1)
-        add_fluid_forces(x, v, f, fluid, fluid_at(constants.fluid, row), slope, volume)
+        add_fluid_forces(x, v, f, cells, fluid_at(constants.fluid, row), slope, volume)
 
 
 @kernel
@@ -198,7 +187,7 @@ def _fold(t, f, lists):
 
 
 @kernel
-def _kick_and_drift(t, particles, lists, grid, body, watch, amplitude, step):
+def _kick_and_drift(t, particles, lists, cells, body, watch, amplitude, step):
     """v += kick a, x += drift v of tile t's own particles; step: kick, drift, is f folded."""
     x, v, f = particles.x, particles.v, particles.f
     kick, drift, folded = step
@@ -206,9 +195,8 @@ def _kick_and_drift(t, particles, lists, grid, body, watch, amplitude, step):
         _fold(t, f, lists)
     mean_x, mean_y = spread(0.0), spread(0.0)
     for i in range(body.per_mass.shape[1]):
-        pull_x = load(f, t, 0, i) + amplitude[0] * load(body.loads, 0, t, 0, i)
-        pull_y = load(f, t, 1, i) + amplitude[0] * load(body.loads, 0, t, 1, i)
-        for n in range(1, body.loads.shape[0]):
+        pull_x, pull_y = load(f, t, 0, i), load(f, t, 1, i)
+        for n in range(body.loads.shape[0]):
             pull_x += amplitude[n] * load(body.loads, n, t, 0, i)
             pull_y += amplitude[n] * load(body.loads, n, t, 1, i)
         push = kick * load(body.per_mass, t, i)
@@ -229,32 +217,32 @@ def _kick_and_drift(t, particles, lists, grid, body, watch, amplitude, step):
         store(new_y, x, t, 1, i)
         mean_x += new_x - load(watch.listed, t, 0, i)
         mean_y += new_y - load(watch.listed, t, 1, i)
-    share = load(grid.per_count, t)
+    share = load(cells.per_count, t)
     store(mean_x * share, watch.mean, t, 0)
     store(mean_y * share, watch.mean, t, 1)
-    _measure_spread(t, x, grid, watch)
+    _measure_spread(t, x, cells, watch)
 
 
 @kernel
-def _measure_spread(t, x, grid, watch):
+def _measure_spread(t, x, cells, watch):
     """watch.spread of tile t from watch.mean."""
     mean_x, mean_y = load(watch.mean, t, 0), load(watch.mean, t, 1)
     largest = spread(0.0)
-    for i in range(grid.exists.shape[1]):
+    for i in range(cells.exists.shape[1]):
         dx = load(x, t, 0, i) - load(watch.listed, t, 0, i) - mean_x
         dy = load(x, t, 1, i) - load(watch.listed, t, 1, i) - mean_y
-        square = (dx * dx + dy * dy) * load(grid.exists, t, i)
+        square = (dx * dx + dy * dy) * load(cells.exists, t, i)
         largest = where_less(square, largest, largest, square)
     store(largest, watch.spread, t)
 
 
 @kernel
-def _measure_apart(t, grid, watch):
+def _measure_apart(t, cells, watch):
     """watch.apart of tile t: mean displacements against those of the next cells."""
     for lane in range(TILE):
         largest = 0.0
-        for s in grid.next_shifts:
-            there = grid.place[t, s, lane]
+        for s in cells.next_shifts:
+            there = cells.place[t, s, lane]
             if there >= 0:
                 tile, other = there // TILE, there % TILE
                 dx = watch.mean[tile, 0, other] - watch.mean[t, 0, lane]
@@ -277,18 +265,18 @@ def _largest_motion(watch):
 
 
 @parallel_kernel
-def elastic_energy(x, lists, constants, grid, fluid, energy):
+def elastic_energy(x, lists, constants, cells, energy):
     """energy (tiles, TILE) of which the forces at rest are the negative gradient, in pJ.
 
     Springs ½ k (|r| − l₀)², contacts, fluid Σ m c_s² ln ρ.
     x: (tiles + 1, 2, local, TILE) with images set.
     """
     for t in numba.prange(energy.shape[0]):
-        _stored_in_tile(t, x[t], lists, constants, grid, fluid, energy)
+        _stored_in_tile(t, x[t], lists, constants, cells, energy)
 
 
 @kernel
-def _stored_in_tile(t, x, lists, constants, grid, fluid, energy):
+def _stored_in_tile(t, x, lists, constants, cells, energy):
     here, end = lists.starts[t], lists.starts[t + 1]
     total = spread(0.0)
     for k in range(here[1], end[1]):
@@ -298,16 +286,16 @@ def _stored_in_tile(t, x, lists, constants, grid, fluid, energy):
     for k in range(here[2], end[2]):
         rx, ry = difference(x, lists.contacts[k, 0], lists.contacts[k, 1])
         length, inverse = norm(rx, ry)
-        c = contact_at(constants.contacts, constants.row[k], constants.cutoff)
+        c = contact_at(constants, k)
         total += contact_energy(length, inverse, c)
     store(total, energy, t)
-    if t < lists.fluid_tiles:
-        slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
-        volume = np.empty((fluid.particles - fluid.walls, TILE))
+    if t < cells.fluid_tiles:
+        slope = np.empty((cells.fluid_pairs.shape[0], TILE))
+        volume = np.empty((cells.particles - cells.walls, TILE))
         row = min(np.int64(t), constants.fluid.shape[0] - 1)
-        fluid_specific_volume(x, fluid, fluid_at(constants.fluid, row), slope, volume)
+        fluid_specific_volume(x, cells, fluid_at(constants.fluid, row), slope, volume)
         for p in range(volume.shape[0]):
             for lane in range(TILE):
                 weight = constants.fluid[row, 1, lane] * constants.fluid[row, 2, lane]
-                weight *= grid.exists[t, fluid.walls + p, lane]
+                weight *= cells.exists[t, cells.walls + p, lane]
                 energy[t, lane] -= weight * np.log(volume[p, lane])

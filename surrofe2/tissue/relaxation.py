@@ -83,7 +83,7 @@ def _settle(dynamics: TissueDynamics, residual: float, step: float, frequency: f
         implicit = 1.0 + 0.5 * drag * step
         drifts = np.full(STRETCH, step)
         dynamics.leap(
-            drifts / implicit, drifts, np.zeros(STRETCH), factors=ELASTIC,
+            drifts / implicit, drifts, factors=ELASTIC,
             retained=(1.0 - 0.5 * drag * step) / implicit,
         )  # fmt: skip
         x_before, f_before, x, f = x, f, dynamics.x, dynamics.free_forces(ELASTIC)

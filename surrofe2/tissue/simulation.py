@@ -326,7 +326,7 @@ class Recorder:
             history=history_of(columns),
             position=state.relaxed,
             bonds=bonded_particles(tissue),
-            is_wall=np.arange(tissue.particles) < tissue.wall_particles,
+            is_wall=tissue.is_wall,
             frames=ParticleFrames(**state.journal.part("frames")),
             wall_time={"total": sum(state.seconds.values()), **state.seconds},
             counts={
@@ -499,7 +499,7 @@ def held_and_loaded(conditions: Conditions, settings: TissueSettings) -> TissueD
         conditions.tissue,
         skin=settings.skin,
         held=conditions.held,
-        load=conditions.dead_loads(),
+        loads=conditions.dead_loads(),
         driven=conditions.driven(),
     )
 
@@ -532,20 +532,18 @@ def advance(
     kicks, drifts = np.full(count + 1, step), np.full(count + 1, step)
     kicks[[0, -1]] *= 0.5
     drifts[-1] = 0.0
-    loads, motions = conditions.load_amplitudes, conditions.motions
+    motions = conditions.motions
     dynamics.take_works()
     dissipated, rate = 0.0, dynamics.dissipation_rate()
     for k in range(samples):
         t = start + k * length + step * np.arange(count + 1)
         amplitudes, values = (
             np.array([[each.at(at, at)[0] for each in some] for at in t])
-            for some in (loads, motions)
+            for some in (conditions.load_amplitudes, motions)
         )
         # Each drift ends where the motion leads; the last kick, without a drift, at its rate.
         last = [each.at(t[-1], t[-1])[1] for each in motions]
         speeds = np.concatenate([np.diff(values, axis=0) / step, [last]])
-        if not loads:
-            amplitudes = np.zeros((len(t), 1))
         dynamics.leap(kicks, drifts, amplitudes, speeds)
         rate_before, rate = rate, dynamics.dissipation_rate()
         dissipated += 0.5 * length * (rate_before + rate)
