@@ -58,10 +58,15 @@ class Conditions:
 
     def boundary(self, name: str) -> Index:
         """Numbers of the wall particles of a boundary, increasing."""
-        indices = np.sort(self._outer[:, 0])
-        points = self.tissue.outline[indices]
-        part = self.problem.boundaries.get(name)
-        indices = indices[self._on_sides(name, points) if part is None else part.holds(points)]
+        indices, mesh = np.sort(self._outer[:, 0]), self.problem.mesh
+        points, part = self.tissue.outline[indices], self.problem.boundaries.get(name)
+        if part is not None:
+            indices = indices[part.holds(points)]
+        else:  # on a side of the mesh: no detour between its ends
+            begin, end = mesh.p.T[mesh.facets[:, boundary(mesh, name)]]
+            by_way = sum(np.linalg.norm(points[:, None] - each, axis=2) for each in (begin, end))
+            detour = by_way - np.linalg.norm(end - begin, axis=1)
+            indices = indices[detour.min(axis=1) < 1e-6]
         if not indices.size:
             raise InputError(f"boundary {name}: it holds no wall particle of the outline")
         return indices
@@ -140,7 +145,6 @@ class Conditions:
             at=np.insert(self.tissue.address[i], 1, axis, axis=1),
             motion=np.repeat(np.arange(len(sizes)), sizes),
             largest=np.concatenate([each.largest for each in self.moving]),
-            mass=self.tissue.to_particles(self.tissue.mass)[i],
             before=np.zeros(len(i)),
             work=np.zeros(1),
         )
@@ -276,16 +280,6 @@ class Conditions:
             for filled in (inside, np.ones_like(inside))
         )
         return mine / whole
-
-    def _on_sides(self, name: str, points: Array) -> NDArray[np.bool_]:
-        """(k,) whether points (k, 2) lie on a side of the mesh's boundary."""
-        mesh = self.problem.mesh
-        begin, end = mesh.p.T[mesh.facets[:, boundary(mesh, name)]]
-        along, away = end - begin, points[:, None] - begin
-        place = np.clip((away * along).sum(axis=2) / (along**2).sum(axis=1), 0.0, 1.0)
-        off: Array = abs(away - place[..., None] * along).max(axis=2).min(axis=1)
-        near: NDArray[np.bool_] = off < 1e-6
-        return near
 
     def _pairs_on(self, name: str) -> Index:
         """(k, 2) bonds along the outline whose two particles are on a boundary."""

@@ -124,7 +124,8 @@ class TissueDynamics:
         self._particles.v[tuple(driven.at.T)] = led
         moved = bodies.motion >= 0
         bodies.v[moved] = rates[bodies.motion[moved], None] * bodies.largest[moved]
-        return 0.5 * float(driven.mass @ led**2)
+        mass = self.tissue.mass[tuple(driven.at[:, [0, 2, 3]].T)]
+        return 0.5 * float(mass @ led**2)
 
     def leap(
         self,
@@ -211,8 +212,11 @@ class TissueDynamics:
         return float(energy.sum())
 
     def kinetic_energy(self) -> float:
-        """½ Σ m v², pJ."""
-        return 0.5 * float(np.sum(self.mass[:, None] * self.v**2))
+        """½ Σ m v² of particles and free bodies, pJ."""
+        bodies = self.bodies
+        free = bodies.per_mass > 0.0
+        of_bodies = np.sum(bodies.v[free] ** 2 / bodies.per_mass[free, None])
+        return 0.5 * float(np.sum(self.mass[:, None] * self.v**2) + of_bodies)
 
     def _put(self, x: Array, v: Array, listed: Array | None = None) -> None:
         """Put particles with the lists made at `listed` (tiles, 2, own, TILE), or new ones."""

@@ -125,7 +125,7 @@ def leap(particles, lists, constants, cells, body, driven, bodies, outline, watc
         for k in numba.prange(tiles):
             _kick_and_drift(cells.order[k], particles, lists, cells, body, watch, amplitude, step)
         if kick != 0.0:
-            add_driving_work(particles, body.loads, driven, kick, amplitude)
+            add_driving_work(particles, body, driven, kick, amplitude)
             add_contact_loss(particles, bodies, kick)
             add_outline_work(particles, outline, kick)
     return len(steps.length)
