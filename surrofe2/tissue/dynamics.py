@@ -17,9 +17,8 @@ from surrofe2.tissue.external_forces import (
     BodyContacts,
     DrivenParticles,
     OutlineForces,
-    Steps,
 )
-from surrofe2.tissue.kernels import Body, Particles, Watch, elastic_energy, leap
+from surrofe2.tissue.kernels import Particles, Watch, elastic_energy, leap
 from surrofe2.tissue.layout import NOWHERE, Tissue
 from surrofe2.tissue.pair_lists import DAMPING, WHOLE, Factors, PairConstants, PairLister
 
@@ -68,14 +67,17 @@ class TissueDynamics:
         self.free_mass = np.where(self.free.any(axis=1), self.mass, 0.0)
         self.loads = np.zeros((0, *shape)) if loads is None else loads
         exists = tissue.mass > 0.0
-        self._body = Body(
+        still = np.zeros(tissue.start.shape)
+        self._particles = Particles(
+            x=tissue.start,
+            v=still,
+            f=still,
             per_mass=np.divide(1.0, tissue.mass, out=np.zeros(exists.shape), where=exists),
             free=tissue.to_tiles(self.free.astype(np.float64)),
             loads=np.array([*map(tissue.to_tiles, self.loads)]).reshape(-1, *tissue.start.shape),
             work=np.zeros((len(self.loads), tissue.tiles, TILE)),
-            retained=1.0,
         )
-        self._put(tissue.to_particles(tissue.start), np.zeros(shape))
+        self._put(self.x, self.v)
 
     @property
     def x(self) -> Array:
@@ -98,10 +100,10 @@ class TissueDynamics:
         Of the loads, of `acceleration` on bodies, of what moves supports and bodies, and lost in
         contact.
         """
-        of_loads = self._body.work.sum(axis=(1, 2)) + self.outline.work
+        of_loads = self._particles.work.sum(axis=(1, 2)) + self.outline.work
         works = np.concatenate([of_loads, self.bodies.work])
         works[-2] += self.driven.work[0]
-        for each in (self._body, self.driven, self.bodies, self.outline):
+        for each in (self._particles, self.driven, self.bodies, self.outline):
             each.work[:] = 0.0
         return works
 
@@ -148,7 +150,7 @@ class TissueDynamics:
         Raises:
             SimulationError: positions are no longer finite, or the tissue has collapsed.
         """
-        body, count = self._body._replace(retained=retained), len(kicks)
+        count = len(kicks)
         bodies = self.bodies if with_outline else NO_BODIES
         outline = self.outline if with_outline else NO_OUTLINE
         if amplitudes is None:
@@ -156,22 +158,22 @@ class TissueDynamics:
         if speeds is None:
             motions = 1 + max([*self.driven.motion, *self.bodies.motion], default=-1)
             speeds = np.zeros((count, motions))
-        steps = Steps(np.stack([kicks, drifts], axis=1), amplitudes, speeds)
+        steps: tuple[Array, ...] = np.stack([kicks, drifts], axis=1), amplitudes, speeds
         renewed = False
         allowed = numba.get_num_threads()
         numba.set_num_threads(max(1, min(allowed, self.tissue.tiles // TILES_PER_THREAD)))
         try:
-            while len(steps.length):
+            while len(steps[0]):
                 if renewed:
                     self._put(self.x, self.v)
                 taken = leap(
                     self._particles, self._lists, self._constants(factors), self._lister.cells,
-                    body, self.driven, bodies, outline, self._watch, steps,
+                    self.driven, bodies, outline, self._watch, steps, retained,
                 )  # fmt: skip
                 self.counts["force_evaluations"] += taken
                 if renewed and taken == 0:
                     raise SimulationError("tissue: particles fly apart within a step")
-                steps, renewed = Steps(*(each[taken:] for each in steps)), True
+                steps, renewed = tuple(each[taken:] for each in steps), True
         finally:
             numba.set_num_threads(allowed)
 
@@ -228,9 +230,9 @@ class TissueDynamics:
             self._scaled = {WHOLE: constants}
             self.counts["list_builds"] += 1
         shape = (tiles + 1, 2, self._lists.local, TILE)
-        particles = Particles(np.full(shape, NOWHERE), np.zeros(shape), np.zeros(shape))
-        particles.x[:-1, :, :own], particles.v[:-1, :, :own] = own_x, tissue.to_tiles(v)
-        self._particles = particles
+        there, rate = np.full(shape, NOWHERE), np.zeros(shape)
+        there[:-1, :, :own], rate[:-1, :, :own] = own_x, tissue.to_tiles(v)
+        self._particles = self._particles._replace(x=there, v=rate, f=np.zeros(shape))
         mean, nothing = np.zeros((tiles, 2, TILE)), np.zeros((tiles, TILE))
         self._watch = Watch(listed, mean, nothing, nothing.copy())
 

@@ -25,19 +25,6 @@ Ints = NDArray[np.int64]
 _ITERATIONS = 50
 
 
-class Steps(NamedTuple):
-    """n leapfrog steps.
-
-    Attributes:
-        length: (n, 2) by which v is kicked and x drifts, µs.
-        amplitude: (n, loads). speed: (n, motions) mean rate of each amplitude in the step, 1/µs.
-    """
-
-    length: Array
-    amplitude: Array
-    speed: Array
-
-
 class DrivenParticles(NamedTuple):
     """Components of particles that follow a motion.
 
@@ -143,15 +130,15 @@ def drive_particles(v, drive, speed):
 
 
 @kernel
-def add_driving_work(particles, body, drive, kick, amplitude):
+def add_driving_work(particles, drive, kick, amplitude):
     """Add the work of a step's drive: of the force that it takes besides all others."""
     for k in range(drive.motion.shape[0]):
         t, axis, i, lane = drive.at[k]
         before, now = drive.before[k], particles.v[t, axis, i, lane]
         force = particles.f[t, axis, i, lane]
-        for n in range(body.loads.shape[0]):
-            force += amplitude[n] * body.loads[n, t, axis, i, lane]
-        impulse = (now - before) / body.per_mass[t, i, lane] - kick * force
+        for n in range(particles.loads.shape[0]):
+            force += amplitude[n] * particles.loads[n, t, axis, i, lane]
+        impulse = (now - before) / particles.per_mass[t, i, lane] - kick * force
         drive.work[0] += 0.5 * (before + now) * impulse
 
 
@@ -227,9 +214,9 @@ def add_normal_contact(particles, bodies):
 
 
 @kernel
-def add_friction(particles, body, bodies, kick, amplitude, speed):
+def add_friction(particles, bodies, kick, amplitude, speed):
     """Add friction to f of own particles, which has all other forces, and to that of the bodies."""
-    v, f, loads = particles.v, particles.f, body.loads
+    v, f, loads = particles.v, particles.f, particles.loads
     for b in range(bodies.x.shape[0]):
         law = bodies.law[b, 3], bodies.law[b, 4]
         if not law[0] > 0.0:
@@ -243,7 +230,7 @@ def add_friction(particles, body, bodies, kick, amplitude, speed):
             t, i, lane = bodies.at[k]
             sliding, mobility, tangent = 0.0, of_body, (-ny, nx)
             for axis in range(2):
-                share = body.per_mass[t, i, lane] * body.free[t, axis, i, lane]
+                share = particles.per_mass[t, i, lane] * particles.free[t, axis, i, lane]
                 force = f[t, axis, i, lane]
                 for n in range(loads.shape[0]):
                     force += amplitude[n] * loads[n, t, axis, i, lane]

@@ -54,30 +54,24 @@ Array = NDArray[np.float64]
 
 
 class Particles(NamedTuple):
-    """x, v, f: (tiles + 1, 2, local, TILE) µm, µm/µs, µN."""
-
-    x: Array
-    v: Array
-    f: Array
-
-
-class Body(NamedTuple):
-    """What moves, and by what.
+    """All particles, what they are moved by, and the work of that.
 
     Attributes:
+        x, v, f: (tiles + 1, 2, local, TILE) µm, µm/µs, µN.
         per_mass: (tiles, own, TILE) 1/ng, 0 where missing.
         free: (tiles, 2, own, TILE) 1, or 0 where v does not follow forces.
         loads: (loads, tiles, 2, own, TILE) µN at amplitude 1.
         work: (loads, tiles, TILE) of these, pJ, to which each step adds: kick · force · mean of the
             velocities before and after.
-        retained: part of the velocity that a step leaves; 1, or less with drag.
     """
 
+    x: Array
+    v: Array
+    f: Array
     per_mass: Array
     free: Array
     loads: Array
     work: Array
-    retained: float
 
 
 class Watch(NamedTuple):
@@ -97,20 +91,26 @@ class Watch(NamedTuple):
 
 
 @parallel_kernel
-def leap(particles, lists, constants, cells, body, driven, bodies, outline, watch, steps):
+def leap(particles, lists, constants, cells, driven, bodies, outline, watch, steps, retained):
     """Leapfrog steps in place; how many were taken before lists could miss a pair.
 
     A step takes forces at x with the velocities at hand, then v += kick a, x += drift v. One
     without a kick leaves all velocities as they are.
+
+    Args:
+        steps: (n, 2) by which v is kicked and x drifts, µs; (n, loads) amplitudes; (n, motions)
+            mean rate of each amplitude in the step, 1/µs.
+        retained: part of the velocity that a step leaves; 1, or less with drag.
     """
+    lengths, amplitudes, speeds = steps
     tiles = particles.x.shape[0] - 1
-    for n in range(len(steps.length)):
+    for n in range(len(lengths)):
         for k in numba.prange(tiles):
             _sum_forces(cells.order[k], particles, lists, constants, cells)
             _measure_apart(cells.order[k], cells, watch)
         if not _largest_motion(watch) <= cells.skin:
             return n
-        kick, amplitude, speed = steps.length[n, 0], steps.amplitude[n], steps.speed[n]
+        kick, amplitude, speed = lengths[n, 0], amplitudes[n], speeds[n]
         add_normal_contact(particles, bodies)
         add_outline_forces(particles, outline, amplitude)
         if kick != 0.0:
@@ -118,17 +118,17 @@ def leap(particles, lists, constants, cells, body, driven, bodies, outline, watc
         if bodies.rubs:
             for k in numba.prange(tiles):
                 _fold(cells.order[k], particles.f, lists)
-            add_friction(particles, body, bodies, kick, amplitude, speed)
+            add_friction(particles, bodies, kick, amplitude, speed)
         if kick != 0.0:
-            move_bodies(bodies, steps.length[n], speed)
-        step = kick, steps.length[n, 1], bodies.rubs
+            move_bodies(bodies, lengths[n], speed)
+        step = kick, lengths[n, 1], retained, bodies.rubs
         for k in numba.prange(tiles):
-            _kick_and_drift(cells.order[k], particles, lists, cells, body, watch, amplitude, step)
+            _kick_and_drift(cells.order[k], particles, lists, cells, watch, amplitude, step)
         if kick != 0.0:
-            add_driving_work(particles, body, driven, kick, amplitude)
+            add_driving_work(particles, driven, kick, amplitude)
             add_contact_loss(particles, bodies, kick)
             add_outline_work(particles, outline, kick)
-    return len(steps.length)
+    return len(lengths)
 
 
 @kernel
@@ -187,31 +187,34 @@ def _fold(t, f, lists):
 
 
 @kernel
-def _kick_and_drift(t, particles, lists, cells, body, watch, amplitude, step):
-    """v += kick a, x += drift v of tile t's own particles; step: kick, drift, is f folded."""
-    x, v, f = particles.x, particles.v, particles.f
-    kick, drift, folded = step
+def _kick_and_drift(t, particles, lists, cells, watch, amplitude, step):
+    """v += kick a, x += drift v of tile t's own particles.
+
+    step: kick, drift, the part of v that is retained, whether f is folded.
+    """
+    x, v, f, loads = particles.x, particles.v, particles.f, particles.loads
+    kick, drift, retained, folded = step
     if not folded:
         _fold(t, f, lists)
     mean_x, mean_y = spread(0.0), spread(0.0)
-    for i in range(body.per_mass.shape[1]):
+    for i in range(particles.per_mass.shape[1]):
         pull_x, pull_y = load(f, t, 0, i), load(f, t, 1, i)
-        for n in range(body.loads.shape[0]):
-            pull_x += amplitude[n] * load(body.loads, n, t, 0, i)
-            pull_y += amplitude[n] * load(body.loads, n, t, 1, i)
-        push = kick * load(body.per_mass, t, i)
+        for n in range(loads.shape[0]):
+            pull_x += amplitude[n] * load(loads, n, t, 0, i)
+            pull_y += amplitude[n] * load(loads, n, t, 1, i)
+        push = kick * load(particles.per_mass, t, i)
         old_x, old_y = load(v, t, 0, i), load(v, t, 1, i)
-        speed_x = body.retained * old_x + push * pull_x
-        speed_y = body.retained * old_y + push * pull_y
-        speed_x = where_less(0.0, load(body.free, t, 0, i), speed_x, old_x)
-        speed_y = where_less(0.0, load(body.free, t, 1, i), speed_y, old_y)
+        speed_x = retained * old_x + push * pull_x
+        speed_y = retained * old_y + push * pull_y
+        speed_x = where_less(0.0, load(particles.free, t, 0, i), speed_x, old_x)
+        speed_y = where_less(0.0, load(particles.free, t, 1, i), speed_y, old_y)
         store(speed_x, v, t, 0, i)
         store(speed_y, v, t, 1, i)
-        for n in range(body.loads.shape[0]):
-            power = load(body.loads, n, t, 0, i) * (old_x + speed_x)
-            power += load(body.loads, n, t, 1, i) * (old_y + speed_y)
-            done = load(body.work, n, t) + 0.5 * kick * amplitude[n] * power
-            store(done, body.work, n, t)
+        for n in range(loads.shape[0]):
+            power = load(loads, n, t, 0, i) * (old_x + speed_x)
+            power += load(loads, n, t, 1, i) * (old_y + speed_y)
+            done = load(particles.work, n, t) + 0.5 * kick * amplitude[n] * power
+            store(done, particles.work, n, t)
         new_x, new_y = load(x, t, 0, i) + drift * speed_x, load(x, t, 1, i) + drift * speed_y
         store(new_x, x, t, 0, i)
         store(new_y, x, t, 1, i)
