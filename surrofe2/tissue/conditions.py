@@ -23,8 +23,8 @@ from surrofe2.problem.conditions import (
     Traction,
 )
 from surrofe2.problem.mesh import boundary
-from surrofe2.problem.problem import Problem, Support, label, supports_of, without_overlap
-from surrofe2.problem.rigid_bodies import RigidBody, check_outside
+from surrofe2.problem.problem import Problem, Support, supports_of, without_overlap
+from surrofe2.problem.rigid_bodies import RigidBody
 from surrofe2.tissue.external_forces import (
     NO_BODIES,
     NO_DRIVEN,
@@ -41,7 +41,7 @@ STIFFNESS, SMOOTHING, SLIP = 4.0, 0.002, 1e-3
 """Of contact: by the wall stiffness over a spring's length, eight times what the wall along a
 boundary holds its particles by; of a spring's length, over which contact sets in; of the wave
 speed, the slip speed. There is no dashpot unless stated: a boundary of particles has its mass."""
-_TOUCHING = 0.01
+TOUCHING = 0.01
 """Of a plant cell: the depth at which a body may begin."""
 
 
@@ -118,12 +118,6 @@ class Conditions:
         """Of the loads; a foundation is always there."""
         return [ONE if isinstance(each, Foundation) else each.amplitude for each in self.loads]
 
-    @property
-    def acting(self) -> list[str]:
-        """Names of all that exerts a force: supports, loads, bodies."""
-        names = [each.name for each in self.supports] + [label(each) for each in self.loads]
-        return names + [each.name for each in self.problem.bodies]
-
     def dead_loads(self) -> Array:
         """(loads, particles, 2) µN at amplitude 1."""
         mass = self.tissue.to_particles(self.tissue.mass)
@@ -182,13 +176,6 @@ class Conditions:
             pressed=np.zeros((len(everyone), 3)),
             lost=np.zeros((len(everyone), 4)),
         )
-
-    def check_bodies(self) -> None:
-        """Raise an `InputError` where a body begins inside the tissue."""
-        allowed = _TOUCHING * self.tissue.cell.cell_side
-        for body in self.problem.bodies:
-            start, points = np.array(body.position), self.tissue.outline[self.boundary(body.on)]
-            check_outside(body.name, body.shape, start, points, allowed)
 
     def contact_law(self, body: RigidBody) -> tuple[float, float, float, float, float]:
         """Stiffness, smoothing, damping, friction and slip speed of a body's contact."""

@@ -188,7 +188,7 @@ def _fold(t, f, lists):
 
 @kernel
 def _kick_and_drift(t, particles, lists, cells, watch, amplitude, step):
-    """v += kick a, x += drift v of tile t's own particles.
+    """v += kick a, x += drift v of tile t's own particles; how far they are from where listed.
 
     step: kick, drift, the part of v that is retained, whether f is folded.
     """
@@ -221,15 +221,9 @@ def _kick_and_drift(t, particles, lists, cells, watch, amplitude, step):
         mean_x += new_x - load(watch.listed, t, 0, i)
         mean_y += new_y - load(watch.listed, t, 1, i)
     share = load(cells.per_count, t)
-    store(mean_x * share, watch.mean, t, 0)
-    store(mean_y * share, watch.mean, t, 1)
-    _measure_spread(t, x, cells, watch)
-
-
-@kernel
-def _measure_spread(t, x, cells, watch):
-    """watch.spread of tile t from watch.mean."""
-    mean_x, mean_y = load(watch.mean, t, 0), load(watch.mean, t, 1)
+    mean_x, mean_y = mean_x * share, mean_y * share
+    store(mean_x, watch.mean, t, 0)
+    store(mean_y, watch.mean, t, 1)
     largest = spread(0.0)
     for i in range(cells.exists.shape[1]):
         dx = load(x, t, 0, i) - load(watch.listed, t, 0, i) - mean_x
@@ -275,30 +269,24 @@ def elastic_energy(x, lists, constants, cells, energy):
     x: (tiles + 1, 2, local, TILE) with images set.
     """
     for t in numba.prange(energy.shape[0]):
-        _stored_in_tile(t, x[t], lists, constants, cells, energy)
-
-
-@kernel
-def _stored_in_tile(t, x, lists, constants, cells, energy):
-    here, end = lists.starts[t], lists.starts[t + 1]
-    total = spread(0.0)
-    for k in range(here[1], end[1]):
-        rx, ry = difference(x, lists.bonds[k, 0], lists.bonds[k, 1])
-        length, _ = norm(rx, ry)
-        total += wall_energy(length, bond_at(constants.bonds, k))
-    for k in range(here[2], end[2]):
-        rx, ry = difference(x, lists.contacts[k, 0], lists.contacts[k, 1])
-        length, inverse = norm(rx, ry)
-        c = contact_at(constants, k)
-        total += contact_energy(length, inverse, c)
-    store(total, energy, t)
-    if t < cells.fluid_tiles:
-        slope = np.empty((cells.fluid_pairs.shape[0], TILE))
-        volume = np.empty((cells.particles - cells.walls, TILE))
-        row = min(np.int64(t), constants.fluid.shape[0] - 1)
-        fluid_specific_volume(x, cells, fluid_at(constants.fluid, row), slope, volume)
-        for p in range(volume.shape[0]):
-            for lane in range(TILE):
-                weight = constants.fluid[row, 1, lane] * constants.fluid[row, 2, lane]
-                weight *= cells.exists[t, cells.walls + p, lane]
-                energy[t, lane] -= weight * np.log(volume[p, lane])
+        here, end, there = lists.starts[t], lists.starts[t + 1], x[t]
+        total = spread(0.0)
+        for k in range(here[1], end[1]):
+            rx, ry = difference(there, lists.bonds[k, 0], lists.bonds[k, 1])
+            length, _ = norm(rx, ry)
+            total += wall_energy(length, bond_at(constants.bonds, k))
+        for k in range(here[2], end[2]):
+            rx, ry = difference(there, lists.contacts[k, 0], lists.contacts[k, 1])
+            length, inverse = norm(rx, ry)
+            total += contact_energy(length, inverse, contact_at(constants, k))
+        store(total, energy, t)
+        if t < cells.fluid_tiles:
+            slope = np.empty((cells.fluid_pairs.shape[0], TILE))
+            volume = np.empty((cells.particles - cells.walls, TILE))
+            row = min(np.int64(t), constants.fluid.shape[0] - 1)
+            fluid_specific_volume(there, cells, fluid_at(constants.fluid, row), slope, volume)
+            for p in range(volume.shape[0]):
+                for lane in range(TILE):
+                    weight = constants.fluid[row, 1, lane] * constants.fluid[row, 2, lane]
+                    weight *= cells.exists[t, cells.walls + p, lane]
+                    energy[t, lane] -= weight * np.log(volume[p, lane])

@@ -27,6 +27,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.problem.mesh import extent
 from surrofe2.problem.problem import Problem, label
+from surrofe2.problem.rigid_bodies import check_outside
 from surrofe2.run.journal import (
     Journal,
     RunState,
@@ -38,7 +39,7 @@ from surrofe2.run.journal import (
 )
 from surrofe2.run.loop import carry_out
 from surrofe2.run.views import Facts, ViewedRun, course
-from surrofe2.tissue.conditions import Conditions
+from surrofe2.tissue.conditions import TOUCHING, Conditions
 from surrofe2.tissue.dynamics import TissueDynamics
 from surrofe2.tissue.layout import make_tissue
 from surrofe2.tissue.pair_lists import bonded_particles
@@ -145,14 +146,16 @@ _WORKS = ("bodies", "motion", "contact dissipated", "dissipated")
 def columns_of(conditions: Conditions) -> list[str]:
     """What a row of the history holds: vectors by component, then numbers."""
     problem = conditions.problem
+    supports = [each.name for each in conditions.supports]
+    bodies = [body.name for body in problem.bodies]
+    loads = [label(each) for each in conditions.loads]
     vectors = [f"displacement {name}" for name in problem.watched]
     vectors += [f"mean displacement {name}" for name in problem.acted_boundaries()]
-    vectors += [f"force {name}" for name in conditions.acting]
-    vectors += [f"position {body.name}" for body in problem.bodies]
+    vectors += [f"force {name}" for name in (*supports, *loads, *bodies)]
+    vectors += [f"position {name}" for name in bodies]
     both = [f"{name} {axis}" for name in vectors for axis in "xy"]
-    depths = [f"penetration {body.name}" for body in problem.bodies]
-    works = [*(label(each) for each in conditions.loads), *_WORKS]
-    energies = ["kinetic", "elastic", "contact", *works]
+    energies = ["kinetic", "elastic", "contact", *loads, *_WORKS]
+    depths = [f"penetration {name}" for name in bodies]
     return [*both, *depths, *(f"energy.{name}" for name in energies)]
 
 
@@ -406,7 +409,10 @@ def make_conditions(
             f"cells of {len(types)} types"
         )
     conditions = Conditions(problem, make_tissue(types, references, kind))
-    conditions.check_bodies()
+    for body in problem.bodies:
+        points = conditions.tissue.outline[conditions.boundary(body.on)]
+        allowed = TOUCHING * types[0].cell_side
+        check_outside(body.name, body.shape, np.array(body.position), points, allowed)
     return conditions
 
 
@@ -452,19 +458,17 @@ def cells_that_fill(
     on_a_side = [(abs(ends.T - side) < 1e-9 * high.max()).all(axis=1) for side in (0.0 * low, high)]
     if abs(low).max() > 1e-9 * high.max() or not np.any(on_a_side, axis=(0, 2)).all():
         raise InputError("mesh: a full tissue needs a rectangle [0, width] × [0, height]")
-    counts = []
-    for name, length in zip(("width", "height"), high.tolist(), strict=True):
-        count = round(length / cell.cell_side)
+    n, m = (round(length / cell.cell_side) for length in high.tolist())
+    for name, length, count in (("width", high[0], n), ("height", high[1], m)):
         if count < 1 or abs(count * cell.cell_side - length) > 1e-9 * length:
             few = int(length / cell.cell_side)
-            near = " or ".join(f"{n * cell.cell_side:g}" for n in (few, few + 1) if n)
+            near = " or ".join(f"{k * cell.cell_side:g}" for k in (few, few + 1) if k)
             hint = ": change it or give --cells N M" if section == "load" else f": take {near}"
             raise InputError(
                 f"{section}.{name}: {length:g}; a tissue needs a whole number of plant cells of "
                 f"{cell.cell_side:g} µm{hint}"
             )
-        counts.append(count)
-    return counts[0], counts[1]
+    return n, m
 
 
 def held_and_loaded(conditions: Conditions, settings: TissueSettings) -> TissueDynamics:
