@@ -32,30 +32,23 @@ def _first_run(bench: Bench, name: str, key: str) -> None:
     cached = commands.run(recipe, "cached", out / "cached")
     table = commands.run(recipe, "table", out / "table")
     solves = _solves(name, full, cached)
-    estimated = per_solve * solves
-    make = commands.seconds_to_make(cached)
-    run_seconds = {each["law"]: each["wall_time"]["total"] for each in (cached, table)}
-
-    def add(figure: str, value: float, unit: str, about: str, **more: float | None) -> None:
-        bench.add(f"large.{key}.{figure}", value, unit, about, **more)
-
-    add("solves", solves, "", "RVE solves of full FE²")
-    add("full_seconds", estimated, "s", "full FE², estimated from the same bar on fewer elements")
-    add("make_seconds", make, "s", "data set, training and calibration")
-    add("cached_seconds", run_seconds["cached"], "s", "cached FE², the run alone")
-    add("table_seconds", run_seconds["table"], "s", "FE² by a table that starts empty")
-    add(
-        "first_run",
-        estimated / (make + run_seconds["cached"]),
-        "×",
-        "first cached run faster than full FE², data and training counted",
-        at_least={"printed": 20.0, "voronoi": 30.0}[key],
-    )
-    add("table", estimated / run_seconds["table"], "×",
-        "FE² by an empty table faster than full FE²", at_least=12.0)  # fmt: skip
-    bench.add(f"large.{key}.audited", cached["cache"]["audit"]["audited"], "", "answers audited")
-    bench.add(f"large.{key}.above", cached["cache"]["audit"]["violations"], "",
-              "of these above the tolerance", at_most=0.0)  # fmt: skip
+    estimated, make = per_solve * solves, commands.seconds_to_make(cached)
+    alone, by_table = (each["wall_time"]["total"] for each in (cached, table))
+    audit, least = cached["cache"]["audit"], {"printed": 20.0, "voronoi": 30.0}[key]
+    bench.add_group(f"large.{key}", (
+        ("solves", solves, "", "RVE solves of full FE²"),
+        ("full_seconds", estimated, "s",
+         "full FE², estimated from the same bar on fewer elements"),
+        ("make_seconds", make, "s", "data set, training and calibration"),
+        ("cached_seconds", alone, "s", "cached FE², the run alone"),
+        ("table_seconds", by_table, "s", "FE² by a table that starts empty"),
+        ("first_run", estimated / (make + alone), "×",
+         "first cached run faster than full FE², data and training counted", {"at_least": least}),
+        ("table", estimated / by_table, "×", "FE² by an empty table faster than full FE²",
+         {"at_least": 12.0}),
+        ("audited", audit["audited"], "", "answers audited"),
+        ("above", audit["violations"], "", "of these above the tolerance", {"at_most": 0.0}),
+    ))  # fmt: skip
 
 
 def _solves(name: str, full: dict, cached: dict) -> float:

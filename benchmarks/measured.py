@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -105,6 +105,11 @@ class Bench:
         self.figures[name] = figure
         verdict = {None: "", True: "  (kept)", False: "  (LIMIT MISSED)"}[figure.holds]
         print(f"  {figure!s:>14}  {name}: {about}{verdict}", flush=True)
+
+    def add_group(self, group: str, rows: Iterable[tuple]) -> None:
+        """Record figures of a group, each (name, value, unit, about) and perhaps its limits."""
+        for name, value, unit, about, *limits in rows:
+            self.add(f"{group}.{name}", value, unit, about, **dict(*limits))
 
 
 def machine() -> str:

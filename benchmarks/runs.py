@@ -36,65 +36,31 @@ def bar(bench: Bench, name: str) -> None:
     seconds = np.array([[one["wall_time"]["total"] for one in pair] for pair in pairs])
     process = np.array([[one["process"] for one in pair] for pair in pairs])
     found = commands.compared(out / "rve", out / "cached", out=out / "comparison")["cached"]
-    errors, audit = cached[-1]["surrogate"]["errors"], found["cache"]["audit"]
-    stress = _relative_rms(errors)
-    quotient = seconds[:, 0] / seconds[:, 1]
-
-    def add(key: str, value: float, unit: str, about: str, **more: float | None) -> None:
-        bench.add(f"{name}.{key}", value, unit, about, **more)
-
-    add(
-        "surrogate_rms",
-        100.0 * stress,
-        "%",
-        "error of the surrogate's stress on held-out samples, RMS, of the spread of stress",
-        at_most=0.1,
-    )
-    add(
-        "make_seconds",
-        commands.seconds_to_make(cached[-1]),
-        "s",
-        "data set, training and calibration",
-    )
-    add("full_seconds", np.median(seconds[:, 0]), "s", "full FE², the run alone")
-    add("cached_seconds", np.median(seconds[:, 1]), "s", "cached FE², audits on, the run alone")
-    add(
-        "speed_up",
-        np.median(quotient),
-        "×",
-        "cached FE² faster than full FE², the run alone",
-        spread=float(np.subtract(*np.percentile(quotient, (75, 25)))),
-        at_least=4.0,
-    )
-    add(
-        "command_speed_up",
-        np.median(process[:, 0] / process[:, 1]),
-        "×",
-        "`surrofe2 run --law cached` faster than `--law rve`, whole command",
-        at_least=1.8 if name == "printed" else None,
-    )
-    add(
-        "start_seconds",
-        np.median(process[:, 1] - seconds[:, 1]),
-        "s",
-        "what `surrofe2 run --law cached` takes besides the run",
-    )
-    add(
-        "displacement_error",
-        100.0 * found["difference"]["largest"],
-        "%",
-        "largest difference in displacement, cached against full FE²",
-        at_most=0.1,
-    )
-    add("solves", full[-1]["counts"]["rve_solves"], "", "RVE solves of full FE²")
-    add(
-        "cached_solves",
-        cached[-1]["counts"]["rve_solves"],
-        "",
-        "RVE solves of cached FE², audits included",
-    )
-    add("audited", audit["audited"], "", "answers that audits checked")
-    add("above", audit["violations"], "", "of these above the tolerance", at_most=0.0)  # fmt: skip
+    audit, quotient = found["cache"]["audit"], seconds[:, 0] / seconds[:, 1]
+    stress = _relative_rms(cached[-1]["surrogate"]["errors"])
+    bench.add_group(name, (
+        ("surrogate_rms", 100.0 * stress, "%",
+         "error of the surrogate's stress on held-out samples, RMS, of the spread of stress",
+         {"at_most": 0.1}),
+        ("make_seconds", commands.seconds_to_make(cached[-1]), "s",
+         "data set, training and calibration"),
+        ("full_seconds", np.median(seconds[:, 0]), "s", "full FE², the run alone"),
+        ("cached_seconds", np.median(seconds[:, 1]), "s", "cached FE², audits on, the run alone"),
+        ("speed_up", np.median(quotient), "×", "cached FE² faster than full FE², the run alone",
+         {"spread": float(np.subtract(*np.percentile(quotient, (75, 25)))), "at_least": 4.0}),
+        ("command_speed_up", np.median(process[:, 0] / process[:, 1]), "×",
+         "`surrofe2 run --law cached` faster than `--law rve`, whole command",
+         {"at_least": 1.8 if name == "printed" else None}),
+        ("start_seconds", np.median(process[:, 1] - seconds[:, 1]), "s",
+         "what `surrofe2 run --law cached` takes besides the run"),
+        ("displacement_error", 100.0 * found["difference"]["largest"], "%",
+         "largest difference in displacement, cached against full FE²", {"at_most": 0.1}),
+        ("solves", full[-1]["counts"]["rve_solves"], "", "RVE solves of full FE²"),
+        ("cached_solves", cached[-1]["counts"]["rve_solves"], "",
+         "RVE solves of cached FE², audits included"),
+        ("audited", audit["audited"], "", "answers that audits checked"),
+        ("above", audit["violations"], "", "of these above the tolerance", {"at_most": 0.0}),
+    ))  # fmt: skip
 
 
 def _relative_rms(errors: dict[str, dict[str, float]]) -> float:

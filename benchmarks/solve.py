@@ -55,33 +55,17 @@ def _rve(bench: Bench, preset: str) -> None:
         repeats,
     )
 
-    def add(key: str, value: float, unit: str, about: str, **more: float | None) -> None:
-        bench.add(f"solve.{preset}.{key}", value, unit, about, **more)
-
-    per = MICRO / POINTS
-    add(
-        "cold",
-        cold_seconds * MICRO,
-        "µs",
-        "an RVE from its rest state to random F and Ḟ, stability check included",
-    )
-    add("warm", warm.median * per, "µs", "an RVE from the state of the time before")
-    add(
-        "warm_over_cold",
-        warm.median / POINTS / cold_seconds,
-        "",
-        "warm over cold solve",
-        at_most=0.5,
-    )
-    add(
-        "slow_over_constrained",
-        slowly.median / warm.median,
-        "×",
-        "slow-manifold over constrained-runs solve, warm",
-        at_most=3.0,
-    )
-    add("tangents", with_tangents.median / warm.median, "×",
-        "warm solve with exact tangents over one without")  # fmt: skip
+    per, cold = MICRO / POINTS, cold_seconds * MICRO
+    bench.add_group(f"solve.{preset}", (
+        ("cold", cold, "µs",
+         "an RVE from its rest state to random F and Ḟ, stability check included"),
+        ("warm", warm.median * per, "µs", "an RVE from the state of the time before"),
+        ("warm_over_cold", warm.median * per / cold, "", "warm over cold solve", {"at_most": 0.5}),
+        ("slow_over_constrained", slowly.median / warm.median, "×",
+         "slow-manifold over constrained-runs solve, warm", {"at_most": 3.0}),
+        ("tangents", with_tangents.median / warm.median, "×",
+         "warm solve with exact tangents over one without"),
+    ))  # fmt: skip
 
 
 def _lookup(bench: Bench) -> None:

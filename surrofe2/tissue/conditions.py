@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError
-from surrofe2.base.simd import TILE
+from surrofe2.base.simd import pack
 from surrofe2.problem.amplitude import ONE, Amplitude
 from surrofe2.problem.conditions import (
     BodyForce,
@@ -23,8 +23,8 @@ from surrofe2.problem.conditions import (
     Traction,
 )
 from surrofe2.problem.mesh import boundary
-from surrofe2.problem.problem import Problem, Support, label, supports_of, without_overlap
-from surrofe2.problem.rigid_bodies import RigidBody, check_outside
+from surrofe2.problem.problem import Problem, Support, supports_of, without_overlap
+from surrofe2.problem.rigid_bodies import RigidBody
 from surrofe2.tissue.external_forces import (
     NO_BODIES,
     NO_DRIVEN,
@@ -32,17 +32,16 @@ from surrofe2.tissue.external_forces import (
     DrivenParticles,
     OutlineForces,
 )
-from surrofe2.tissue.layout import Tissue, shares, tiled
+from surrofe2.tissue.layout import Tissue, shares
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 _LOADS = (BodyForce, Traction, Pressure, Foundation)
-_NONE = np.zeros(0, dtype=np.int64)
 STIFFNESS, SMOOTHING, SLIP = 4.0, 0.002, 1e-3
 """Of contact: by the wall stiffness over a spring's length, eight times what the wall along a
 boundary holds its particles by; of a spring's length, over which contact sets in; of the wave
 speed, the slip speed. There is no dashpot unless stated: a boundary of particles has its mass."""
-_TOUCHING = 0.01
+TOUCHING = 0.01
 """Of a plant cell: the depth at which a body may begin."""
 
 
@@ -59,10 +58,15 @@ class Conditions:
 
     def boundary(self, name: str) -> Index:
         """Numbers of the wall particles of a boundary, increasing."""
-        indices = np.sort(self._outer[:, 0])
-        points = self.tissue.outline[indices]
-        part = self.problem.boundaries.get(name)
-        indices = indices[self._on_sides(name, points) if part is None else part.holds(points)]
+        indices, mesh = np.sort(self._outer[:, 0]), self.problem.mesh
+        points, part = self.tissue.outline[indices], self.problem.boundaries.get(name)
+        if part is not None:
+            indices = indices[part.holds(points)]
+        else:  # on a side of the mesh: no detour between its ends
+            begin, end = mesh.p.T[mesh.facets[:, boundary(mesh, name)]]
+            by_way = sum(np.linalg.norm(points[:, None] - each, axis=2) for each in (begin, end))
+            detour = by_way - np.linalg.norm(end - begin, axis=1)
+            indices = indices[detour.min(axis=1) < 1e-6]
         if not indices.size:
             raise InputError(f"boundary {name}: it holds no wall particle of the outline")
         return indices
@@ -88,10 +92,10 @@ class Conditions:
     @property
     def held(self) -> NDArray[np.bool_]:
         """(particles, 2) components that supports take."""
-        held = np.zeros(2 * self.tissue.particles, dtype=np.bool_)
+        held = np.zeros((self.tissue.particles, 2), dtype=np.bool_)
         for support in self.supports:
-            held[support.unknowns] = True
-        return held.reshape(-1, 2)
+            held.flat[support.unknowns] = True
+        return held
 
     @property
     def moving(self) -> list[Support]:
@@ -114,36 +118,27 @@ class Conditions:
         """Of the loads; a foundation is always there."""
         return [ONE if isinstance(each, Foundation) else each.amplitude for each in self.loads]
 
-    @property
-    def acting(self) -> list[str]:
-        """Names of all that exerts a force: supports, loads, bodies."""
-        names = [each.name for each in self.supports] + [label(each) for each in self.loads]
-        return names + [each.name for each in self.problem.bodies]
-
     def dead_loads(self) -> Array:
-        """(loads, particles, 2) µN at amplitude 1; one of nothing where there is none."""
-        mass = self.tissue.each(self.tissue.mass)
-        forces = np.zeros((max(1, len(self.loads)), self.tissue.particles, 2))
-        for n, load in enumerate(self.loads):
+        """(loads, particles, 2) µN at amplitude 1."""
+        mass = self.tissue.to_particles(self.tissue.mass)
+        forces = np.zeros((len(self.loads), self.tissue.particles, 2))
+        for force, load in zip(forces, self.loads, strict=True):
             if isinstance(load, BodyForce):
-                forces[n] = (self._part_of(load) * mass)[:, None] * np.array(load.acceleration)
+                force[:] = np.outer(self._part_of(load) * mass, load.acceleration)
             elif isinstance(load, Traction):
-                lengths = self.lengths(load.on)[:, None]
-                forces[n, self.boundary(load.on)] = lengths * np.array(load.traction)
+                force[self.boundary(load.on)] = np.outer(self.lengths(load.on), load.traction)
         return forces
 
     def driven(self) -> DrivenParticles:
         """Motion of the supports that move, numbered as in `motions`."""
         if not self.moving:
-            return NO_DRIVEN._replace(work=np.zeros(1))
+            return NO_DRIVEN
         i, axis = np.divmod(np.concatenate([each.unknowns for each in self.moving]), 2)
         sizes = [len(each.unknowns) for each in self.moving]
-        tile, own, lane = self._address(i).T
         return DrivenParticles(
-            at=np.stack([tile, axis, own, lane], axis=1),
+            at=np.insert(self.tissue.address[i], 1, axis, axis=1),
             motion=np.repeat(np.arange(len(sizes)), sizes),
             largest=np.concatenate([each.largest for each in self.moving]),
-            mass=self.tissue.each(self.tissue.mass)[i],
             before=np.zeros(len(i)),
             work=np.zeros(1),
         )
@@ -156,14 +151,13 @@ class Conditions:
         """
         bodies = self.problem.bodies
         if not bodies:
-            return NO_BODIES._replace(work=np.zeros(3))
+            return NO_BODIES
         touching = [self.boundary(body.on) for body in bodies]
         everyone = np.concatenate(touching)
         moves = np.array([body.moves for body in bodies])
-        first = len(self.moving)
         return BodyContacts(
             starts=np.cumsum([0, *map(len, touching)]),
-            at=self._address(everyone),
+            at=self.tissue.address[everyone],
             length=np.concatenate([self.lengths(body.on) for body in bodies]),
             offset=offset[everyone],
             outline=np.array([body.shape.outline for body in bodies]),
@@ -176,19 +170,12 @@ class Conditions:
             depth=np.zeros(len(bodies)),
             per_mass=np.array([1.0 / body.mass if body.mass else 0.0 for body in bodies]),
             pull=np.array([body.acceleration for body in bodies]),
-            motion=np.where(moves, first + np.cumsum(moves) - 1, -1),
+            motion=np.where(moves, len(self.moving) + np.cumsum(moves) - 1, -1),
             largest=np.array([body.displacement for body in bodies]),
             work=np.zeros(3),
             pressed=np.zeros((len(everyone), 3)),
             lost=np.zeros((len(everyone), 4)),
         )
-
-    def check_bodies(self) -> None:
-        """Raise an `InputError` where a body begins inside the tissue."""
-        allowed = _TOUCHING * self.tissue.cell.cell_side
-        for body in self.problem.bodies:
-            start, points = np.array(body.position), self.tissue.outline[self.boundary(body.on)]
-            check_outside(body.name, body.shape, start, points, allowed)
 
     def contact_law(self, body: RigidBody) -> tuple[float, float, float, float, float]:
         """Stiffness, smoothing, damping, friction and slip speed of a body's contact."""
@@ -211,7 +198,7 @@ class Conditions:
 
         In 1/µs² and 1/µs, of contact and foundations; friction is implicit.
         """
-        mass = self.tissue.each(self.tissue.mass)
+        mass = self.tissue.to_particles(self.tissue.mass)
         total = np.zeros((2, self.tissue.particles))
         for body in self.problem.bodies:
             lengths, (k, _, c, *_) = self.lengths(body.on), self.contact_law(body)
@@ -228,36 +215,33 @@ class Conditions:
 
     def outline(self, relaxed: Array, offset: Array) -> OutlineForces:
         """Follower pressures and foundations; `relaxed` (particles, 2) positions, µm."""
-        loads = self.loads
-        pairs, sizes, numbers = [np.zeros((0, 2), dtype=np.int64)], [np.zeros(0)], [_NONE]
-        points, springs, owners = [_NONE], [np.zeros((0, 4))], [_NONE]
-        for n, load in enumerate(loads):
-            if isinstance(load, Pressure):
-                bonds = self._pairs_on(load.on)
-                pairs.append(bonds)
-                sizes.append(np.full(len(bonds), load.pressure))
-                numbers.append(np.full(2 * len(bonds), n))
-            elif isinstance(load, Foundation):
-                i, lengths = self.boundary(load.on), self.lengths(load.on)
-                points.append(i)
-                both = [size * float(axis in load.components)
-                        for size in (load.stiffness, load.damping) for axis in "xy"]  # fmt: skip
-                springs.append(np.outer(lengths, both))
-                owners.append(np.full(len(i), n))
-        bonded, based = np.concatenate(pairs).ravel(), np.concatenate(points)
-        everyone, spring = np.concatenate([bonded, based]), np.concatenate(springs)
+        pressed = [
+            (n, load.pressure, *bond)
+            for n, load in enumerate(self.loads) if isinstance(load, Pressure)
+            for bond in self._pairs_on(load.on)
+        ]  # fmt: skip
+        based = [
+            (n, i, *(length * size * float(axis in load.components)
+                     for size in (load.stiffness, load.damping) for axis in "xy"))
+            for n, load in enumerate(self.loads) if isinstance(load, Foundation)
+            for i, length in zip(self.boundary(load.on), self.lengths(load.on), strict=True)
+        ]  # fmt: skip
+        bonds, feet = np.array(pressed).reshape(-1, 4), np.array(based).reshape(-1, 6)
+        bonded, base = bonds[:, 2:].ravel().astype(np.int64), feet[:, 1].astype(np.int64)
+        owners = np.append(np.repeat(bonds[:, 0], 2), feet[:, 0])
+        everyone, nothing = np.append(bonded, base), np.zeros((len(owners), 2))
         return OutlineForces(
-            at=self._address(everyone),
-            load=np.concatenate([*numbers, *owners]),
-            pressure=np.concatenate(sizes),
+            at=self.tissue.address[everyone],
+            load=owners.astype(np.int64),
+            pressure=bonds[:, 1].copy(),
             offset=offset[bonded],
-            home=relaxed[based],
-            stiffness=np.ascontiguousarray(spring[:, :2]),
-            damping=np.ascontiguousarray(spring[:, 2:]),
-            force=np.zeros((len(everyone), 2)),
-            before=np.zeros((len(everyone), 2)),
-            total=np.zeros((len(loads), 2)),
-            work=np.zeros(len(loads)),
+            home=relaxed[base],
+            stiffness=feet[:, 2:4].copy(),
+            damping=feet[:, 4:].copy(),
+            force=nothing,
+            before=nothing.copy(),
+            total=np.zeros((len(self.loads), 2)),
+            work=np.zeros(len(self.loads)),
         )
 
     def velocity(self) -> Array:
@@ -274,29 +258,15 @@ class Conditions:
         tissue, name = self.tissue, condition.on
         if name is None:
             return np.ones(tissue.particles)
-        inside = self.problem.cells_inside(name, tissue.cells, tissue.cell.cell_side)
+        n, m = tissue.kind.shape
+        inside = self.problem.cells_inside(name, (n, m), tissue.cell.cell_side)
         if not inside.any():
             raise InputError(f"region {name}: it holds the middle of no plant cell")
         mine, whole = (
-            tissue.each(tiled(shares(tissue.cell, filled, tissue.column, tissue.row)))
+            tissue.to_particles(pack(shares(tissue.cell, filled, tissue.column_row)))
             for filled in (inside, np.ones_like(inside))
         )
         return mine / whole
-
-    def _address(self, i: Index) -> Index:
-        """(k, 3) tile, own particle and lane of particles."""
-        row, lane = np.divmod(self.tissue.where[i], TILE)
-        return np.ascontiguousarray(np.stack([*np.divmod(row, self.tissue.own), lane], axis=1))
-
-    def _on_sides(self, name: str, points: Array) -> NDArray[np.bool_]:
-        """(k,) whether points (k, 2) lie on a side of the mesh's boundary."""
-        mesh = self.problem.mesh
-        begin, end = mesh.p.T[mesh.facets[:, boundary(mesh, name)]]
-        along, away = end - begin, points[:, None] - begin
-        place = np.clip((away * along).sum(axis=2) / (along**2).sum(axis=1), 0.0, 1.0)
-        off: Array = abs(away - place[..., None] * along).max(axis=2).min(axis=1)
-        near: NDArray[np.bool_] = off < 1e-6
-        return near
 
     def _pairs_on(self, name: str) -> Index:
         """(k, 2) bonds along the outline whose two particles are on a boundary."""
@@ -305,9 +275,9 @@ class Conditions:
     @cached_property
     def _outer(self) -> Index:
         """(k, 2) bonds along the outline, the tissue on their left."""
-        cell, (x, y) = self.tissue.cell, self.tissue.outline[: self.tissue.wall_particles].T
-        width, height = cell.cell_side * np.array(self.tissue.cells, dtype=np.float64)
-        near = 1e-9 * cell.cell_side
+        side, (x, y) = self.tissue.cell.cell_side, self.tissue.outline[self.tissue.is_wall].T
+        width, height = side * np.array(self.tissue.kind.shape)
+        near = 1e-9 * side
         way = np.select(
             [y < near, x > width - near, y > height - near, x < near],
             [x, width + y, 2.0 * width + height - x, 2.0 * (width + height) - y],

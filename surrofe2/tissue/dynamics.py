@@ -17,9 +17,8 @@ from surrofe2.tissue.external_forces import (
     BodyContacts,
     DrivenParticles,
     OutlineForces,
-    Steps,
 )
-from surrofe2.tissue.kernels import Body, Fluid, Particles, Watch, elastic_energy, leap
+from surrofe2.tissue.kernels import Particles, Watch, elastic_energy, leap
 from surrofe2.tissue.layout import NOWHERE, Tissue
 from surrofe2.tissue.pair_lists import DAMPING, WHOLE, Factors, PairConstants, PairLister
 
@@ -36,14 +35,14 @@ class TissueDynamics:
         tissue: the particles.
         skin: by how much pair lists reach beyond the cut-off, µm; it changes the cost only.
         held: (particles, 2) which components do not move by their forces; None: none.
-        load: (particles, 2) or (loads, particles, 2) force on each at amplitude 1, µN; None: none.
+        loads: (loads, particles, 2) forces on each at amplitude 1, µN; None: none.
         driven: motion of some that are held.
 
     Attributes:
         counts: `force_evaluations` and `list_builds` so far.
         free: (particles, 2) which components move freely.
         mass: (particles,) ng; free_mass: 0 where both components are held.
-        loads: (loads, particles, 2). driven: as above.
+        loads, driven: as above.
         bodies, outline: rigid bodies, and what acts on the outline; at first there are none.
     """
 
@@ -53,7 +52,7 @@ class TissueDynamics:
         *,
         skin: float = 2.0,
         held: NDArray[np.bool_] | None = None,
-        load: Array | None = None,
+        loads: Array | None = None,
         driven: DrivenParticles = NO_DRIVEN,
     ) -> None:
         self.tissue = tissue
@@ -62,35 +61,38 @@ class TissueDynamics:
         self.driven = driven
         self.bodies: BodyContacts = NO_BODIES
         self.outline: OutlineForces = NO_OUTLINE
-        self.mass = tissue.each(tissue.mass)
-        self.free = np.ones((tissue.particles, 2), dtype=np.bool_)
-        if held is not None:
-            self.free[held] = False
+        self.mass = tissue.to_particles(tissue.mass)
+        shape = tissue.particles, 2
+        self.free = np.ones(shape, dtype=np.bool_) if held is None else ~held
         self.free_mass = np.where(self.free.any(axis=1), self.mass, 0.0)
-        n = tissue.particles
-        self.loads = np.zeros((1, n, 2)) if load is None else load.reshape(-1, n, 2)
-        exists = tissue.exists
-        self._body = Body(
+        self.loads = np.zeros((0, *shape)) if loads is None else loads
+        exists = tissue.mass > 0.0
+        still = np.zeros(tissue.start.shape)
+        self._particles = Particles(
+            x=tissue.start,
+            v=still,
+            f=still,
             per_mass=np.divide(1.0, tissue.mass, out=np.zeros(exists.shape), where=exists),
             free=tissue.to_tiles(self.free.astype(np.float64)),
-            loads=np.array([tissue.to_tiles(each) for each in self.loads]),
+            loads=np.array([*map(tissue.to_tiles, self.loads)]).reshape(-1, *tissue.start.shape),
             work=np.zeros((len(self.loads), tissue.tiles, TILE)),
-            retained=1.0,
         )
-        fluid_pairs = tissue.walls + np.stack(np.triu_indices(tissue.own - tissue.walls, 1), axis=1)
-        self._fluid = Fluid(fluid_pairs.astype(np.int32), tissue.own, tissue.walls)
-        start = tissue.to_particles(tissue.start)
-        self._put(start, np.zeros_like(start))
+        self._put(self.x, self.v)
 
     @property
     def x(self) -> Array:
         """(particles, 2) positions, µm."""
-        return self.tissue.to_particles(self._particles.x[:-1, :, : self.tissue.own])
+        return self.tissue.to_particles(self._particles.x)
 
     @property
     def v(self) -> Array:
         """(particles, 2) velocities, µm/µs."""
-        return self.tissue.to_particles(self._particles.v[:-1, :, : self.tissue.own])
+        return self.tissue.to_particles(self._particles.v)
+
+    @property
+    def f(self) -> Array:
+        """(particles, 2) forces of the last step, without dead loads, µN."""
+        return self.tissue.to_particles(self._particles.f)
 
     def take_works(self) -> Array:
         """(loads + 3,) pJ since they were last taken.
@@ -98,12 +100,10 @@ class TissueDynamics:
         Of the loads, of `acceleration` on bodies, of what moves supports and bodies, and lost in
         contact.
         """
-        loads = self.outline.work
-        works = np.concatenate(
-            [self._body.work.sum(axis=(1, 2))[: len(loads)] + loads, self.bodies.work]
-        )
+        of_loads = self._particles.work.sum(axis=(1, 2)) + self.outline.work
+        works = np.concatenate([of_loads, self.bodies.work])
         works[-2] += self.driven.work[0]
-        for each in (self._body, self.driven, self.bodies, self.outline):
+        for each in (self._particles, self.driven, self.bodies, self.outline):
             each.work[:] = 0.0
         return works
 
@@ -126,13 +126,14 @@ class TissueDynamics:
         self._particles.v[tuple(driven.at.T)] = led
         moved = bodies.motion >= 0
         bodies.v[moved] = rates[bodies.motion[moved], None] * bodies.largest[moved]
-        return 0.5 * float(driven.mass @ led**2)
+        mass = self.tissue.mass[tuple(driven.at[:, [0, 2, 3]].T)]
+        return 0.5 * float(mass @ led**2)
 
     def leap(
         self,
         kicks: Array,
         drifts: Array,
-        amplitudes: Array,
+        amplitudes: Array | None = None,
         speeds: Array | None = None,
         *,
         factors: Factors = WHOLE,
@@ -142,47 +143,39 @@ class TissueDynamics:
         """Steps v += kicks[k] a(x, v), x += drifts[k] v; each leaves the part `retained` of v.
 
         Args:
-            amplitudes: (steps,) or (steps, loads). speeds: (steps, motions); None: all zero.
+            amplitudes: (steps, loads). speeds: (steps, motions). None: all zero.
             factors: on elastic and damping forces between particles.
             with_outline: whether bodies and what acts on the outline are there.
 
         Raises:
             SimulationError: positions are no longer finite, or the tissue has collapsed.
         """
-        body, count = self._body._replace(retained=retained), len(kicks)
-        bodies, outline = NO_BODIES, NO_OUTLINE
-        if with_outline:
-            bodies, outline = self.bodies, self.outline
+        count = len(kicks)
+        bodies = self.bodies if with_outline else NO_BODIES
+        outline = self.outline if with_outline else NO_OUTLINE
+        if amplitudes is None:
+            amplitudes = np.zeros((count, len(self.loads)))
         if speeds is None:
             motions = 1 + max([*self.driven.motion, *self.bodies.motion], default=-1)
             speeds = np.zeros((count, motions))
-        steps = Steps(
-            np.stack([kicks, drifts], axis=1),
-            np.ascontiguousarray(np.broadcast_to(amplitudes.T, (len(self.loads), count)).T),
-            speeds,
-        )
+        steps: tuple[Array, ...] = np.stack([kicks, drifts], axis=1), amplitudes, speeds
         renewed = False
         allowed = numba.get_num_threads()
         numba.set_num_threads(max(1, min(allowed, self.tissue.tiles // TILES_PER_THREAD)))
         try:
-            while len(steps.length):
+            while len(steps[0]):
                 if renewed:
                     self._put(self.x, self.v)
                 taken = leap(
-                    self._particles, self._lists, self._constants(factors), self._lister.grid,
-                    self._fluid, body, self.driven, bodies, outline, self._watch, steps,
+                    self._particles, self._lists, self._constants(factors), self._lister.cells,
+                    self.driven, bodies, outline, self._watch, steps, retained,
                 )  # fmt: skip
                 self.counts["force_evaluations"] += taken
                 if renewed and taken == 0:
                     raise SimulationError("tissue: particles fly apart within a step")
-                steps, renewed = Steps(*(each[taken:] for each in steps)), True
+                steps, renewed = tuple(each[taken:] for each in steps), True
         finally:
             numba.set_num_threads(allowed)
-
-    @property
-    def f(self) -> Array:
-        """(particles, 2) forces of the last step, without the load, µN."""
-        return self.tissue.to_particles(self._particles.f[:-1, :, : self.tissue.own])
 
     def forces(
         self,
@@ -196,9 +189,9 @@ class TissueDynamics:
         Args:
             factors, with_outline: as of `leap`. amplitudes: (loads,) of follower pressures.
         """
+        at_once = None if amplitudes is None else amplitudes[None]
         nothing = np.zeros(1)
-        loads = nothing if amplitudes is None or not len(amplitudes) else amplitudes[None]
-        self.leap(nothing, nothing, loads, factors=factors, with_outline=with_outline)
+        self.leap(nothing, nothing, at_once, factors=factors, with_outline=with_outline)
         return self.f
 
     def free_forces(self, factors: Factors = WHOLE) -> Array:
@@ -216,16 +209,16 @@ class TissueDynamics:
         """
         self.forces(amplitudes=amplitudes)
         energy = np.empty((self.tissue.tiles, TILE))
-        elastic_energy(
-            self._particles.x, self._lists, self._constants(WHOLE), self._lister.grid, self._fluid,
-            energy,
-        )  # fmt: skip
+        constants, cells = self._constants(WHOLE), self._lister.cells
+        elastic_energy(self._particles.x, self._lists, constants, cells, energy)
         return float(energy.sum())
 
     def kinetic_energy(self) -> float:
-        """½ Σ m v², pJ."""
-        v = self._particles.v[:-1, :, : self.tissue.own]
-        return 0.5 * float(np.sum(self.tissue.mass * (v * v).sum(axis=1)))
+        """½ Σ m v² of particles and free bodies, pJ."""
+        bodies = self.bodies
+        free = bodies.per_mass > 0.0
+        of_bodies = np.sum(bodies.v[free] ** 2 / bodies.per_mass[free, None])
+        return 0.5 * float(np.sum(self.mass[:, None] * self.v**2) + of_bodies)
 
     def _put(self, x: Array, v: Array, listed: Array | None = None) -> None:
         """Put particles with the lists made at `listed` (tiles, 2, own, TILE), or new ones."""
@@ -237,9 +230,9 @@ class TissueDynamics:
             self._scaled = {WHOLE: constants}
             self.counts["list_builds"] += 1
         shape = (tiles + 1, 2, self._lists.local, TILE)
-        particles = Particles(np.full(shape, NOWHERE), np.zeros(shape), np.zeros(shape))
-        particles.x[:-1, :, :own], particles.v[:-1, :, :own] = own_x, tissue.to_tiles(v)
-        self._particles = particles
+        there, rate = np.full(shape, NOWHERE), np.zeros(shape)
+        there[:-1, :, :own], rate[:-1, :, :own] = own_x, tissue.to_tiles(v)
+        self._particles = self._particles._replace(x=there, v=rate, f=np.zeros(shape))
         mean, nothing = np.zeros((tiles, 2, TILE)), np.zeros((tiles, TILE))
         self._watch = Watch(listed, mean, nothing, nothing.copy())
 

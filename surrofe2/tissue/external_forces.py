@@ -25,32 +25,18 @@ Ints = NDArray[np.int64]
 _ITERATIONS = 50
 
 
-class Steps(NamedTuple):
-    """n leapfrog steps.
-
-    Attributes:
-        length: (n, 2) by which v is kicked and x drifts, µs.
-        amplitude: (n, loads). speed: (n, motions) mean rate of each amplitude in the step, 1/µs.
-    """
-
-    length: Array
-    amplitude: Array
-    speed: Array
-
-
 class DrivenParticles(NamedTuple):
     """Components of particles that follow a motion.
 
     Attributes:
         at: (d, 4) tile, axis, own particle, lane. motion: (d,) which.
-        largest: (d,) µm at amplitude 1. mass: (d,) ng.
+        largest: (d,) µm at amplitude 1.
         before: (d,) velocity before a step, scratch. work: (1,) done so far, pJ.
     """
 
     at: Ints
     motion: Ints
     largest: Array
-    mass: Array
     before: Array
     work: Array
 
@@ -122,7 +108,7 @@ class BodyContacts(NamedTuple):
 
 
 _NO, _NONE, _PAIRS = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 2))
-NO_DRIVEN = DrivenParticles(np.zeros((0, 4), np.int64), _NO, _NONE, _NONE, _NONE, np.zeros(1))
+NO_DRIVEN = DrivenParticles(np.zeros((0, 4), np.int64), _NO, _NONE, _NONE, np.zeros(1))
 NO_OUTLINE = OutlineForces(
     np.zeros((0, 3), np.int64), _NO, _NONE, _PAIRS, _PAIRS, _PAIRS, _PAIRS, _PAIRS, _PAIRS,
     _PAIRS, _NONE,
@@ -138,23 +124,22 @@ NO_BODIES = BodyContacts(
 def drive_particles(v, drive, speed):
     """Give driven particles the velocity of a step."""
     for k in range(drive.motion.shape[0]):
-        t, axis, i, lane = drive.at[k, 0], drive.at[k, 1], drive.at[k, 2], drive.at[k, 3]
+        t, axis, i, lane = drive.at[k]
         drive.before[k] = v[t, axis, i, lane]
         v[t, axis, i, lane] = speed[drive.motion[k]] * drive.largest[k]
 
 
 @kernel
-def add_driving_work(particles, loads, drive, kick, amplitude):
+def add_driving_work(particles, drive, kick, amplitude):
     """Add the work of a step's drive: of the force that it takes besides all others."""
-    work = 0.0
     for k in range(drive.motion.shape[0]):
-        t, axis, i, lane = drive.at[k, 0], drive.at[k, 1], drive.at[k, 2], drive.at[k, 3]
+        t, axis, i, lane = drive.at[k]
         before, now = drive.before[k], particles.v[t, axis, i, lane]
         force = particles.f[t, axis, i, lane]
-        for n in range(loads.shape[0]):
-            force += amplitude[n] * loads[n, t, axis, i, lane]
-        work += 0.5 * (before + now) * (drive.mass[k] * (now - before) - kick * force)
-    drive.work[0] += work
+        for n in range(particles.loads.shape[0]):
+            force += amplitude[n] * particles.loads[n, t, axis, i, lane]
+        impulse = (now - before) / particles.per_mass[t, i, lane] - kick * force
+        drive.work[0] += 0.5 * (before + now) * impulse
 
 
 @kernel
@@ -165,22 +150,23 @@ def add_outline_forces(particles, outline, amplitude):
     bonds = outline.pressure.shape[0]
     for k in range(bonds):
         size = 0.5 * amplitude[outline.load[2 * k]] * outline.pressure[k]
+        (t, i, lane), (tile, j, other) = at[2 * k], at[2 * k + 1]
         for axis in range(2):
             along = outline.offset[2 * k + 1, axis] - outline.offset[2 * k, axis]
-            along += x[at[2 * k + 1, 0], axis, at[2 * k + 1, 1], at[2 * k + 1, 2]]
-            along -= x[at[2 * k, 0], axis, at[2 * k, 1], at[2 * k, 2]]
+            along += x[tile, axis, j, other] - x[t, axis, i, lane]
             # The outward normal times length is (dy, −dx).
             along *= size if axis == 0 else -size
             outline.force[2 * k, 1 - axis] = outline.force[2 * k + 1, 1 - axis] = along
+    for k in range(outline.home.shape[0]):
+        t, i, lane = at[2 * bonds + k]
+        for axis in range(2):
+            held = outline.stiffness[k, axis] * (x[t, axis, i, lane] - outline.home[k, axis])
+            held += outline.damping[k, axis] * v[t, axis, i, lane]
+            outline.force[2 * bonds + k, axis] = -held
     for e in range(at.shape[0]):
-        t, i, lane = at[e, 0], at[e, 1], at[e, 2]
+        t, i, lane = at[e]
         for axis in range(2):
             outline.before[e, axis] = v[t, axis, i, lane]
-            if e >= 2 * bonds:
-                away = x[t, axis, i, lane] - outline.home[e - 2 * bonds, axis]
-                held = outline.stiffness[e - 2 * bonds, axis] * away
-                held += outline.damping[e - 2 * bonds, axis] * v[t, axis, i, lane]
-                outline.force[e, axis] = -held
             f[t, axis, i, lane] += outline.force[e, axis]
             outline.total[outline.load[e], axis] += outline.force[e, axis]
 
@@ -189,7 +175,7 @@ def add_outline_forces(particles, outline, amplitude):
 def add_outline_work(particles, outline, kick):
     """Add the work that forces on the outline have done in a step."""
     for e in range(outline.at.shape[0]):
-        t, i, lane = outline.at[e, 0], outline.at[e, 1], outline.at[e, 2]
+        t, i, lane = outline.at[e]
         for axis in range(2):
             mean = 0.5 * (outline.before[e, axis] + particles.v[t, axis, i, lane])
             outline.work[outline.load[e]] += kick * mean * outline.force[e, axis]
@@ -199,11 +185,13 @@ def add_outline_work(particles, outline, kick):
 def add_normal_contact(particles, bodies):
     """Add forces of springs and dashpots to f of own particles; set what the last step has."""
     x, v, f = particles.x, particles.v, particles.f
-    for b in range(bodies.starts.shape[0] - 1):
-        law = bodies.law[b]
-        sum_x, sum_y, energy, depth = 0.0, 0.0, 0.0, 0.0
+    bodies.force[:] = 0.0
+    bodies.stored[:] = 0.0
+    bodies.depth[:] = 0.0
+    for b in range(bodies.x.shape[0]):
+        k_contact, onset, damping, _, _ = bodies.law[b]
         for k in range(bodies.starts[b], bodies.starts[b + 1]):
-            t, i, lane = bodies.at[k, 0], bodies.at[k, 1], bodies.at[k, 2]
+            t, i, lane = bodies.at[k]
             px = x[t, 0, i, lane] + bodies.offset[k, 0] - bodies.x[b, 0]
             py = x[t, 1, i, lane] + bodies.offset[k, 1] - bodies.x[b, 1]
             distance, nx, ny, _ = gap(px, py, bodies.outline[b])
@@ -211,43 +199,38 @@ def add_normal_contact(particles, bodies):
             if not distance < 0.0:
                 continue
             vx, vy = v[t, 0, i, lane] - bodies.v[b, 0], v[t, 1, i, lane] - bodies.v[b, 1]
-            whole = pressure(-distance, -(vx * nx + vy * ny), (law[0], law[1], law[2]))[0]
-            spring = pressure(-distance, 0.0, (law[0], law[1], 0.0))[0]
-            size = bodies.length[k] * whole
-            dashpot = size - bodies.length[k] * spring if law[2] > 0.0 else 0.0
-            bodies.lost[k, 0], bodies.lost[k, 1] = dashpot * nx, dashpot * ny
-            bodies.lost[k, 2], bodies.lost[k, 3] = vx, vy
-            bodies.pressed[k, 0], bodies.pressed[k, 1], bodies.pressed[k, 2] = size, nx, ny
+            length, closing = bodies.length[k], -(vx * nx + vy * ny)
+            size = length * pressure(-distance, closing, (k_contact, onset, damping))[0]
+            spring = length * pressure(-distance, 0.0, (k_contact, onset, 0.0))[0]
+            dashpot = size - spring if damping > 0.0 else 0.0
+            bodies.lost[k] = (dashpot * nx, dashpot * ny, vx, vy)
+            bodies.pressed[k] = (size, nx, ny)
             f[t, 0, i, lane] += size * nx
             f[t, 1, i, lane] += size * ny
-            sum_x += size * nx
-            sum_y += size * ny
-            energy += bodies.length[k] * stored(-distance, law[0], law[1])
-            depth = max(depth, -distance)
-        bodies.force[b, 0], bodies.force[b, 1] = sum_x, sum_y
-        bodies.stored[b], bodies.depth[b] = energy, depth
+            bodies.force[b, 0] += size * nx
+            bodies.force[b, 1] += size * ny
+            bodies.stored[b] += length * stored(-distance, k_contact, onset)
+            bodies.depth[b] = max(bodies.depth[b], -distance)
 
 
 @kernel
-def add_friction(particles, body, bodies, kick, amplitude, speed):
+def add_friction(particles, bodies, kick, amplitude, speed):
     """Add friction to f of own particles, which has all other forces, and to that of the bodies."""
-    v, f, loads = particles.v, particles.f, body.loads
-    for b in range(bodies.starts.shape[0] - 1):
+    v, f, loads = particles.v, particles.f, particles.loads
+    for b in range(bodies.x.shape[0]):
         law = bodies.law[b, 3], bodies.law[b, 4]
         if not law[0] > 0.0:
             continue
-        moved = bodies.motion[b]
-        begin, end = bodies.starts[b], bodies.starts[b + 1]
+        begin, end, moved = bodies.starts[b], bodies.starts[b + 1], bodies.motion[b]
         of_body = (end - begin) * bodies.per_mass[b]
         for k in range(begin, end):
-            size, nx, ny = bodies.pressed[k, 0], bodies.pressed[k, 1], bodies.pressed[k, 2]
+            size, nx, ny = bodies.pressed[k]
             if not size > 0.0:
                 continue
-            t, i, lane = bodies.at[k, 0], bodies.at[k, 1], bodies.at[k, 2]
-            sliding, mobility = 0.0, of_body
+            t, i, lane = bodies.at[k]
+            sliding, mobility, tangent = 0.0, of_body, (-ny, nx)
             for axis in range(2):
-                along = -ny if axis == 0 else nx
-                share = body.per_mass[t, i, lane] * body.free[t, axis, i, lane]
+                share = particles.per_mass[t, i, lane] * particles.free[t, axis, i, lane]
                 force = f[t, axis, i, lane]
                 for n in range(loads.shape[0]):
                     force += amplitude[n] * loads[n, t, axis, i, lane]
@@ -255,15 +238,13 @@ def add_friction(particles, body, bodies, kick, amplitude, speed):
                 base = bodies.v[b, axis]
                 if moved >= 0 and kick > 0.0:
                     base = speed[moved] * bodies.largest[b, axis]
-                sliding += along * (v[t, axis, i, lane] + kick * share * force - base)
-                mobility += along * along * share
+                sliding += tangent[axis] * (v[t, axis, i, lane] + kick * share * force - base)
+                mobility += tangent[axis] * tangent[axis] * share
             drag = _drag(size, sliding, kick * mobility, law)
-            f[t, 0, i, lane] += drag * ny
-            f[t, 1, i, lane] -= drag * nx
-            bodies.force[b, 0] += drag * ny
-            bodies.force[b, 1] -= drag * nx
-            bodies.lost[k, 0] += drag * ny
-            bodies.lost[k, 1] -= drag * nx
+            for axis in range(2):
+                f[t, axis, i, lane] -= drag * tangent[axis]
+                bodies.force[b, axis] -= drag * tangent[axis]
+                bodies.lost[k, axis] -= drag * tangent[axis]
 
 
 @kernel
@@ -285,7 +266,7 @@ def _drag(size, sliding, yielding, law):
 @kernel
 def move_bodies(bodies, length, speed):
     """A step of the bodies under `force`; length: (2,) kick and drift, speed: (motions,)."""
-    kick, drift = length[0], length[1]
+    kick, drift = length
     for b in range(bodies.x.shape[0]):
         for axis in range(2):
             before, force = bodies.v[b, axis], bodies.force[b, axis]
@@ -307,10 +288,10 @@ def move_bodies(bodies, length, speed):
 def add_contact_loss(particles, bodies, kick):
     """Add what dashpots and friction took in a step."""
     v, lost = particles.v, bodies.lost
-    for b in range(bodies.starts.shape[0] - 1):
+    for b in range(bodies.x.shape[0]):
         for k in range(bodies.starts[b], bodies.starts[b + 1]):
             if bodies.pressed[k, 0] > 0.0:
-                t, i, lane = bodies.at[k, 0], bodies.at[k, 1], bodies.at[k, 2]
+                t, i, lane = bodies.at[k]
                 for axis in range(2):
                     now = v[t, axis, i, lane] - bodies.v[b, axis]
                     mean = 0.5 * (lost[k, 2 + axis] + now)

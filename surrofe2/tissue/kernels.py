@@ -52,38 +52,24 @@ Array = NDArray[np.float64]
 
 
 class Particles(NamedTuple):
-    """x, v, f: (tiles + 1, 2, local, TILE) µm, µm/µs, µN."""
-
-    x: Array
-    v: Array
-    f: Array
-
-
-class Body(NamedTuple):
-    """What moves, and by what.
+    """All particles, what they are moved by, and the work of that.
 
     Attributes:
+        x, v, f: (tiles + 1, 2, local, TILE) µm, µm/µs, µN.
         per_mass: (tiles, own, TILE) 1/ng, 0 where missing.
         free: (tiles, 2, own, TILE) 1, or 0 where v does not follow forces.
         loads: (loads, tiles, 2, own, TILE) µN at amplitude 1.
         work: (loads, tiles, TILE) of these, pJ, to which each step adds: kick · force · mean of the
             velocities before and after.
-        retained: part of the velocity that a step leaves; 1, or less with drag.
     """
 
+    x: Array
+    v: Array
+    f: Array
     per_mass: Array
     free: Array
     loads: Array
     work: Array
-    retained: float
-
-
-class Fluid(NamedTuple):
-    """Fluid pairs (·, 2) of a plant cell of so many particles, of which `walls` come first."""
-
-    fluid_pairs: NDArray[np.int32]
-    particles: int
-    walls: int
 
 
 class Watch(NamedTuple):
@@ -103,44 +89,50 @@ class Watch(NamedTuple):
 
 
 @parallel_kernel
-def leap(particles, lists, constants, grid, fluid, body, driven, bodies, outline, watch, steps):
+def leap(particles, lists, constants, cells, driven, bodies, outline, watch, steps, retained):
     """Leapfrog steps in place; how many were taken before lists could miss a pair.
 
     A step takes forces at x with the velocities at hand, then v += kick a, x += drift v. One
     without a kick leaves all velocities as they are.
+
+    Args:
+        steps: (n, 2) by which v is kicked and x drifts, µs; (n, loads) amplitudes; (n, motions)
+            mean rate of each amplitude in the step, 1/µs.
+        retained: part of the velocity that a step leaves; 1, or less with drag.
     """
+    lengths, amplitudes, speeds = steps
     tiles = particles.x.shape[0] - 1
-    for n in range(len(steps.length)):
+    for n in range(len(lengths)):
         for k in numba.prange(tiles):
-            _sum_forces(lists.order[k], particles, lists, constants, fluid)
-            _measure_apart(lists.order[k], grid, watch)
-        if not _largest_motion(watch) <= lists.skin:
+            _sum_forces(cells.order[k], particles, lists, constants, cells)
+            _measure_apart(cells.order[k], cells, watch)
+        if not _largest_motion(watch) <= cells.skin:
             return n
-        kick, amplitude, speed = steps.length[n, 0], steps.amplitude[n], steps.speed[n]
+        kick, amplitude, speed = lengths[n, 0], amplitudes[n], speeds[n]
         add_normal_contact(particles, bodies)
         add_outline_forces(particles, outline, amplitude)
         if kick != 0.0:
             drive_particles(particles.v, driven, speed)
         if bodies.rubs:
             for k in numba.prange(tiles):
-                _fold(lists.order[k], particles.f, lists)
-            add_friction(particles, body, bodies, kick, amplitude, speed)
+                _fold(cells.order[k], particles.f, lists)
+            add_friction(particles, bodies, kick, amplitude, speed)
         if kick != 0.0:
-            move_bodies(bodies, steps.length[n], speed)
-        step = kick, steps.length[n, 1], bodies.rubs
+            move_bodies(bodies, lengths[n], speed)
+        step = kick, lengths[n, 1], retained, bodies.rubs
         for k in numba.prange(tiles):
-            _kick_and_drift(lists.order[k], particles, lists, grid, body, watch, amplitude, step)
+            _kick_and_drift(cells.order[k], particles, lists, cells, watch, amplitude, step)
         if kick != 0.0:
-            add_driving_work(particles, body.loads, driven, kick, amplitude)
+            add_driving_work(particles, driven, kick, amplitude)
             add_contact_loss(particles, bodies, kick)
             add_outline_work(particles, outline, kick)
-    return len(steps.length)
+    return len(lengths)
 
 
 @kernel
-def _sum_forces(t, particles, lists, constants, fluid):
+def _sum_forces(t, particles, lists, constants, cells):
     """Images of tile t and the forces on its local particles, not folded."""
-    own = fluid.particles
+    own = cells.particles
     here, end = lists.starts[t], lists.starts[t + 1]
     _gather_images(particles.x, t, own, here[0], end[0], lists.source)
     _gather_images(particles.v, t, own, here[0], end[0], lists.source)
@@ -155,18 +147,15 @@ def _sum_forces(t, particles, lists, constants, fluid):
         add_pair(f, i, j, a * pair.rx, a * pair.ry)
     for k in range(here[2], end[2]):
         i, j = lists.contacts[k, 0], lists.contacts[k, 1]
-        pair, c = (
-            pair_at(x, v, i, j),
-            contact_at(constants.contacts, constants.row[k], constants.cutoff),
-        )
+        pair, c = pair_at(x, v, i, j), contact_at(constants, k)
         law = contact(pair.length, pair.inverse, c)
         a = tension(law, pair.rate) * within(pair.length, pair.inverse, c)
         add_pair(f, i, j, a * pair.rx, a * pair.ry)
-    if t < lists.fluid_tiles:
-        slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
-        volume = np.empty((own - fluid.walls, TILE))
+    if t < cells.fluid_tiles:
+        slope = np.empty((cells.fluid_pairs.shape[0], TILE))
+        volume = np.empty((own - cells.walls, TILE))
         row = min(np.int64(t), constants.fluid.shape[0] - 1)
-        add_fluid_forces(x, v, f, fluid, fluid_at(constants.fluid, row), slope, volume)
+        add_fluid_forces(x, v, f, cells, fluid_at(constants.fluid, row), slope, volume)
 
 
 @kernel
@@ -196,63 +185,59 @@ def _fold(t, f, lists):
 
 
 @kernel
-def _kick_and_drift(t, particles, lists, grid, body, watch, amplitude, step):
-    """v += kick a, x += drift v of tile t's own particles; step: kick, drift, is f folded."""
-    x, v, f = particles.x, particles.v, particles.f
-    kick, drift, folded = step
+def _kick_and_drift(t, particles, lists, cells, watch, amplitude, step):
+    """v += kick a, x += drift v of tile t's own particles; how far they are from where listed.
+
+    step: kick, drift, the part of v that is retained, whether f is folded.
+    """
+    x, v, f, loads = particles.x, particles.v, particles.f, particles.loads
+    kick, drift, retained, folded = step
     if not folded:
         _fold(t, f, lists)
     mean_x, mean_y = spread(0.0), spread(0.0)
-    for i in range(body.per_mass.shape[1]):
-        pull_x = load(f, t, 0, i) + amplitude[0] * load(body.loads, 0, t, 0, i)
-        pull_y = load(f, t, 1, i) + amplitude[0] * load(body.loads, 0, t, 1, i)
-        for n in range(1, body.loads.shape[0]):
-            pull_x += amplitude[n] * load(body.loads, n, t, 0, i)
-            pull_y += amplitude[n] * load(body.loads, n, t, 1, i)
-        push = kick * load(body.per_mass, t, i)
+    for i in range(particles.per_mass.shape[1]):
+        pull_x, pull_y = load(f, t, 0, i), load(f, t, 1, i)
+        for n in range(loads.shape[0]):
+            pull_x += amplitude[n] * load(loads, n, t, 0, i)
+            pull_y += amplitude[n] * load(loads, n, t, 1, i)
+        push = kick * load(particles.per_mass, t, i)
         old_x, old_y = load(v, t, 0, i), load(v, t, 1, i)
-        speed_x = body.retained * old_x + push * pull_x
-        speed_y = body.retained * old_y + push * pull_y
-        speed_x = where_less(0.0, load(body.free, t, 0, i), speed_x, old_x)
-        speed_y = where_less(0.0, load(body.free, t, 1, i), speed_y, old_y)
+        speed_x = retained * old_x + push * pull_x
+        speed_y = retained * old_y + push * pull_y
+        speed_x = where_less(0.0, load(particles.free, t, 0, i), speed_x, old_x)
+        speed_y = where_less(0.0, load(particles.free, t, 1, i), speed_y, old_y)
         store(speed_x, v, t, 0, i)
         store(speed_y, v, t, 1, i)
-        for n in range(body.loads.shape[0]):
-            power = load(body.loads, n, t, 0, i) * (old_x + speed_x)
-            power += load(body.loads, n, t, 1, i) * (old_y + speed_y)
-            done = load(body.work, n, t) + 0.5 * kick * amplitude[n] * power
-            store(done, body.work, n, t)
+        for n in range(loads.shape[0]):
+            power = load(loads, n, t, 0, i) * (old_x + speed_x)
+            power += load(loads, n, t, 1, i) * (old_y + speed_y)
+            done = load(particles.work, n, t) + 0.5 * kick * amplitude[n] * power
+            store(done, particles.work, n, t)
         new_x, new_y = load(x, t, 0, i) + drift * speed_x, load(x, t, 1, i) + drift * speed_y
         store(new_x, x, t, 0, i)
         store(new_y, x, t, 1, i)
         mean_x += new_x - load(watch.listed, t, 0, i)
         mean_y += new_y - load(watch.listed, t, 1, i)
-    share = load(grid.per_count, t)
-    store(mean_x * share, watch.mean, t, 0)
-    store(mean_y * share, watch.mean, t, 1)
-    _measure_spread(t, x, grid, watch)
-
-
-@kernel
-def _measure_spread(t, x, grid, watch):
-    """watch.spread of tile t from watch.mean."""
-    mean_x, mean_y = load(watch.mean, t, 0), load(watch.mean, t, 1)
+    share = load(cells.per_count, t)
+    mean_x, mean_y = mean_x * share, mean_y * share
+    store(mean_x, watch.mean, t, 0)
+    store(mean_y, watch.mean, t, 1)
     largest = spread(0.0)
-    for i in range(grid.exists.shape[1]):
+    for i in range(cells.exists.shape[1]):
         dx = load(x, t, 0, i) - load(watch.listed, t, 0, i) - mean_x
         dy = load(x, t, 1, i) - load(watch.listed, t, 1, i) - mean_y
-        square = (dx * dx + dy * dy) * load(grid.exists, t, i)
+        square = (dx * dx + dy * dy) * load(cells.exists, t, i)
         largest = where_less(square, largest, largest, square)
     store(largest, watch.spread, t)
 
 
 @kernel
-def _measure_apart(t, grid, watch):
+def _measure_apart(t, cells, watch):
     """watch.apart of tile t: mean displacements against those of the next cells."""
     for lane in range(TILE):
         largest = 0.0
-        for s in grid.next_shifts:
-            there = grid.place[t, s, lane]
+        for s in cells.next_shifts:
+            there = cells.place[t, s, lane]
             if there >= 0:
                 tile, other = there // TILE, there % TILE
                 dx = watch.mean[tile, 0, other] - watch.mean[t, 0, lane]
@@ -275,37 +260,31 @@ def _largest_motion(watch):
 
 
 @parallel_kernel
-def elastic_energy(x, lists, constants, grid, fluid, energy):
+def elastic_energy(x, lists, constants, cells, energy):
     """energy (tiles, TILE) of which the forces at rest are the negative gradient, in pJ.
 
     Springs ½ k (|r| − l₀)², contacts, fluid Σ m c_s² ln ρ.
     x: (tiles + 1, 2, local, TILE) with images set.
     """
     for t in numba.prange(energy.shape[0]):
-        _stored_in_tile(t, x[t], lists, constants, grid, fluid, energy)
-
-
-@kernel
-def _stored_in_tile(t, x, lists, constants, grid, fluid, energy):
-    here, end = lists.starts[t], lists.starts[t + 1]
-    total = spread(0.0)
-    for k in range(here[1], end[1]):
-        rx, ry = difference(x, lists.bonds[k, 0], lists.bonds[k, 1])
-        length, _ = norm(rx, ry)
-        total += wall_energy(length, bond_at(constants.bonds, k))
-    for k in range(here[2], end[2]):
-        rx, ry = difference(x, lists.contacts[k, 0], lists.contacts[k, 1])
-        length, inverse = norm(rx, ry)
-        c = contact_at(constants.contacts, constants.row[k], constants.cutoff)
-        total += contact_energy(length, inverse, c)
-    store(total, energy, t)
-    if t < lists.fluid_tiles:
-        slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
-        volume = np.empty((fluid.particles - fluid.walls, TILE))
-        row = min(np.int64(t), constants.fluid.shape[0] - 1)
-        fluid_specific_volume(x, fluid, fluid_at(constants.fluid, row), slope, volume)
-        for p in range(volume.shape[0]):
-            for lane in range(TILE):
-                weight = constants.fluid[row, 1, lane] * constants.fluid[row, 2, lane]
-                weight *= grid.exists[t, fluid.walls + p, lane]
-                energy[t, lane] -= weight * np.log(volume[p, lane])
+        here, end, there = lists.starts[t], lists.starts[t + 1], x[t]
+        total = spread(0.0)
+        for k in range(here[1], end[1]):
+            rx, ry = difference(there, lists.bonds[k, 0], lists.bonds[k, 1])
+            length, _ = norm(rx, ry)
+            total += wall_energy(length, bond_at(constants.bonds, k))
+        for k in range(here[2], end[2]):
+            rx, ry = difference(there, lists.contacts[k, 0], lists.contacts[k, 1])
+            length, inverse = norm(rx, ry)
+            total += contact_energy(length, inverse, contact_at(constants, k))
+        store(total, energy, t)
+        if t < cells.fluid_tiles:
+            slope = np.empty((cells.fluid_pairs.shape[0], TILE))
+            volume = np.empty((cells.particles - cells.walls, TILE))
+            row = min(np.int64(t), constants.fluid.shape[0] - 1)
+            fluid_specific_volume(there, cells, fluid_at(constants.fluid, row), slope, volume)
+            for p in range(volume.shape[0]):
+                for lane in range(TILE):
+                    weight = constants.fluid[row, 1, lane] * constants.fluid[row, 2, lane]
+                    weight *= cells.exists[t, cells.walls + p, lane]
+                    energy[t, lane] -= weight * np.log(volume[p, lane])

@@ -32,19 +32,18 @@ import numpy as np
 import scipy  # scipy.spatial is loaded where a tissue is
 from numpy.typing import NDArray
 
-from surrofe2.base.compilation import kernel, pair_law, parallel_kernel
+from surrofe2.base.compilation import pair_law, parallel_kernel
 from surrofe2.base.errors import SimulationError
-from surrofe2.base.simd import TILE, load
+from surrofe2.base.simd import TILE, load, pack, tiles_for, unpack
 from surrofe2.plant_cell.forces import Constants
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.tissue.layout import Tissue, shares, tiled, wall_grid
+from surrofe2.tissue.layout import Tissue, shares, wall_grid
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 RINGS = 2
 """Walls of plant cells up to this many columns or rows apart are looked at."""
-_BOND, _ON_LINE, _ELSEWHERE = 0, 1, 2
 _ALONG_X, _ALONG_Y, _NO_LINE = 0, 1, -1
 _REPULSION, _DAMPING = map(Constants._fields.index, ("repulsion", "contact_damping"))
 
@@ -75,27 +74,24 @@ def make_pair_kinds(cell: CellParameters) -> PairKinds:
     walls = 2 * per_side - 1
     around = range(-RINGS, RINGS + 1)
     shifts = np.array([shift for shift in product(around, around) if shift >= (0, 0)])
-    at = wall_grid(cell, shifts[:1, 0], shifts[:1, 1])[0]
-
+    at = wall_grid(cell, shifts[:1])[0]
     number, i, j = np.indices((len(shifts), walls, walls)).reshape(3, -1)
     number, i, j = np.stack([number, i, j])[:, (number > 0) | (j > i)]
     there = at[j] + per_side * shifts[number]
     in_column, in_row = ((at[i] == there) & (at[i] == 0)).T
     axis = np.where(in_row, _ALONG_X, np.where(in_column, _ALONG_Y, _NO_LINE))
-    kind = np.where(axis == _NO_LINE, _ELSEWHERE, _ON_LINE)
-    kind[abs(there - at[i]).sum(axis=1) == 1] = _BOND
+    is_bond = abs(there - at[i]).sum(axis=1) == 1
 
-    rim = np.flatnonzero(shifts.min(axis=1) >= 0)
-    around_cell = (at + per_side * shifts[rim, None] <= per_side).all(axis=2)
-    place, wall = np.nonzero(around_cell)
-    fluid = np.arange(walls, walls + cell.fluid_particles_per_side**2)
-    inside = np.repeat(fluid, len(wall))
-    touching = np.array([_ELSEWHERE, 0, 0, 0, _NO_LINE])[:, None] + np.zeros_like(inside)
-    touching[1:4] = inside, np.tile(wall, len(fluid)), np.tile(rim[place], len(fluid))
-
-    table = np.hstack([[kind, i, j, number, axis], touching])
-    kind, i, j, number, axis = np.ascontiguousarray(table[:, np.lexsort(table[3::-1])])
-    return PairKinds(i, j, number, shifts, axis, int((kind == _BOND).sum()))
+    ends = at + per_side * shifts[:, None]
+    place, wall = np.nonzero(((ends >= 0) & (ends <= per_side)).all(axis=2))
+    fluid, touching = np.divmod(np.arange(cell.fluid_particles * len(wall)), len(wall))
+    i, j = np.append(i, walls + fluid), np.append(j, wall[touching])
+    number = np.append(number, place[touching])
+    axis = np.pad(axis, (0, len(fluid)), constant_values=_NO_LINE)
+    is_bond = np.pad(is_bond, (0, len(fluid)))
+    order = np.lexsort((number, j, i, axis == _NO_LINE, ~is_bond))
+    i, j, number, axis = (each[order] for each in (i, j, number, axis))
+    return PairKinds(i, j, number, shifts, axis, int(is_bond.sum()))
 
 
 Factors = tuple[float, float]
@@ -126,13 +122,10 @@ class PairConstants(NamedTuple):
     def times(self, factors: Factors) -> PairConstants:
         """With factors on elastic constants and on those of dashpots and viscosity."""
         elastic, damping = factors
-        both = np.array(factors)[:, None]
-        return PairConstants(
-            self.bonds * np.array([elastic, 1.0, damping])[:, None],
-            self.contacts * both,
-            self.row,
-            self.fluid * np.array([1.0, 1.0, elastic, damping])[:, None],
-            self.cutoff,
+        return self._replace(
+            bonds=self.bonds * np.array([[elastic], [1.0], [damping]]),
+            contacts=self.contacts * np.array([[elastic], [damping]]),
+            fluid=self.fluid * np.array([[1.0], [1.0], [elastic], [damping]]),
         )
 
 
@@ -151,9 +144,10 @@ def bond_at(rows, k):
 
 
 @pair_law
-def contact_at(rows, k, cutoff):
-    """The `Contact` of a row of `PairConstants.contacts`."""
-    return Contact(load(rows, k, 0), load(rows, k, 1), cutoff)
+def contact_at(constants, k):
+    """The `Contact` of a listed pair."""
+    rows, row = constants.contacts, constants.row[k]
+    return Contact(load(rows, row, 0), load(rows, row, 1), constants.cutoff)
 
 
 @pair_law
@@ -162,20 +156,31 @@ def fluid_at(rows, t):
     return FluidConstants(load(rows, t, 0), load(rows, t, 1), load(rows, t, 2), load(rows, t, 3))
 
 
-class Grid(NamedTuple):
-    """Neighbouring places.
+class Cells(NamedTuple):
+    """What no list changes: plant cells and their neighbours.
 
     Attributes:
         place: (tiles, shifts, TILE) place of the cell at each of `PairKinds.shifts`, or −1.
+        next_shifts: the shifts to the next column or row.
         exists: (tiles, own, TILE) 1.0 where there is a particle, else 0.
         per_count: (tiles, TILE) 1/(number of own particles), or 0.
-        next_shifts: the shifts to the next column or row.
+        particles: own, of which `walls` come first; fluid_pairs: (·, 2) of the others.
+        fluid_tiles: how many tiles, the first ones, have fluid.
+        order: (tiles,) in which to go through them: those with and without fluid evenly mixed,
+            so that equal parts of it cost threads the same.
+        skin: how far particles of neighbouring cells may move against one another, µm.
     """
 
     place: Ints
+    next_shifts: Ints
     exists: Array
     per_count: Array
-    next_shifts: Ints
+    particles: int
+    walls: int
+    fluid_pairs: NDArray[np.int32]
+    fluid_tiles: int
+    order: Ints
+    skin: float
 
 
 class PairLists(NamedTuple):
@@ -186,11 +191,7 @@ class PairLists(NamedTuple):
         source: (images, TILE) flat index of the owner in (tiles + 1, 2, local, TILE).
         bonds, contacts: (·, 2) local particles.
         fold: (folds,) own particle; fold_source: (folds, TILE) flat index of the image force.
-        order: (tiles,) in which to go through them: those with and without fluid evenly mixed,
-            so that equal parts of it cost threads the same.
         local: local particles of a tile, at most.
-        fluid_tiles: how many tiles, the first ones, have fluid.
-        skin: how far particles of neighbouring cells may move against one another, µm.
     """
 
     starts: Ints
@@ -199,65 +200,71 @@ class PairLists(NamedTuple):
     contacts: NDArray[np.int32]
     fold: Ints
     fold_source: Ints
-    order: Ints
     local: int
-    fluid_tiles: int
-    skin: float
 
 
 class PairLister:
     """Makes `PairLists` for one tissue, and the constants of their pairs."""
 
     def __init__(self, tissue: Tissue, skin: float) -> None:
-        self._tissue, self._skin = tissue, skin
+        self._tissue = tissue
         kinds = self._kinds = make_pair_kinds(tissue.cell)
         rings = abs(kinds.shifts).max(axis=1)
         self._reach = tissue.cell.repulsion_cutoff + skin * np.maximum(rings, 1)[kinds.shift]
-        ends = np.array(tissue.place.shape)
-        at = np.stack([tissue.column, tissue.row], axis=1)
-        there = at[:, None] + kinds.shifts
-        inside = ((there >= 0) & (there < ends)).all(axis=2) & (at[:, :1] >= 0)
-        place = tissue.place[tuple(np.where(inside[..., None], there, 0).T)].T
-        exists = tissue.exists.astype(np.float64)
-        count = exists.sum(axis=1)
-        self.grid = Grid(
-            place=tiled(np.where(inside, place, -1)),
-            exists=exists,
-            per_count=np.where(count > 0, 1.0 / np.maximum(count, 1.0), 0.0),
+        there = tissue.column_row[:, None] + kinds.shifts + RINGS
+        place = np.pad(tissue.place, RINGS, constant_values=-1)[tuple(np.moveaxis(there, 2, 0))]
+        place[tissue.column_row[:, 0] < 0] = -1
+        exists = (tissue.mass > 0.0).astype(np.float64)
+        fluid_pairs = np.stack(np.triu_indices(tissue.own - tissue.walls, 1), axis=1)
+        fluid_tiles = tiles_for(tissue.kind.size)
+        parts = [
+            (np.arange(n) + 0.5) / max(n, 1) for n in (fluid_tiles, tissue.tiles - fluid_tiles)
+        ]
+        self.cells = Cells(
+            place=pack(place),
             next_shifts=np.flatnonzero(rings == 1),
+            exists=exists,
+            per_count=exists.any(axis=1) / np.maximum(exists.sum(axis=1), 1.0),
+            particles=tissue.own,
+            walls=tissue.walls,
+            fluid_pairs=(tissue.walls + fluid_pairs).astype(np.int32),
+            fluid_tiles=fluid_tiles,
+            order=np.argsort(np.concatenate(parts), kind="stable"),
+            skin=skin,
         )
         self._set_constants()
 
     def _set_constants(self) -> None:
         """Those of bonds and fluid, and what contacts have by their particles and wall lines."""
         tissue, kinds = self._tissue, self._kinds
-        column, row = tissue.column, tissue.row
         # one more type, the last, for plant cells that are not there
         table = np.array([*tissue.constants, np.zeros(len(Constants._fields))])
         of = dict(zip(Constants._fields, table.T, strict=True))
-        here = np.pad(tissue.kind, 1, constant_values=-1)
+        here, (column, row) = np.pad(tissue.kind, 1, constant_values=-1), tissue.column_row.T
         own = here[column + 1, row + 1]
         # the plant cells on both sides of the wall along x, and of the one along y
         both = np.array([[own, here[column + 1, row]], [own, here[column, row + 1]]])
-        half = 0.5 * np.where((both >= 0).all(axis=1), 1.0, tissue.cell.outer_wall)
+        between = (both >= 0).all(axis=1)
+        half = 0.5 * np.where(between, 1.0, tissue.cell.outer_wall)
         stiffness = of["wall_stiffness"][both]
         total = stiffness.sum(axis=1)
         rest = (stiffness * of["rest_length"][both]).sum(axis=1) / np.maximum(total, 1e-60)
         damping = of["wall_damping"][both].sum(axis=1)
         walls = np.stack([half * total, rest, half * damping], axis=2)
-        bonds = tiled(np.stack([walls[axis] for axis in kinds.axis[: kinds.bonds]], axis=1))
+        bonds = pack(np.stack([walls[axis] for axis in kinds.axis[: kinds.bonds]], axis=1))
         self._bonds = bonds.reshape(-1, 3, TILE)
         # by axis, of pairs along such a wall: ½ `outer_wall` on the boundary; of others
-        along = np.where((both >= 0).all(axis=1), 1.0, half)
+        along = np.where(between, 1.0, half)
         self._weight = np.append(along, np.ones_like(along[:1]), axis=0).reshape(3, -1, TILE)
         # places without fluid have some, so that kernels may divide
         fluid = np.stack([of[name][np.maximum(own, 0)] for name in FluidConstants._fields], axis=1)
-        self._fluid = tiled(fluid) if len(tissue.types) > 1 else tiled(fluid)[:1]
+        self._fluid = pack(fluid if len(tissue.types) > 1 else fluid[:TILE])
         part = np.stack(
-            [shares(tissue.cell, tissue.kind == k, column, row) for k in range(len(tissue.types))],
-            axis=2,
-        )
-        part /= np.maximum(part.sum(axis=2, keepdims=True), 1e-3)
+            [shares(tissue.cell, tissue.kind == k, tissue.column_row)
+             for k in range(len(tissue.types))], axis=2,
+        )  # fmt: skip
+        part[part.sum(axis=2) == 0.0] = 1.0  # particles that do not exist get constants, too
+        part /= part.sum(axis=2, keepdims=True)
         self._particles = part @ table[:-1, [_REPULSION, _DAMPING]]  # (places, own, 2)
 
     def make(self, x: Array) -> tuple[PairLists, PairConstants]:
@@ -267,55 +274,57 @@ class PairLister:
             SimulationError: positions are not finite, or plant cells with two others between
                 them come so close that lists could miss a pair.
         """
-        tissue, kinds, grid = self._tissue, self._kinds, self.grid
+        tissue, kinds, own = self._tissue, self._kinds, self._tissue.own
         self._check_apart(x)
         close = np.zeros((len(x), len(kinds.i)), dtype=np.bool_)
-        mark_close(x, kinds, self._reach, grid, close)
+        mark_close(x, kinds, self._reach, self.cells, close)
         close[:, : kinds.bonds] = True
         tile, kind = np.nonzero(close)
-        j, shift = kinds.j[kind].copy(), kinds.shift[kind]
+        j, shift, is_bond = kinds.j[kind], kinds.shift[kind], kind < kinds.bonds
         elsewhere = shift > 0
-        key = ((tile * len(kinds.shifts) + shift) * tissue.own + j)[elsewhere]
+        shape = tissue.tiles, len(kinds.shifts), own
+        key = np.ravel_multi_index((tile, shift, j), shape)[elsewhere]
         images, number = np.unique(key, return_inverse=True)
-        shift_of_image, owner = np.divmod(images, tissue.own)
-        tile_of_image, shift_of_image = np.divmod(shift_of_image, len(kinds.shifts))
-        image_starts = _starts(tissue, tile_of_image)
-        j[elsewhere] = tissue.own + number - image_starts[tile[elsewhere]]
-        local = tissue.own + int(np.diff(image_starts).max())
+        image_tile, image_shift, owner = np.unravel_index(images, shape)
+        starts = [self._starts(each) for each in (image_tile, tile[is_bond], tile[~is_bond])]
+        image = own + np.arange(len(images)) - starts[0][image_tile]
+        j[elsewhere] = image[number]
         pairs = np.stack([kinds.i[kind], j], axis=1).astype(np.int32)
-        is_bond = kind < kinds.bonds
-        place = grid.place[tile_of_image, shift_of_image]
-        counts = tissue.fluid_tiles, tissue.tiles - tissue.fluid_tiles
-        spots = [(np.arange(n) + 0.5) / max(n, 1) for n in counts]
-        fold, fold_source, fold_starts = _folds(tissue, place, owner, image_starts, local)
+        local = own + int(np.diff(starts[0]).max())
+        # particles that stay where they are, and a force that is always zero
+        nowhere = tissue.tiles * 2 * local * TILE
+        place = self.cells.place[image_tile, image_shift]
         there, lane = np.divmod(place, TILE)
         source = (there * 2 * local + owner[:, None]) * TILE + lane
-        pair_starts = (_starts(tissue, tile[which]) for which in (is_bond, ~is_bond))
-        starts = np.stack([image_starts, *pair_starts, fold_starts], axis=1)
+        felt = (image_tile * 2 * local + image)[:, None] * TILE + np.arange(TILE)
+        exists = (place >= 0) & (self.cells.exists[there, owner[:, None], lane] > 0.0)
+        particle = (there * own + owner[:, None]) * TILE + lane
+        row, fold_source = _folded(particle[exists], felt[exists], nowhere)
+        fold_tile, fold = np.divmod(row, own)
         lists = PairLists(
-            starts=np.ascontiguousarray(starts),
-            source=np.where(place < 0, _nowhere(tissue, local), source),
+            starts=np.stack([*starts, self._starts(fold_tile)], axis=1),
+            source=np.where(place < 0, nowhere, source),
             bonds=pairs[is_bond],
             contacts=pairs[~is_bond],
             fold=fold,
             fold_source=fold_source,
-            # tiles with and without fluid mixed, so that equal parts of the order cost the same
-            order=np.argsort(np.concatenate(spots), kind="stable"),
             local=local,
-            fluid_tiles=tissue.fluid_tiles,
-            skin=self._skin,
         )
         return lists, self._constants(tile[~is_bond], kind[~is_bond])
+
+    def _starts(self, tile: Ints) -> Ints:
+        """(tiles + 1,) where each tile begins among rows whose ascending tiles are given."""
+        return np.searchsorted(tile, np.arange(self._tissue.tiles + 1))
 
     def _constants(self, tile: Ints, kind: Ints) -> PairConstants:
         """For listed contacts, which follow the bonds: the kind of each in its tile, in order."""
         kinds, here = self._kinds, tile[:, None] * TILE + np.arange(TILE)
-        there = self.grid.place[tile, kinds.shift[kind]]
+        there = self.cells.place[tile, kinds.shift[kind]]
         sums = self._particles[here, kinds.i[kind, None]]
         sums = sums + self._particles[there, kinds.j[kind, None]]
         contacts = np.moveaxis(0.5 * sums, 1, 2) * self._weight[kinds.axis[kind], tile, None]
         row = np.arange(len(kind))
-        inner = np.flatnonzero(kinds.axis[kind] == len(self._weight) - 1)
+        inner = np.flatnonzero(kinds.axis[kind] == _NO_LINE)
         if len(self._tissue.types) == 1 and len(inner):  # off wall lines all are alike
             row[inner] = inner[0]
         return PairConstants(
@@ -328,21 +337,20 @@ class PairLister:
 
     def _check_apart(self, x: Array) -> None:
         """Plant cells further apart than RINGS must be out of each other's reach."""
-        grid, tissue = self.grid, self._tissue
+        cells, tissue = self.cells, self._tissue
         if not np.isfinite(x).all():
             raise SimulationError("tissue: positions are not finite")
-        weight = grid.exists * grid.per_count[:, None]
-        centre = (x * weight[:, None]).sum(axis=2)
-        extent = np.hypot(*np.moveaxis((x - centre[:, :, None]) * grid.exists[:, None], 1, 0)).max()
-        there = tissue.column >= 0
-        centres = np.moveaxis(centre, 1, 2).reshape(-1, 2)[there]
-        at = np.stack([tissue.column, tissue.row], axis=1)[there]
+        centre = (x * (cells.exists * cells.per_count[:, None])[:, None]).sum(axis=2)
+        from_there = (x - centre[:, :, None]) * cells.exists[:, None]
+        extent = np.hypot(from_there[:, 0], from_there[:, 1]).max()
+        filled = tissue.column_row[:, 0] >= 0
+        centres, at = unpack(centre, len(filled))[filled], tissue.column_row[filled]
         near = tissue.cell.repulsion_cutoff + 2.0 * extent
         tree = scipy.spatial.cKDTree(centres)
-        i, j = tree.query_pairs(near + self._skin * at.max(), output_type="ndarray").T
+        i, j = tree.query_pairs(near + cells.skin * at.max(), output_type="ndarray").T
         rings = abs(at[i] - at[j]).max(axis=1)
         distance = np.hypot(*(centres[i] - centres[j]).T)
-        if (distance < near + self._skin * rings)[rings > RINGS].any():
+        if (distance < near + cells.skin * rings)[rings > RINGS].any():
             raise SimulationError(
                 f"tissue: plant cells with {RINGS} others between them come within reach of each "
                 "other; the tissue has collapsed"
@@ -351,7 +359,7 @@ class PairLister:
 
 def bonded_particles(tissue: Tissue) -> Ints:
     """(b, 2) numbers of the particles that wall springs join: neighbours on the grid of springs."""
-    walls = tissue.outline[: tissue.wall_particles]
+    walls = tissue.outline[tissue.is_wall]
     at = np.rint(walls / tissue.cell.spring_length).astype(np.int64)
     number = np.full(at.max(axis=0) + 2, -1)
     number[tuple(at.T)] = np.arange(len(at))
@@ -360,64 +368,39 @@ def bonded_particles(tissue: Tissue) -> Ints:
     return pairs[ahead >= 0]
 
 
-def _starts(tissue: Tissue, tile: Ints) -> Ints:
-    """(tiles + 1,) where each tile begins among rows whose ascending tiles are given."""
-    return np.searchsorted(tile, np.arange(tissue.tiles + 1))
-
-
-def _nowhere(tissue: Tissue, local: int) -> int:
-    """Flat index of particles that stay where they are and of a force that is always zero."""
-    return tissue.tiles * 2 * local * TILE
-
-
-def _folds(
-    tissue: Tissue, place: Ints, owner: Ints, image_starts: Ints, local: int
-) -> tuple[Ints, Ints, Ints]:
-    """fold and fold_source of `PairLists`, and where each tile's folds start.
+def _folded(particle: Ints, felt: Ints, nowhere: int) -> tuple[Ints, Ints]:
+    """(tile, own particle) as a number of each fold, ascending, and fold_source of `PairLists`.
 
     Row r of an own particle holds, lane by lane, the r-th image of it that exists; lanes with
     fewer images read a force that is always zero.
 
     Args:
-        place: (images, TILE) of the cells whose own particles `owner` (images,) have the images.
+        particle: (k,) own particle, lane included, that each image is of.
+        felt: (k,) flat index of the image's force.
     """
-    there, lane = np.divmod(place, TILE)
-    key = (there * tissue.own + owner[:, None]) * TILE + lane
-    exists = (place >= 0) & tissue.exists.reshape(-1)[np.where(place < 0, 0, key)]
-    image, lane = np.nonzero(exists)
-    tile = np.searchsorted(image_starts, image, side="right") - 1
-    number = tissue.own + image - image_starts[tile]
-    source = (tile * 2 * local + number) * TILE + lane
-    key = key[exists]
-    order = np.argsort(key, kind="stable")
-    key, source = key[order], source[order]
-    rank = np.arange(len(key)) - np.searchsorted(key, key, side="left")
-    particle, at_lane = np.divmod(key, TILE)
-    rows, row = np.unique(np.stack([particle, rank], axis=1), axis=0, return_inverse=True)
-    fold_source = np.full((len(rows), TILE), _nowhere(tissue, local))
-    fold_source[row.reshape(-1), at_lane] = source
-    own_tile, fold = np.divmod(rows[:, 0], tissue.own)
-    return fold, fold_source, _starts(tissue, own_tile)
+    order = np.argsort(particle, kind="stable")
+    particle, felt = particle[order], felt[order]
+    rank = np.arange(len(particle)) - np.searchsorted(particle, particle)
+    most = int(rank.max(initial=0)) + 1
+    row, number = np.unique(particle // TILE * most + rank, return_inverse=True)
+    source = np.full((len(row), TILE), nowhere)
+    source[number, particle % TILE] = felt
+    return row // most, source
 
 
 @parallel_kernel
-def mark_close(x, kinds, reach, grid, close):
+def mark_close(x, kinds, reach, cells, close):
     """close (tiles, kinds): whether any lane has that pair within its `reach`."""
     for t in numba.prange(x.shape[0]):
-        _mark_close_in_tile(t, x, kinds, reach, grid, close)
-
-
-@kernel
-def _mark_close_in_tile(t, x, kinds, reach, grid, close):
-    for k in range(kinds.i.shape[0]):
-        i, j, s = kinds.i[k], kinds.j[k], kinds.shift[k]
-        for lane in range(TILE):
-            there = grid.place[t, s, lane]
-            if there < 0:
-                continue
-            tile, other = there // TILE, there % TILE
-            rx = x[tile, 0, j, other] - x[t, 0, i, lane]
-            ry = x[tile, 1, j, other] - x[t, 1, i, lane]
-            if rx * rx + ry * ry <= reach[k] * reach[k]:
-                close[t, k] = True
-                break
+        for k in range(kinds.i.shape[0]):
+            i, j, s = kinds.i[k], kinds.j[k], kinds.shift[k]
+            for lane in range(TILE):
+                there = cells.place[t, s, lane]
+                if there < 0:
+                    continue
+                tile, other = there // TILE, there % TILE
+                rx = x[tile, 0, j, other] - x[t, 0, i, lane]
+                ry = x[tile, 1, j, other] - x[t, 1, i, lane]
+                if rx * rx + ry * ry <= reach[k] * reach[k]:
+                    close[t, k] = True
+                    break

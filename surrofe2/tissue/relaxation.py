@@ -40,7 +40,7 @@ _FIRST_DRAG = 0.02
 
 LONGEST = 2e-3
 """µs; accuracy needs no less on the paper's cells."""
-_OF_LIMIT = 0.87
+OF_LIMIT = 0.87
 """Of the limit at rest, as deformed cells are stiffer; `LONGEST` takes as much of `printed`'s."""
 _POWERS = 100
 _SHIFT = 1e-6  # µm, of differences
@@ -83,7 +83,7 @@ def _settle(dynamics: TissueDynamics, residual: float, step: float, frequency: f
         implicit = 1.0 + 0.5 * drag * step
         drifts = np.full(STRETCH, step)
         dynamics.leap(
-            drifts / implicit, drifts, np.zeros(STRETCH), factors=ELASTIC,
+            drifts / implicit, drifts, factors=ELASTIC,
             retained=(1.0 - 0.5 * drag * step) / implicit,
         )  # fmt: skip
         x_before, f_before, x, f = x, f, dynamics.x, dynamics.free_forces(ELASTIC)
@@ -97,14 +97,9 @@ def _settle(dynamics: TissueDynamics, residual: float, step: float, frequency: f
     raise SimulationError("no equilibrium within the limit of steps")
 
 
-def safe_step(limit: float) -> float:
-    """The longest step that a tissue bears in motion too, where it is stable to `limit` at rest."""
-    return _OF_LIMIT * limit
-
-
 def rounded_step(limit: float) -> float:
     """`LONGEST`, or what is borne for sure if that is less, rounded down to two digits, µs."""
-    wanted = safe_step(limit)
+    wanted = OF_LIMIT * limit
     if wanted >= LONGEST:
         return LONGEST
     unit = 10.0 ** (np.floor(np.log10(wanted)) - 1.0)

@@ -27,6 +27,7 @@ from surrofe2.plant_cell.arrangement import ReferenceState
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem.mesh import extent
 from surrofe2.problem.problem import Problem, label
+from surrofe2.problem.rigid_bodies import check_outside
 from surrofe2.run.journal import (
     Journal,
     RunState,
@@ -38,11 +39,11 @@ from surrofe2.run.journal import (
 )
 from surrofe2.run.loop import carry_out
 from surrofe2.run.views import Facts, ViewedRun, course
-from surrofe2.tissue.conditions import Conditions
+from surrofe2.tissue.conditions import TOUCHING, Conditions
 from surrofe2.tissue.dynamics import TissueDynamics
 from surrofe2.tissue.layout import make_tissue
 from surrofe2.tissue.pair_lists import bonded_particles
-from surrofe2.tissue.relaxation import LONGEST, relax, rounded_step, safe_step, stable_step
+from surrofe2.tissue.relaxation import LONGEST, OF_LIMIT, relax, rounded_step, stable_step
 from surrofe2.tissue.settings import TissueSettings
 
 Array = NDArray[np.float64]
@@ -51,7 +52,7 @@ Cells = CellParameters | Sequence[CellParameters]
 References = ReferenceState | Sequence[ReferenceState]
 
 DEFAULTS = TissueSettings()
-_STATE = 3
+_STATE = 4
 """Version of what a state holds."""
 
 
@@ -62,7 +63,7 @@ class TissueState(RunState):
     Attributes:
         relaxed, x, v: (particles, 2) the unloaded equilibrium, positions and velocities, µm and
             µm/µs.
-        elastic: stored energy of the unloaded tissue, pJ; resting: (k, 2) forces there, µN.
+        resting: (k, 2) forces on the unloaded tissue, µN.
         bodies: (2, b, 2) position and velocity of rigid bodies.
         journal: ``rows`` (r, c) at the output times passed, the columns of `columns_of`;
             ``frames.…`` as of `ParticleFrames`.
@@ -76,7 +77,6 @@ class TissueState(RunState):
     relaxed: Array
     x: Array
     v: Array
-    elastic: float
     resting: Array
     bodies: Array
     journal: Journal
@@ -146,70 +146,65 @@ _WORKS = ("bodies", "motion", "contact dissipated", "dissipated")
 def columns_of(conditions: Conditions) -> list[str]:
     """What a row of the history holds: vectors by component, then numbers."""
     problem = conditions.problem
+    supports = [each.name for each in conditions.supports]
+    bodies = [body.name for body in problem.bodies]
+    loads = [label(each) for each in conditions.loads]
     vectors = [f"displacement {name}" for name in problem.watched]
     vectors += [f"mean displacement {name}" for name in problem.acted_boundaries()]
-    vectors += [f"force {name}" for name in conditions.acting]
-    vectors += [f"position {body.name}" for body in problem.bodies]
+    vectors += [f"force {name}" for name in (*supports, *loads, *bodies)]
+    vectors += [f"position {name}" for name in bodies]
     both = [f"{name} {axis}" for name in vectors for axis in "xy"]
-    depths = [f"penetration {body.name}" for body in problem.bodies]
-    works = [*(label(each) for each in conditions.loads), *_WORKS]
-    energies = ["kinetic", "elastic", "contact", *works]
+    energies = ["kinetic", "elastic", "contact", *loads, *_WORKS]
+    depths = [f"penetration {name}" for name in bodies]
     return [*both, *depths, *(f"energy.{name}" for name in energies)]
 
 
 class Recorder:
     """Takes down what a run finds; its state is replaced as a whole, so no interrupt tears it."""
 
+    may_be_kept = True
+
     def __init__(
-        self,
-        conditions: Conditions,
-        settings: TissueSettings,
-        dynamics: TissueDynamics,
-        identity: Array,
+        self, conditions: Conditions, settings: TissueSettings, dynamics: TissueDynamics
     ) -> None:
-        self._dynamics, self._identity = dynamics, identity
-        self._conditions, problem = conditions, conditions.problem
+        self._conditions, self._dynamics = conditions, dynamics
+        self.identity = identity(conditions, settings)
+        problem, tissue = conditions.problem, conditions.tissue
         self._t = problem.output_times()
         frames = np.linspace(0.0, problem.duration, settings.frames)
         self._frame_rows = np.searchsorted(self._t * (1.0 + 1e-12), frames)
-        tissue = dynamics.tissue
-        start = tissue.to_particles(tissue.start)
-        watched = [*problem.watched.values()]
-        self._watched = np.hypot(*(start[:, None] - np.array(watched)).T).argmin(axis=1)
+        start, points = tissue.to_particles(tissue.start), problem.watched.values()
+        self._watched = [np.hypot(*(start - point).T).argmin() for point in points]
         self._means = [
             (conditions.boundary(name), conditions.lengths(name))
             for name in problem.acted_boundaries()
         ]
         self._created = clock()
-        self._state: TissueState
+        self.state: TissueState
 
     def begin(self) -> None:
         """Record the tissue at rest and, with its first velocities, t = 0."""
-        dynamics = self._dynamics
+        dynamics, conditions = self._dynamics, self._conditions
         relaxed = dynamics.x
         self._started = clock()
         dynamics.counts.clear()
-        elastic = dynamics.elastic_energy()
-        resting = self._forces(0.0, np.zeros(len(self._conditions.loads)))
-        works = np.zeros(len(self._conditions.loads) + len(_WORKS))
-        rates = [each.at(0.0, 0.0)[1] for each in self._conditions.motions]
-        works[-3] = dynamics.start(self._conditions.velocity(), np.array(rates))
-        v = dynamics.v
-        state = TissueState(
+        dynamics.forces()
+        resting = self._forces(0.0, np.zeros(len(conditions.loads)))
+        works = np.zeros(len(conditions.loads) + len(_WORKS))
+        rates = [each.at(0.0, 0.0)[1] for each in conditions.motions]
+        works[-3] = dynamics.start(conditions.velocity(), np.array(rates))
+        self.state = TissueState(
             relaxed=relaxed,
             x=relaxed,
-            v=v,
-            elastic=elastic,
+            v=dynamics.v,
             resting=resting,
             bodies=np.stack([dynamics.bodies.x, dynamics.bodies.v]),
-            journal=Journal.of({}),
-            identity=self._identity,
+            journal=Journal.of({"rows": np.empty((0, len(columns_of(conditions))))}),
+            identity=self.identity,
             seconds={"relaxation": self._started - self._created},
             counts={},
         )
-        rows = {"rows": self._row(0.0, state, works)[None]}
-        rows |= frame_series(ParticleFrames(np.zeros(1), 0.0 * relaxed[None], v[None]))
-        self._state = self._with_counts(replace(state, journal=Journal.of(rows)))
+        self.record(0, works)
 
     def restore(self, state: TissueState) -> None:
         """Continue from where `state` was taken."""
@@ -217,7 +212,7 @@ class Recorder:
         dynamics.bodies.x[:], dynamics.bodies.v[:] = state.bodies
         dynamics.place(state.x, state.v)
         dynamics.counts = Counter(state.counts)
-        self._state = replace(state, journal=state.journal.copy())
+        self.state = replace(state, journal=state.journal.copy())
         self._started = clock() - state.seconds["run"]
 
     def record(self, steps: int, works: Array) -> None:
@@ -227,60 +222,45 @@ class Recorder:
             works: (loads + 4,) since then, of the loads, of `acceleration` on bodies, of what moves
                 supports and bodies, lost in contact and in the tissue, pJ.
         """
-        dynamics, before = self._dynamics, self._state
+        dynamics, before = self._dynamics, self.state
         dynamics.counts["steps"] += steps
         row, t = before.rows, self._t[before.rows]
         x, v = dynamics.x, dynamics.v
-        works = before.journal["rows"][-1, -len(works) :] + works
-        journal = before.journal.written({"rows": self._row(t, before, works)[None]})
+        u = x - before.relaxed
+        works = before.journal["rows"][-1:, -len(works) :].sum(axis=0) + works
+        journal = before.journal.written({"rows": self._row(t, u, works)[None]})
         if row in self._frame_rows:
-            frame = ParticleFrames(np.array([t]), (x - before.relaxed)[None], v[None])
+            frame = ParticleFrames(np.array([t]), u[None], v[None])
             journal = journal.written(frame_series(frame))
-        bodies = np.stack([dynamics.bodies.x, dynamics.bodies.v])
-        self._state = self._with_counts(replace(before, x=x, v=v, bodies=bodies, journal=journal))
-
-    @property
-    def rows(self) -> int:
-        """Output times passed."""
-        return self._state.rows
-
-    @property
-    def may_be_kept(self) -> bool:
-        """Always: what is recorded is replaced as a whole."""
-        return True
+        self.state = replace(
+            before,
+            x=x,
+            v=v,
+            bodies=np.stack([dynamics.bodies.x, dynamics.bodies.v]),
+            journal=journal,
+            counts={name: dynamics.counts[name] for name in _COUNTS},
+            seconds=before.seconds | {"run": clock() - self._started},
+        )
 
     def checkpoint(self) -> TissueState:
         """The state at the last output time recorded."""
-        return replace(self._state, journal=self._state.journal.copy())
+        return replace(self.state, journal=self.state.journal.copy())
 
-    def _with_counts(self, state: TissueState) -> TissueState:
-        counts = {name: self._dynamics.counts[name] for name in _COUNTS}
-        seconds = state.seconds | {"run": clock() - self._started}
-        return replace(state, counts=counts, seconds=seconds)
-
-    def _row(self, t: float, before: TissueState, works: Array) -> Array:
-        """What `columns_of` lists; works: since t = 0, else as of `record`."""
-        dynamics, bodies = self._dynamics, self._dynamics.bodies
-        u = dynamics.x - before.relaxed
-        factors = self._factors(t)
-        kinetic = dynamics.kinetic_energy()
-        elastic = dynamics.elastic_energy(factors) - before.elastic
-        free = bodies.per_mass > 0.0
-        kinetic += 0.5 * float(((bodies.v[free] ** 2).sum(axis=1) / bodies.per_mass[free]).sum())
-        start = np.array([body.position for body in self._conditions.problem.bodies])
+    def _row(self, t: float, u: Array, works: Array) -> Array:
+        """What `columns_of` lists at displacements u; stored energy is not counted from t = 0."""
+        dynamics, bodies, conditions = self._dynamics, self._dynamics.bodies, self._conditions
+        factors = np.array([each.at(t, t)[0] for each in conditions.load_amplitudes])
+        kinetic, elastic = dynamics.kinetic_energy(), dynamics.elastic_energy(factors)
+        start = np.array([body.position for body in conditions.problem.bodies])
         vectors = [
             *u[self._watched],
             *(length @ u[i] / length.sum() for i, length in self._means),
-            *(self._forces(t, factors) - before.resting),
+            *(self._forces(t, factors) - self.state.resting),
             *(bodies.x - start.reshape(-1, 2)),
         ]
         return np.array(
             [*np.ravel(vectors), *bodies.depth, kinetic, elastic, bodies.stored.sum(), *works]
         )
-
-    def _factors(self, t: float) -> Array:
-        """(loads,) amplitudes."""
-        return np.array([each.at(t, t)[0] for each in self._conditions.load_amplitudes])
 
     def _forces(self, t: float, factors: Array) -> Array:
         """(k, 2) resultants on the tissue of supports, loads and bodies at the last forces, µN.
@@ -303,11 +283,12 @@ class Recorder:
 
     def run(self, finished: bool) -> TissueRun:
         """The results so far."""
-        state, tissue = self._state, self._dynamics.tissue
+        state, tissue = self.state, self._dynamics.tissue
         problem = self._conditions.problem
         columns = named_columns(columns_of(self._conditions), state.journal["rows"])
         curves = curves_of(self._t[: state.rows], columns)
         energies = part_of(columns, "energy")
+        energies["elastic"] = energies["elastic"] - energies["elastic"][0]
         lost = ("kinetic", "elastic", "contact", "contact dissipated", "dissipated")
         balance = np.sum([-e if name in lost else e for name, e in energies.items()], axis=0)
         energies["balance"] = balance - balance[0]
@@ -326,7 +307,7 @@ class Recorder:
             history=history_of(columns),
             position=state.relaxed,
             bonds=bonded_particles(tissue),
-            is_wall=np.arange(tissue.particles) < tissue.wall_particles,
+            is_wall=tissue.is_wall,
             frames=ParticleFrames(**state.journal.part("frames")),
             wall_time={"total": sum(state.seconds.values()), **state.seconds},
             counts={
@@ -374,18 +355,16 @@ def simulate_tissue(
         MismatchError: `resume` is of another run, `reference` of another cell.
     """
     conditions = make_conditions(problem, cell, reference, kind)
-    bears = step_at_rest(conditions)
-    settings = with_step(settings, bears)
+    settings = with_step(settings, conditions)
     problem.check_course()
     dynamics = held_and_loaded(conditions, settings)
-    numbers = identity(conditions, settings)
-    recorder = Recorder(conditions, settings, dynamics, numbers)
+    recorder = Recorder(conditions, settings, dynamics)
     if resume is None:
         if progress is not None:
             progress(0.0, problem.duration)
         meet_bodies(dynamics, conditions, relax(dynamics, settings.residual))
         recorder.begin()
-    elif np.array_equal(resume.identity, numbers):
+    elif np.array_equal(resume.identity, recorder.identity):
         meet_bodies(dynamics, conditions, resume.relaxed)
         recorder.restore(resume)
     else:
@@ -395,7 +374,7 @@ def simulate_tissue(
         )
 
     def steps() -> Iterator[float]:
-        for start, end in pairwise(problem.output_times().tolist()[recorder.rows - 1 :]):
+        for start, end in pairwise(problem.output_times().tolist()[recorder.state.rows - 1 :]):
             recorder.record(*advance(dynamics, conditions, settings, start, end))
             yield end
 
@@ -405,7 +384,14 @@ def simulate_tissue(
             progress=progress, checkpoint=checkpoint, interval=checkpoint_interval,
         )  # fmt: skip
     except SimulationError as error:
-        message = f"{error}; {_about_step(settings, bears)}"
+        step, limit = settings.micro_step or 0.0, step_at_rest(conditions)
+        remedy, default = "lower the load, or the step", rounded_step(limit)
+        if step > default:
+            remedy = f"the step is too long; leave it out or take {default:g}"
+        message = (
+            f"{error}; tissue.micro_step is {step:.3g} µs, at rest this cell bears "
+            f"{limit:.3g} µs: {remedy}"
+        )
         raise SimulationError(message, partial=error.partial) from error
 
 
@@ -423,7 +409,10 @@ def make_conditions(
             f"cells of {len(types)} types"
         )
     conditions = Conditions(problem, make_tissue(types, references, kind))
-    conditions.check_bodies()
+    for body in problem.bodies:
+        points = conditions.tissue.outline[conditions.boundary(body.on)]
+        allowed = TOUCHING * types[0].cell_side
+        check_outside(body.name, body.shape, np.array(body.position), points, allowed)
     return conditions
 
 
@@ -434,32 +423,23 @@ def step_at_rest(conditions: Conditions) -> float:
     return min(stable_step(cell, reference, outside) for cell, reference in types)
 
 
-def with_step(settings: TissueSettings, bears: float) -> TissueSettings:
+def with_step(settings: TissueSettings, conditions: Conditions) -> TissueSettings:
     """The settings with a step that the tissue bears where they state none.
 
     Raises:
-        InputError: they state one too close to the limit that it `bears` at rest: it could grow to
+        InputError: they state one too close to the limit that it bears at rest: it could grow to
             any size without an error.
     """
-    step, longest = settings.micro_step, safe_step(bears)
+    bears = step_at_rest(conditions)
+    step, longest, default = settings.micro_step, OF_LIMIT * bears, rounded_step(bears)
     if step is None:
-        return replace(settings, micro_step=rounded_step(bears))
+        return replace(settings, micro_step=default)
     if step > longest * (1.0 + 1e-9):
         raise InputError(
             f"tissue.micro_step: {step:.4g} µs; at most {longest:.4g}, as the limit of stability "
-            f"at rest is {bears:.4g} µs with all that acts; leave it out or take "
-            f"{rounded_step(bears):g}"
+            f"at rest is {bears:.4g} µs with all that acts; leave it out or take {default:g}"
         )
     return settings
-
-
-def _about_step(settings: TissueSettings, limit: float) -> str:
-    """The step against the longest that the tissue bears at rest, and what to change."""
-    step, default = settings.micro_step or 0.0, rounded_step(limit)
-    beside = f"tissue.micro_step is {step:.3g} µs, at rest this cell bears {limit:.3g} µs"
-    if step > default:
-        return f"{beside}: the step is too long; leave it out or take {default:g}"
-    return f"{beside}: lower the load, or the step"
 
 
 def cells_that_fill(
@@ -478,19 +458,17 @@ def cells_that_fill(
     on_a_side = [(abs(ends.T - side) < 1e-9 * high.max()).all(axis=1) for side in (0.0 * low, high)]
     if abs(low).max() > 1e-9 * high.max() or not np.any(on_a_side, axis=(0, 2)).all():
         raise InputError("mesh: a full tissue needs a rectangle [0, width] × [0, height]")
-    counts = []
-    for name, length in zip(("width", "height"), high.tolist(), strict=True):
-        count = round(length / cell.cell_side)
+    n, m = (round(length / cell.cell_side) for length in high.tolist())
+    for name, length, count in (("width", high[0], n), ("height", high[1], m)):
         if count < 1 or abs(count * cell.cell_side - length) > 1e-9 * length:
             few = int(length / cell.cell_side)
-            near = " or ".join(f"{n * cell.cell_side:g}" for n in (few, few + 1) if n)
+            near = " or ".join(f"{k * cell.cell_side:g}" for k in (few, few + 1) if k)
             hint = ": change it or give --cells N M" if section == "load" else f": take {near}"
             raise InputError(
                 f"{section}.{name}: {length:g}; a tissue needs a whole number of plant cells of "
                 f"{cell.cell_side:g} µm{hint}"
             )
-        counts.append(count)
-    return counts[0], counts[1]
+    return n, m
 
 
 def held_and_loaded(conditions: Conditions, settings: TissueSettings) -> TissueDynamics:
@@ -499,7 +477,7 @@ def held_and_loaded(conditions: Conditions, settings: TissueSettings) -> TissueD
         conditions.tissue,
         skin=settings.skin,
         held=conditions.held,
-        load=conditions.dead_loads(),
+        loads=conditions.dead_loads(),
         driven=conditions.driven(),
     )
 
@@ -532,20 +510,18 @@ def advance(
     kicks, drifts = np.full(count + 1, step), np.full(count + 1, step)
     kicks[[0, -1]] *= 0.5
     drifts[-1] = 0.0
-    loads, motions = conditions.load_amplitudes, conditions.motions
+    motions = conditions.motions
     dynamics.take_works()
     dissipated, rate = 0.0, dynamics.dissipation_rate()
     for k in range(samples):
         t = start + k * length + step * np.arange(count + 1)
         amplitudes, values = (
             np.array([[each.at(at, at)[0] for each in some] for at in t])
-            for some in (loads, motions)
+            for some in (conditions.load_amplitudes, motions)
         )
         # Each drift ends where the motion leads; the last kick, without a drift, at its rate.
         last = [each.at(t[-1], t[-1])[1] for each in motions]
         speeds = np.concatenate([np.diff(values, axis=0) / step, [last]])
-        if not loads:
-            amplitudes = np.zeros((len(t), 1))
         dynamics.leap(kicks, drifts, amplitudes, speeds)
         rate_before, rate = rate, dynamics.dissipation_rate()
         dissipated += 0.5 * length * (rate_before + rate)
@@ -559,8 +535,8 @@ def identity(conditions: Conditions, settings: TissueSettings) -> Array:
     """Numbers that two runs share if one may continue where the other stopped."""
     problem, tissue = conditions.problem, conditions.tissue
     stated = problem.conditions, problem.bodies, problem.duration, problem.output_interval
-    digest = hashlib.sha256(repr((_STATE, stated, tissue.constants, settings)).encode())
-    digest.update(repr([*columns_of(conditions), *problem.watched.items()]).encode())
+    watched = [*problem.watched.items()]
+    digest = hashlib.sha256(repr((_STATE, stated, watched, tissue.constants, settings)).encode())
     sides = [conditions.boundary(name) for name in problem.acted_boundaries()]
     acts = conditions.held, conditions.dead_loads(), conditions.velocity()
     for array in (tissue.mass, tissue.kind, *sides, *acts):

@@ -19,7 +19,7 @@ from surrofe2.store.fields import write_particle_fields
 from surrofe2.store.run_folder import CHECKPOINT_INTERVAL, RunFolder, RunRecord, write_curves
 from surrofe2.store.samples import kept_reference
 from surrofe2.tissue import TissueRun, TissueState, simulate_tissue
-from surrofe2.tissue.simulation import cells_that_fill, make_conditions, step_at_rest, with_step
+from surrofe2.tissue.simulation import cells_that_fill, make_conditions, with_step
 from surrofe2.workflow.run import new_record
 
 
@@ -59,8 +59,7 @@ def run_tissue(
     problem, cells, kind = tissue_of(recipe)
     references = [kept_reference(cell) for cell in cells]
     conditions = make_conditions(problem, cells, references, kind)
-    bears = step_at_rest(conditions)
-    recipe = replace(recipe, tissue=with_step(recipe.tissue, bears))
+    recipe = replace(recipe, tissue=with_step(recipe.tissue, conditions))
     before = seconds_compiling()
 
     def store(record: RunRecord, run: TissueRun) -> RunRecord:

@@ -10,9 +10,13 @@ NONE = np.zeros((2, 2))
 
 
 class TissueTwin:
-    """Particles in an order of its own; the reference only places them at the start."""
+    """Particles in an order of its own; the reference only places them at the start.
 
-    def __init__(self, cell, reference, cells):
+    What is asked and answered is in the order of a tissue of one type; `order` leads there.
+    """
+
+    def __init__(self, tissue):
+        cell, reference, cells = tissue.cell, tissue.references[0], tissue.kind.shape
         self.cell, self.rest_length = cell, reference.rest_length
         per_side, side, position = cell.wall_springs_per_side, cell.cell_side, reference.position
         outer = per_side * np.array(cells)
@@ -21,14 +25,21 @@ class TissueTwin:
         walls = position[np.where(j == 0, i, per_side + j - 1)] + side * cell_of
         fluid, each = position[2 * per_side - 1 :], np.array([*np.ndindex(*cells)])
         home = np.repeat(each, len(fluid), axis=0)
-        self.start = np.concatenate([walls, np.tile(fluid, (len(each), 1)) + side * home])
+        start = np.concatenate([walls, np.tile(fluid, (len(each), 1)) + side * home])
+        there = tissue.to_particles(tissue.start)
+        distance = np.linalg.norm(there[:, None] - start, axis=2)
+        self.order = distance.argmin(axis=1)
+        assert sorted(self.order) == [*range(len(start))]
+        assert distance.min(axis=1).max() < 1e-9
         share = 0.5 ** ((grid == 0) | (grid == outer)).sum(axis=1)
-        self.mass = np.concatenate(
-            [cell.wall_particle_mass * share, np.full(len(home), cell.fluid_particle_mass)]
-        )
+        mass = [cell.wall_particle_mass * share, np.full(len(home), cell.fluid_particle_mass)]
+        self.mass = np.concatenate(mass)[self.order]
         edges = [(axis, line) for axis in (0, 1) for line in (0, outer[axis])]
         self.pairs = sort_pairs(cell, grid, home, edges=edges)
 
     def evaluate(self, x, v):
         """f (n, 2), elastic energy and power lost to damping."""
-        return resultants(self.cell, self.rest_length, x, v, self.pairs, NONE, NONE)[:3]
+        place = np.argsort(self.order)
+        x, v = x[place], v[place]
+        f, *rest = resultants(self.cell, self.rest_length, x, v, self.pairs, NONE, NONE)[:3]
+        return f[self.order], *rest
