@@ -35,7 +35,7 @@ _SUMS = "\n            ".join(
     for i in range(COMPONENTS)
 )
 
-_ABOUT = """\
+_HEADER = """\
 /* Stress of plant tissue at a point: a surrogate of surrofe2 {version} in C99, self-contained.
  *
  * Units: um, us, ng; so force is uN, stress in the plane uN/um, rates 1/us.
@@ -52,8 +52,7 @@ _ABOUT = """\
  * {name}_stress_of does the same at `count` points, one after the other in arrays, and returns
  *     how many have no stress. Neither has a state; threads may call them at once.
  */
-"""
-_HEADER = """
+
 #ifndef SURROFE2_{name}_H
 #define SURROFE2_{name}_H
 
@@ -77,18 +76,6 @@ size_t {name}_stress_of(size_t count, const double *F, const double *F_rate, dou
 
 #endif
 """
-_INCLUDES = """
-#include <math.h>
-#include <stddef.h>
-#include <stdint.h>
-#include <string.h>
-
-#ifdef __cplusplus
-#define RESTRICT
-#else
-#define RESTRICT restrict
-#endif
-"""
 
 
 def c_source(law: SurrogateLaw, name: str = "surrofe2") -> str:
@@ -102,8 +89,8 @@ def c_source(law: SurrogateLaw, name: str = "surrofe2") -> str:
             the name is none of C.
     """
     body = files("surrofe2.store").joinpath("surrogate_body.c").read_text(encoding="utf-8")
-    helpers, answers, calls = body.split("@SPLIT@\n")
-    lines = [_about(law, name), _INCLUDES, _statuses(), "", *_tables(law), "", helpers]
+    includes, helpers, answers, calls = body.split("@SPLIT@\n")
+    lines = [c_header(law, name), includes, *_tables(law), "", helpers]
     for width in _WIDTHS:
         lines += [*_bound(law, width), *_network(law, width)]
         lines += [answers.replace("@SUMS@", _SUMS).replace("@L@", str(width))]
@@ -111,15 +98,7 @@ def c_source(law: SurrogateLaw, name: str = "surrofe2") -> str:
 
 
 def c_header(law: SurrogateLaw, name: str = "surrofe2") -> str:
-    """The header of `c_source`, for C and C++."""
-    return _about(law, name) + _HEADER.format(name=name, statuses=_statuses())
-
-
-def _statuses() -> str:
-    return "\n".join(f"#define SURROFE2_{status.name} {int(status)}" for status in _STATUSES)
-
-
-def _about(law: SurrogateLaw, name: str) -> str:
+    """The header of `c_source`, which begins with it, for C and C++."""
     texts = {
         "version": law.version,
         "cell": law.cell.fingerprint,
@@ -131,10 +110,9 @@ def _about(law: SurrogateLaw, name: str) -> str:
             raise InputError(f"{what} of the surrogate: {quoted(text)}; it must be {WORD.pattern}")
     if not NAME.fullmatch(name):
         raise InputError(f"name: {quoted(name)}; it must be a name in C, {NAME.pattern}")
-    low, high = law.range.stretch
-    return _ABOUT.format(
-        **texts, name=name, low=low, high=high, shear=law.range.shear, rate=law.range.rate
-    )
+    (low, high), bounds = law.range.stretch, {"shear": law.range.shear, "rate": law.range.rate}
+    statuses = "\n".join(f"#define SURROFE2_{each.name} {int(each)}" for each in _STATUSES)
+    return _HEADER.format(**texts, **bounds, name=name, low=low, high=high, statuses=statuses)
 
 
 def _tables(law: SurrogateLaw) -> Iterator[str]:

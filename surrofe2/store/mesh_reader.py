@@ -15,7 +15,6 @@ import os
 import resource
 import sys
 from collections import Counter
-from collections.abc import Iterator
 from typing import Any
 
 import meshio
@@ -124,25 +123,7 @@ def _check(stored: meshio.Mesh) -> None:
 
 
 def _groups(stored: meshio.Mesh) -> Groups:
-    """Named groups of lines and surfaces."""
-    groups = dict(_physical_groups(stored))
-    for name, parts in stored.cell_sets.items():
-        if not name.startswith("gmsh:"):
-            groups[name] = tuple(np.asarray([] if p is None else p, np.int64) for p in parts)
-    for name, parts in groups.items():
-        dimension = int(stored.field_data[name][1]) if name in stored.field_data else 0
-        if dimension in (1, 2) and not any(map(len, parts)):
-            what = "line" if dimension == 1 else "element"
-            raise MeshError(f"physical group {name}: it has no {what}")
-        kinds = {block.type in _LINES for block, part in zip(stored.cells, parts, strict=True)
-                 if len(part) and block.type != "vertex"}  # fmt: skip
-        if len(kinds) > 1:
-            raise MeshError(f"group {name}: it has lines and surfaces; name them apart")
-    return groups
-
-
-def _physical_groups(stored: meshio.Mesh) -> Iterator[tuple[str, tuple[Index, ...]]]:
-    """Groups by the number that each cell has; one without a name is refused."""
+    """Named groups of lines and surfaces; a physical one, of cells by number, must have a name."""
     named = {(int(dim), int(tag)): name for name, (tag, dim) in stored.field_data.items()}
     tagged = [
         (1 if each.type in _LINES else 0 if each.type == "vertex" else 2, np.asarray(tags))
@@ -156,8 +137,22 @@ def _physical_groups(stored: meshio.Mesh) -> Iterator[tuple[str, tuple[Index, ..
                     f"physical group {tag} of {what.lower()}s has no name; give it one in Gmsh: "
                     f'Physical {what}("name", {tag}) = …'
                 )
+    groups: Groups = {}
     for (dimension, tag), name in named.items() if tagged else ():
-        yield name, tuple(np.flatnonzero((d == dimension) & (of == tag)) for d, of in tagged)
+        groups[name] = tuple(np.flatnonzero((d == dimension) & (of == tag)) for d, of in tagged)
+    for name, parts in stored.cell_sets.items():
+        if not name.startswith("gmsh:"):
+            groups[name] = tuple(np.asarray([] if p is None else p, np.int64) for p in parts)
+    for name, parts in groups.items():
+        dimension = int(stored.field_data[name][1]) if name in stored.field_data else 0
+        if dimension in (1, 2) and not any(map(len, parts)):
+            what = "line" if dimension == 1 else "element"
+            raise MeshError(f"physical group {name}: it has no {what}")
+        kinds = {block.type in _LINES for block, part in zip(stored.cells, parts, strict=True)
+                 if len(part) and block.type != "vertex"}  # fmt: skip
+        if len(kinds) > 1:
+            raise MeshError(f"group {name}: it has lines and surfaces; name them apart")
+    return groups
 
 
 def _at(point: Array) -> str:

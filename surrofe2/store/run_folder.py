@@ -355,7 +355,7 @@ def describe_origin() -> dict[str, Any]:
 
 def describe_platform() -> dict[str, str]:
     """Processor, cores, system and library versions; nothing that identifies the machine."""
-    processor = platform.processor() or platform.machine()
+    processor = platform.machine()
     with suppress(OSError, StopIteration):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         names = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))

@@ -1,3 +1,13 @@
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+#ifdef __cplusplus
+#define RESTRICT
+#else
+#define RESTRICT restrict
+#endif
+@SPLIT@
 /* The formulas. Each is a loop over LANES points, a quantity of which is a row of so many numbers; all
  * sizes are known here, so that compilers make vector instructions of the loops. What is called
  * ..._of_1 is the same for a point alone. Do not compile this with -ffast-math, which takes the
@@ -198,10 +208,6 @@ static void answers_of_@L@(const double *RESTRICT F, const double *RESTRICT V, d
     }
 }
 @SPLIT@
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 int @NAME@_stress(const double *F, const double *F_rate, double tolerance, double *stress,
     double *bound, double *P_by_F, double *P_by_F_rate)
 {
@@ -248,7 +254,3 @@ size_t @NAME@_stress_of(size_t count, const double *F, const double *F_rate, dou
     }
     return lost;
 }
-
-#ifdef __cplusplus
-}
-#endif

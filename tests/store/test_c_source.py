@@ -6,7 +6,7 @@ import ctypes
 import shutil
 import subprocess
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -72,6 +72,18 @@ def compiled(law, folder):
     return respond
 
 
+@pytest.fixture(scope="module")
+def in_c(tmp_path_factory):
+    """By kind: a law, and its function in C."""
+
+    @cache
+    def of(kind):
+        law = LAWS[kind]()
+        return law, compiled(law, tmp_path_factory.mktemp(kind))
+
+    return of
+
+
 @pytest.mark.parametrize("name", ["version", "data_fingerprint", "initialisation"])
 def test_text_of_a_file_does_not_become_code(tmp_path, name):
     code = "*/ __attribute__((constructor)) static void f(void) {} /*"
@@ -96,9 +108,8 @@ def states(law, count=403, beyond=1.15):
 
 
 @pytest.mark.parametrize("kind", LAWS)
-def test_the_same_answers(kind, tmp_path):
-    law = LAWS[kind]()
-    respond = compiled(law, tmp_path)
+def test_the_same_answers(kind, in_c):
+    law, respond = in_c(kind)
     F, F_dot = states(law)
     stress, status, bound = law.lookup(F, F_dot)
     known = status == Status.OK
@@ -116,9 +127,8 @@ def test_the_same_answers(kind, tmp_path):
         assert np.abs(by[known] - wanted).max() < 1e-12 * np.abs(wanted).max()
 
 
-def test_a_tolerance_and_no_tangents(tmp_path):
-    law = with_bound(make_law())
-    respond = compiled(law, tmp_path)
+def test_a_tolerance_and_no_tangents(in_c):
+    law, respond = in_c("domain")
     F, F_dot = states(law)
     _, status, bound = law.lookup(F, F_dot)
     # no bound may be the tolerance itself: those of C differ by rounding
@@ -130,9 +140,8 @@ def test_a_tolerance_and_no_tangents(tmp_path):
     assert np.isnan(found[3]).all()
 
 
-def test_what_is_not_a_number_is_out_of_range(tmp_path):
-    law = make_law()
-    respond = compiled(law, tmp_path)
+def test_what_is_not_a_number_is_out_of_range(in_c):
+    _, respond = in_c("symmetry")
     F = np.stack([np.full((2, 2), np.nan), np.diag([1.0, -1.0]), np.zeros((2, 2))])
     assert (respond(F, np.zeros_like(F))[1] == Status.OUT_OF_RANGE).all()
 

@@ -18,7 +18,13 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.store import samples, store
 from surrofe2.store.hdf5 import ANY, read, reading, write, writing
 from surrofe2.store.run_folder import STATE
-from surrofe2.store.samples import DATA_SET, read_data_set, writing_data_set
+from surrofe2.store.samples import (
+    DATA_SET,
+    HarvestWriter,
+    read_data_set,
+    read_harvest,
+    writing_data_set,
+)
 from tests.laws import SoftLaw
 from tests.store.small_data_set import HEADER, RANGE, append_chunk, write_all
 
@@ -99,6 +105,17 @@ def test_an_interruption_waits_while_hdf5_is_at_work(tmp_path):
     with reading(path, ANY):
         assert interruption._state.held
     assert not interruption._state.held
+
+
+def test_answers_are_harvested_whole_or_not_at_all(tmp_path):
+    writer = HarvestWriter(tmp_path / "harvest.h5", HEADER.entries())
+    F, F_dot = sample(RANGE, 8, 3)
+    codes = np.zeros(8, np.int8)
+    writer(F, F_dot, F, codes, codes)
+    with pytest.raises(KeyboardInterrupt):
+        writer(F, F_dot, F, Interrupting(), codes)
+    writer.flush()
+    np.testing.assert_array_equal(read_harvest(tmp_path / "harvest.h5").F, F)
 
 
 def test_every_moment_of_writing_leaves_a_file_to_continue(tmp_path):
