@@ -16,7 +16,6 @@ from surrofe2.recipe.recipe import load_recipe
 from surrofe2.report.figures import (
     Colours,
     box,
-    cell_colours,
     draw_cells,
     draw_tissue,
     drawn_bodies,
@@ -95,12 +94,11 @@ def draw(name, run, law, bodies, path):
     seen = law_at(law, element, len(run.elements)).particles(
         frames.F[k, element][None], frames.F_dot[k, element][None]
     )
-    walls, fluid = cell_colours(seen)
     span = float(np.linalg.norm(seen.lattice, axis=0).max())
     cell = np.sqrt(abs(np.linalg.det(seen.lattice)) / (seen.fluid_cell.max() + 1))
-    drawn = draw_cells(cells, seen, 0, walls, fluid, max(0.75 * span, 1.6 * cell))
-    walls.bar(cells, drawn[0], "bottom")
-    fluid.bar(cells, drawn[1])
+    (walls, lines), (fluid, dots) = draw_cells(cells, seen, 0, max(0.75 * span, 1.6 * cell))
+    walls.bar(cells, lines, "bottom")
+    fluid.bar(cells, dots)
     cells.set_title("plant cells there", fontsize=9)
     corners = (fields.points + fields.displacement[k])[run.elements[element]]
     middle = corners.mean(axis=0)

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from surrofe2 import CellParameters, RveLaw
-from surrofe2.report.figures import cell_colours, draw_cells
+from surrofe2.report.figures import draw_cells
 from surrofe2.run.charts import GREEN, VERMILION, Curve, Panel, draw_panels, encoded
 from surrofe2.rve import INITIALISATIONS
 from surrofe2.rve.micro_integration import integrate_rve
@@ -72,15 +72,14 @@ def draw_particles():
         seen = RveLaw(CELL, initialisation=name).particles(F, F_dot)
         x, v, f = seen.position[0], seen.velocity[0], seen.force[0]
         own = v - x @ (F_dot[0] @ np.linalg.inv(F[0])).T
-        colours = cell_colours(seen)
-        drawn = draw_cells(axes, seen, 0, *colours, half=17.0)
+        bars = draw_cells(axes, seen, 0, half=17.0)
         axes.quiver(*x.T, *own.T, color=GREEN, scale=VELOCITY / 2.0, **ARROW)
         axes.quiver(*x.T, *f.T, color=VERMILION, scale=FORCE / 2.0, **ARROW)
         mean = np.linalg.norm(f, axis=1).mean()
         axes.set_title(f"{name}\nmean force {mean:.1f} µN", fontsize=9)
         print(f"{name:17} mean force {mean:.2g} µN, own velocity {np.abs(own).max():.2g} µm/µs")
-    for each, of in zip(colours, drawn, strict=True):
-        each.bar(places, of)
+    for colours, drawn in bars:
+        colours.bar(places, drawn)
     figure.supxlabel(
         f"arrows of 2 µm: green, a velocity of {VELOCITY:g} µm/µs beside that of the tissue; "
         f"red, a force of {FORCE:g} µN",

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import ConnectionPatch, Patch
 
 from surrofe2 import CachedLaw, CellParameters, LoadCase, RveLaw, read_surrogate, simulate
-from surrofe2.report.figures import Colours, cell_colours, draw_cells, draw_tissue
+from surrofe2.report.figures import Colours, draw_cells, draw_tissue
 from surrofe2.run.charts import VERMILION, encoded
 from surrofe2.store.fields import DISPLACEMENT_NAME, StoredFields
 
@@ -43,10 +43,9 @@ def main():
     strain = np.abs(frames.F[k] - np.eye(2)).max(axis=(1, 2))
     element = int(np.where(by_rve[k], strain, -1.0).argmax())
     seen = law.particles(frames.F[k, element][None], frames.F_dot[k, element][None])
-    walls, fluid = cell_colours(seen)
-    drawn = draw_cells(right, seen, 0, walls, fluid, half=26.0)
-    walls.bar(right, drawn[0], "bottom")
-    fluid.bar(right, drawn[1])
+    (walls, lines), (fluid, dots) = draw_cells(right, seen, 0, half=26.0)
+    walls.bar(right, lines, "bottom")
+    fluid.bar(right, dots)
     corners = (fields.points + fields.displacement[k])[run.elements[element]]
     pointer = ConnectionPatch(
         corners.mean(axis=0), (0.0, 0.6), coordsA="data", coordsB="axes fraction",

@@ -250,12 +250,15 @@ def _held_sides(fields: StoredFields) -> list[tuple[int, int, int, int]]:
 
 
 def draw_cells(
-    axes: Axes, seen: Particles, k: int, walls: Colours, fluid: Colours, half: float = 0.0
-) -> tuple[Any, Any]:
-    """RVE k with its neighbours: walls by stretch, fluid by turgor; what colour bars take.
+    axes: Axes, seen: Particles, k: int, half: float = 0.0
+) -> tuple[tuple[Colours, Any], tuple[Colours, Any]]:
+    """RVE k with its neighbours: walls by stretch, fluid by turgor; for the two colour bars their
+    colours, which are the same for all RVEs, and what is drawn in them.
 
     half: of the width of the window about its centre, µm; 0: the RVE and a little more.
     """
+    walls = Colours.of("wall length / rest length", seen.stretch)
+    fluid = Colours.of("turgor (µN/µm)", seen.pressure, "Blues")
     lattice = seen.F[k] @ seen.lattice
     x, n_walls = seen.position[k], int(seen.is_wall.sum())
     half = half or 0.75 * float(abs(lattice).sum(axis=0).max())
@@ -278,15 +281,7 @@ def draw_cells(
     window = Rectangle(centre - half, 2.0 * half, 2.0 * half, transform=axes.transData)
     for each in (drawn, points):
         each.set_clip_path(window)
-    return drawn, points
-
-
-def cell_colours(seen: Particles) -> tuple[Colours, Colours]:
-    """Of walls and fluid, over all RVEs."""
-    return (
-        Colours.of("wall length / rest length", seen.stretch, "viridis"),
-        Colours.of("turgor (µN/µm)", seen.pressure, "Blues"),
-    )
+    return (walls, drawn), (fluid, points)
 
 
 def cell_figure(
@@ -327,14 +322,13 @@ def cell_figure(
     curve.set_title("dots: the times below", fontsize=9)
     curve.grid(alpha=0.25)
 
-    walls, fluid = cell_colours(seen)
     half = 0.75 * float(abs(np.einsum("nij,jk->nki", seen.F, seen.lattice)).sum(axis=1).max())
     places = below.subplots(rows, columns, squeeze=False)
     for axes, k in zip(places.flat, chosen, strict=False):
-        drawn = draw_cells(axes, seen, int(k), walls, fluid, half)
+        bars = draw_cells(axes, seen, int(k), half)
         axes.set_title(clock.format(t[k]), fontsize=9)
     for axes in places.flat[len(chosen) :]:
         axes.axis("off")
-    for colours, of in zip((walls, fluid), drawn, strict=True):
-        colours.bar(places.ravel().tolist(), of)
+    for colours, drawn in bars:
+        colours.bar(places.ravel().tolist(), drawn)
     return figure

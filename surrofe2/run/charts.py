@@ -108,12 +108,9 @@ def draw_panels(
 
     figure: where to draw; None: a new one, which no window shows.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    if figure is None:
-        figure = Figure()
-        FigureCanvasAgg(figure)
+    figure = figure or Figure()
     rows = [panels[first : first + columns] for first in range(0, len(panels), columns)]
     heights = [_PANEL_SIZE[1] * max(panel.height for panel in row) for row in rows]
     figure.set_layout_engine("constrained")
@@ -126,14 +123,11 @@ def draw_panels(
         _draw_panel(place, panel)
     width = max(_PANEL_SIZE[0] * columns, 6.4 if title else 0.0)
     legend = _draw_legends(figure, width, columns)
-    title = "\n".join(
-        wrapped for line in title.split("\n") for wrapped in wrap(line, int(11 * width))
-    )
-    lines = title.count("\n") + 1 if title else 0
-    figure.set_size_inches(width, sum(heights) + legend + _TITLE_ROW * lines)
+    lines = [part for line in title.split("\n") for part in wrap(line, int(11 * width))]
+    figure.set_size_inches(width, sum(heights) + legend + _TITLE_ROW * len(lines))
     figure.align_ylabels()
-    if title:
-        figure.suptitle(title, fontsize=11)
+    if lines:
+        figure.suptitle("\n".join(lines), fontsize=11)
     return figure
 
 
@@ -172,8 +166,7 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
         axes.plot(curve.x, y, label=curve.label or curve.name, **style)
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
-    if panel.title:
-        axes.set_title(panel.title, fontsize=10)
+    axes.set_title(panel.title, fontsize=10)
     if not panel.log_x:
         axes.xaxis.set_major_locator(MaxNLocator(6))
     elif any(bool(np.any(np.asarray(curve.x) == 0.0)) for curve in panel.curves):
