@@ -51,6 +51,8 @@ class StressNetwork(torch.nn.Module):
     at_rest: torch.Tensor
     component_of: torch.Tensor
     owner: torch.Tensor
+    factors: Any
+    """Linear layers, with tanh between them."""
 
     def __init__(self, settings: TrainingSettings, symmetry: str = "D4") -> None:
         super().__init__()

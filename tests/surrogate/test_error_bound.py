@@ -121,22 +121,15 @@ def share_inside(samples, domain):
     """Of the valid samples; no failed one is inside, and rest is."""
     inside, failed = within(domain, samples.F, samples.F_dot), samples.status != 0
     assert not inside[failed].any()
-    assert bool(len(domain.boundary)) == failed.any()
     assert within(domain, np.eye(2)[None], np.zeros((1, 2, 2))).all()
     return inside[~failed].mean()
 
 
-@pytest.mark.parametrize("fails", [lambda x: np.zeros(len(x), bool), buckles])
-def test_valid_samples_are_inside_failed_ones_are_not(fails):
-    samples = samples_that_fail(fails)
-    share = share_inside(samples, fit_domain(samples))
-    assert share > 0.9 if samples.status.any() else share == 1.0
-
-
-def test_failures_it_has_not_seen_are_outside_too():
+def test_valid_samples_are_inside_failures_are_not_be_they_seen_or_not():
     samples = samples_that_fail(buckles)
     assert 200 < (samples.status != 0).sum() < 2000
     domain = fit_domain(samples)
+    assert share_inside(samples, domain) > 0.9
     F, F_dot = sample(RANGE, 20_000, seed=8)
     failed = buckles(to_inputs(F, F_dot)[0])
     inside = within(domain, F, F_dot)

@@ -24,14 +24,11 @@ from surrofe2.surrogate.features import input_scale
 from surrofe2.surrogate.network import StressNetwork, along
 from surrofe2.surrogate.piola import to_cauchy
 from tests.laws import CELL, RANGE, lattice_samples
+from tests.numerics import turn
 
-G = [
-    np.array(g, dtype=float)
-    for g in (
-        [[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]],
-        [[1, 0], [0, -1]], [[-1, 0], [0, 1]], [[0, 1], [1, 0]], [[0, -1], [-1, 0]],
-    )
-]  # fmt: skip
+ROTATIONS = [*turn(np.arange(4) * np.pi / 2).round()]
+G = [*ROTATIONS, *(each @ np.diag([1.0, -1.0]) for each in ROTATIONS)]
+"""The square's group D4."""
 
 
 def samples_that_fail(fails, count=4000, seed=1):
