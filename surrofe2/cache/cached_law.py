@@ -25,13 +25,7 @@ from surrofe2.cache.branches import (
     choose_branches,
     look_up_free,
 )
-from surrofe2.cache.protocols import (
-    Fallback,
-    OnTrueAnswer,
-    Surrogate,
-    check_match,
-    check_scale,
-)
+from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate, check_parts
 from surrofe2.cache.settings import CacheSettings
 from surrofe2.cache.table.stress_table import StressTable
 from surrofe2.cache.trust import Trust, Window
@@ -97,8 +91,7 @@ class CachedLaw(Viewed):
         settings: CacheSettings | None = None,
         on_true_answer: OnTrueAnswer | None = None,
     ) -> None:
-        check_match(surrogate, fallback)
-        check_scale(surrogate, fallback)
+        check_parts(surrogate, fallback)
         own = self.settings = settings or CacheSettings()
         self.surrogate = surrogate.with_tolerance(own.tolerance, own.relative)
         self.table = self.surrogate if isinstance(self.surrogate, StressTable) else None

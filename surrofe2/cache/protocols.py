@@ -100,8 +100,15 @@ class Fallback(ResumableLaw, Protocol):
         """How its RVE is initialised."""
 
 
-def check_match(surrogate: Surrogate, fallback: Fallback) -> None:
-    """A MismatchError unless both are of one plant cell and initialisation."""
+def check_parts(surrogate: Surrogate, fallback: Fallback) -> None:
+    """A MismatchError unless both are of one plant cell and initialisation, and where the spread of
+    stress that the surrogate states, the unit of tolerances, is more than `MOST_SPREAD` times what
+    the fallback's moduli at rest give over its range.
+
+    Audits by a tolerance that is too large would find nothing. The moduli are differences of the
+    stress over a tenth of the range; of states that are uniform in it, a linear law's stress has
+    the spread √(Σ (∂σ/∂c w)²/3) over the seven entries c of U and RᵀḞ with half widths w.
+    """
     for what, here, there in (
         ("cell parameters", surrogate.cell.fingerprint, fallback.cell.fingerprint),
         ("initialisation", surrogate.initialisation, fallback.initialisation),
@@ -111,16 +118,6 @@ def check_match(surrogate: Surrogate, fallback: Fallback) -> None:
                 f"cache: the surrogate is of {what} {here}, the fallback of {there}; train a "
                 "surrogate for the fallback's"
             )
-
-
-def check_scale(surrogate: Surrogate, fallback: Fallback) -> None:
-    """A MismatchError where the spread of stress that the surrogate states, the unit of tolerances,
-    is more than `MOST_SPREAD` times what the fallback's moduli at rest give over its range.
-
-    Audits by a tolerance that is too large would find nothing. The moduli are differences of the
-    stress over a tenth of the range; of states that are uniform in it, a linear law's stress has
-    the spread √(Σ (∂σ/∂c w)²/3) over the seven entries c of U and RᵀḞ with half widths w.
-    """
     if surrogate.range is None:
         return
     low, high = surrogate.range.stretch

@@ -110,10 +110,8 @@ class DistributedLaw:
             tasks = [(state.number, begin, len(own)) if len(own) else None for own in pieces]
             for own, part in zip(pieces, self.driver.do(_to_arrays, tasks), strict=True):
                 for name, values in (part or {}).items():
-                    if name not in whole:
-                        shape = len(state.owner), *values.shape[1:]
-                        whole[name] = np.empty(shape, values.dtype)
-                    whole[name][own] = values
+                    room = np.empty((len(state.owner), *values.shape[1:]), values.dtype)
+                    whole.setdefault(name, room)[own] = values
         return whole
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> RankState:

@@ -10,8 +10,8 @@ from surrofe2.base.tensors import from_inputs, stress_error, to_components, to_i
 from surrofe2.cache import CachedLaw, sampled_spread
 from surrofe2.cache.branches import RETURN
 from surrofe2.cache.table.records import (
+    RULE,
     Records,
-    Rule,
     curvature_from_constant,
     curvature_from_slopes,
     input_slopes,
@@ -302,14 +302,11 @@ def test_a_changed_ellipsoid_passes_the_point_and_changes_nowhere_else(radius):
     assert np.linalg.eigvalsh(C).min() > 0.0
 
 
-GROWN = Rule().grown
-
-
 @pytest.mark.parametrize(
     ("radius", "error", "covered", "changed", "bound"),
     [
-        (0.8, 0.3, True, "grown", GROWN),  # a right answer near by: it grows beyond it
-        (1.3, 0.3, True, "grown", GROWN),
+        (0.8, 0.3, True, "grown", RULE.grown),  # a right answer near by: it grows beyond it
+        (1.3, 0.3, True, "grown", RULE.grown),
         (0.7, 0.3, True, None, 0.49),  # a right answer well within changes nothing
         (1.3, 0.5, False, None, 1.3**2),  # nor does a wrong or a far one beyond it
         (1.5, 0.0, False, None, 1.5**2),
@@ -324,11 +321,11 @@ def test_an_ellipsoid_changes_by_an_rve_answer(radius, error, covered, changed, 
     d = p * radius / np.sqrt(p @ records.curvature[0] @ p)
     x = records.centre[0] + d
     s = records.stress[0] + records.slope[0] @ d + [error * np.sqrt(2.0), 0.0, 0.0, 0.0]
-    found, counts = update_ellipsoids(x[None], s[None], 1, records, 1.0, Rule())
+    found, grown, shrunk = update_ellipsoids(x[None], s[None], 1, records, 1.0, RULE)
     assert found[0] == covered
-    assert counts == {name: int(name == changed) for name in ("grown", "shrunk")}
+    assert (grown, shrunk) == (changed == "grown", changed == "shrunk")
     assert d @ records.curvature[0] @ d == pytest.approx(bound)
-    assert np.sqrt(GROWN) < RETURN
+    assert np.sqrt(RULE.grown) < RETURN
 
 
 def test_first_size_is_exact_for_one_quadratic_component():

@@ -116,30 +116,16 @@ class Rule(NamedTuple):
     margin: float = 1.5
 
 
-_RULE = Rule()
-_NO_GROWTH = Rule(reach=1.0, growing=-1.0)
+RULE, NO_GROWTH = Rule(), Rule(reach=1.0, growing=-1.0)
 SAME = 0.01
 """A record within so small a share of the tolerance of another, by its bound, adds nothing."""
 
 
-def update_ellipsoids(
-    x: Array,
-    s: Array,
-    images: int,
-    records: Records,
-    tolerance: float,
-    rule: Rule = _RULE,
-) -> tuple[NDArray[np.bool_], dict[str, int]]:
-    """(covered (m,), counts) of m RVE answers x (m, 7) and s (m, 4), by which curvatures
-    change in place; `images`: 4 with the symmetry D4, 1 without."""
-    covered = np.zeros(len(x), dtype=np.bool_)
-    counts = np.zeros(2, dtype=np.int64)
-    _update(x, s, images, rule, records, float(tolerance), covered, counts)
-    return covered, {"grown": int(counts[0]), "shrunk": int(counts[1])}
-
-
 @kernel
-def _update(x, s, images, rule, records, tolerance, covered, counts):  # type: ignore[no-untyped-def]
+def update_ellipsoids(x, s, images, records, tolerance, rule):  # type: ignore[no-untyped-def]
+    """(covered (m,), grown, shrunk) of m RVE answers x (m, 7) and s (m, 4), by which curvatures
+    change in place; `images`: 4 with the symmetry D4, 1 without."""
+    covered, grown, shrunk = np.zeros(x.shape[0], dtype=np.bool_), 0, 0
     reach = rule.reach * tolerance
     p, candidate = np.empty(INPUTS), np.empty(INPUTS)
     for point in range(x.shape[0]):
@@ -153,7 +139,7 @@ def _update(x, s, images, rule, records, tolerance, covered, counts):  # type: i
                     continue
                 error = _error(p, s[point], flips, records.stress[k], records.slope[k])
                 if bound <= tolerance and error > max(bound, rule.shrinking * tolerance):
-                    counts[1] += 1
+                    shrunk += 1
                     set_bound(p, rule.margin * error, records.curvature[k])
                     bound = rule.margin * error
                 elif bound <= rule.grown * tolerance:
@@ -163,9 +149,10 @@ def _update(x, s, images, rule, records, tolerance, covered, counts):  # type: i
                     candidate[:] = p
                 covered[point] |= bound <= tolerance
         if nearest >= 0 and not within:
-            counts[0] += 1
+            grown += 1
             set_bound(candidate, rule.grown * tolerance, records.curvature[nearest])
             covered[point] = True
+    return covered, grown, shrunk
 
 
 @kernel
@@ -219,5 +206,5 @@ def merged(first: Records, second: Records, tolerance: float, images: int) -> Re
     is_new = [not (bound <= SAME * tolerance).any() for bound in bounds]
     new = second.take(np.flatnonzero(is_new))
     records = Records(*(np.concatenate(pair) for pair in zip(first, new, strict=True)))
-    update_ellipsoids(records.centre, records.stress, images, records, tolerance, _NO_GROWTH)
+    update_ellipsoids(records.centre, records.stress, images, records, tolerance, NO_GROWTH)
     return records

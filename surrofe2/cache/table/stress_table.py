@@ -31,6 +31,7 @@ from surrofe2.cache.table.lookup import look_up, make_screen
 from surrofe2.cache.table.records import (
     NO_RECORDS,
     OUTPUTS,
+    RULE,
     Records,
     curvature_from_constant,
     curvature_from_slopes,
@@ -161,18 +162,15 @@ class StressTable:
         self._screen = None
         x, R = to_inputs(F, F_dot)
         s = to_components(transpose(R) @ stress @ R)
-        covered, counts = update_ellipsoids(x, s, self.images, self._records, self.tolerance)
-        self.counts.update(counts)
-        left = np.flatnonzero(~covered)
+        left = np.flatnonzero(~self._cover(x, s, self._records))
         while len(left) and self.size < self.most_records:
             chosen = left[self._apart(x[left])][: self.most_records - self.size]
             new = self._solved(x[chosen], R[chosen], state, chosen)
             left = np.setdiff1d(left, chosen, assume_unique=True)
-            covered, counts = update_ellipsoids(x[left], s[left], self.images, new, self.tolerance)
-            left = left[~covered]
+            left = left[~self._cover(x[left], s[left], new)]
             both = zip(self._records, new, strict=True)
             self._records = Records(*(np.concatenate(pair) for pair in both))
-            self.counts.update(counts, added=len(new.centre))
+            self.counts["added"] += len(new.centre)
             if self.size >= self.most_records:
                 _log.warning(
                     "the table is full with %d records; it grows its ellipsoids, and RVEs answer "
@@ -198,6 +196,14 @@ class StressTable:
     def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
         self.restore(Records(*(arrays[name] for name in Records._fields)))
         self.counts = Counter(dict(zip(self.counts, arrays["counts"].tolist(), strict=True)))
+
+    def _cover(self, x: Array, s: Array, records: Records) -> NDArray[np.bool_]:
+        """(m,) which RVE answers these records cover, after they have grown and shrunk by them."""
+        covered: NDArray[np.bool_]
+        at = self.images, records, self.tolerance, RULE
+        covered, grown, shrunk = update_ellipsoids(x, s, *at)
+        self.counts.update(grown=grown, shrunk=shrunk)
+        return covered
 
     def _apart(self, x: Array) -> NDArray[np.intp]:
         """Which of these points should become records at once: none in the ellipsoid of another,
