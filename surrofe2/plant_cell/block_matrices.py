@@ -76,15 +76,53 @@ def make_pattern(labels: Sequence[int] | Ints, pairs: Iterable[tuple[int, int]])
         pairs: groups, by their labels, that interact.
     """
     labels = np.asarray(labels)
-    known = sorted(set(labels[1:].tolist()))
-    weight = {g: int(np.sum(labels[1:] == g)) for g in known}
-    neighbours: dict[int, set[int]] = {g: set() for g in known}
+    members = {g: 1 + np.flatnonzero(labels[1:] == g) for g in np.unique(labels[1:]).tolist()}
+    left: dict[int, set[int]] = {g: set() for g in members}
     for g, h in pairs:
-        if g != h and g in neighbours and h in neighbours:
-            neighbours[g].add(h)
-            neighbours[h].add(g)
-    order, later = _order_of_elimination(neighbours, weight)
-    return _layout(labels, order, later)
+        if g != h and g in left and h in left:
+            left[g].add(h)
+            left[h].add(g)
+    later = {}  # groups as they are eliminated, and those coupled to each that come after
+    while left:
+        g = min(left, key=lambda h: (sum(len(members[k]) for k in left[h]), h))
+        later[g] = others = left.pop(g)
+        for h in others:
+            left[h] |= others
+            left[h] -= {g, h}
+    rank, count = {g: k for k, g in enumerate(later)}, len(later)
+    upper = [sorted(rank[h] for h in others) for others in later.values()]
+    lower = [[h for h in range(g) if g in upper[h]] for g in range(count)]
+    size = [2 * len(members[g]) for g in later]
+    offset = np.full((count, count), -1, dtype=np.int32)
+    width, start = np.zeros((2, count), dtype=np.int32)
+    group, column = np.full((2, len(labels)), HELD, dtype=np.int32)
+    total = 0
+    for g, own in enumerate(members[label] for label in later):
+        at = 0
+        for h in [*lower[g], g, *upper[g]]:
+            offset[g, h] = at
+            at += size[h]
+        width[g], start[g] = at, total
+        group[own], column[own] = g, 2 * np.arange(len(own))
+        total += size[g] * at
+    blocks, stride = offset[group[:, None], group], width[group]
+    exists = (blocks >= 0) & (group[:, None] >= 0) & (group >= 0)
+    blocks = blocks + (start[group] + column * stride)[:, None] + column
+    return Pattern(
+        group=group,
+        column=column,
+        first=np.cumsum([0, *size], dtype=np.int32),
+        width=width,
+        start=start,
+        offset=offset,
+        lower=np.array([*chain(*lower)], dtype=np.int32),
+        lower_start=np.cumsum([0, *map(len, lower)], dtype=np.int32),
+        upper=np.array([*chain(*upper)], dtype=np.int32),
+        upper_start=np.cumsum([0, *map(len, upper)], dtype=np.int32),
+        block=np.where(exists, blocks, -1).astype(np.int32),
+        stride=stride,
+        size=total,
+    )
 
 
 @cache
@@ -102,62 +140,6 @@ def factorisation_work(pattern: Pattern) -> float:
         right = size[pattern.upper[ends[g] : ends[g + 1]]].sum()
         work += s**3 / 3.0 + s**2 * right + s * right**2
     return float(work)
-
-
-def _order_of_elimination(
-    neighbours: dict[int, set[int]], weight: dict[int, int]
-) -> tuple[list[int], dict[int, set[int]]]:
-    """Groups as they are eliminated, and of each those coupled to it that come after."""
-    left = {g: set(others) for g, others in neighbours.items()}
-    order, later = [], {}
-    while left:
-        g = min(left, key=lambda h: (sum(weight[k] for k in left[h]), h))
-        others = left.pop(g)
-        for h in others:
-            left[h] |= others
-            left[h] -= {g, h}
-        order.append(g)
-        later[g] = others
-    return order, later
-
-
-def _layout(labels: Ints, order: list[int], later: dict[int, set[int]]) -> Pattern:
-    rank = {g: k for k, g in enumerate(order)}
-    count, particles = len(order), len(labels)
-    members = [[i for i in range(1, particles) if labels[i] == g] for g in order]
-    upper = [sorted(rank[h] for h in later[g]) for g in order]
-    lower = [[h for h in range(g) if g in upper[h]] for g in range(count)]
-    size = [2 * len(m) for m in members]
-    offset = np.full((count, count), -1, dtype=np.int32)
-    width, start = np.zeros((2, count), dtype=np.int32)
-    group, column = np.full((2, particles), HELD, dtype=np.int32)
-    total = 0
-    for g in range(count):
-        at = 0
-        for h in [*lower[g], g, *upper[g]]:
-            offset[g, h] = at
-            at += size[h]
-        width[g], start[g] = at, total
-        group[members[g]], column[members[g]] = g, 2 * np.arange(len(members[g]))
-        total += size[g] * at
-    blocks, stride = offset[group[:, None], group], width[group]
-    known = (blocks >= 0) & (group[:, None] >= 0) & (group >= 0)
-    blocks = blocks + (start[group] + column * stride)[:, None] + column
-    return Pattern(
-        group=group,
-        column=column,
-        first=np.cumsum([0, *size], dtype=np.int32),
-        width=width,
-        start=start,
-        offset=offset,
-        lower=np.array([*chain(*lower)], dtype=np.int32),
-        lower_start=np.cumsum([0, *map(len, lower)], dtype=np.int32),
-        upper=np.array([*chain(*upper)], dtype=np.int32),
-        upper_start=np.cumsum([0, *map(len, upper)], dtype=np.int32),
-        block=np.where(known, blocks, -1).astype(np.int32),
-        stride=stride,
-        size=total,
-    )
 
 
 # LU factors

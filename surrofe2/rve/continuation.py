@@ -41,8 +41,8 @@ from surrofe2.plant_cell.forces import (
     make_workspace,
 )
 from surrofe2.plant_cell.neighbours import Topology
-from surrofe2.rve.newton import SEEK, SEEK_LIMIT, move, set_elastic_jacobian
-from surrofe2.rve.rve_state import ASTRAY, place, place_images
+from surrofe2.rve.newton import ASTRAY, SEEK, SEEK_LIMIT, move, set_elastic_jacobian
+from surrofe2.rve.rve_state import place, place_images
 from surrofe2.rve.unit_cell import Equilibria, UnitCell, relax
 
 Reals = NDArray[np.float64]

@@ -53,7 +53,13 @@ def integrate_rve(law: RveLaw, path: Path, times: Array, micro_step: float = 1e-
     z = elastic.respond(F[None], np.zeros((1, 2, 2))).state.z[0]
     u = np.einsum("ab,bpl->apl", F, z - X)
     w = np.einsum("ab,bpl->apl", F_dot, z - X)
-    stresses = [_stress(law, u, w, F, F_dot)]
+
+    def stress(F: Array, F_dot: Array) -> Array:
+        tile = np.empty((2, 2, TILE))
+        _set_stress(u, w, Drive(*_lanes([F, F_dot])), X, topology, unit.constants, tile)
+        return tile[..., 0].copy()
+
+    stresses = [stress(F, F_dot)]
     for begin, end in pairwise(times):
         steps = int(np.ceil((end - begin) / micro_step))
         dt = (end - begin) / steps
@@ -68,20 +74,13 @@ def integrate_rve(law: RveLaw, path: Path, times: Array, micro_step: float = 1e-
                 f"micro-integration: particles flew apart before t = {end} µs; take a shorter "
                 f"micro_step than {micro_step} µs or a gentler path"
             )
-        stresses.append(_stress(law, u, w, *path(float(end))))
+        stresses.append(stress(*path(float(end))))
     return np.array(stresses)
 
 
 def _lanes(tensors: list[Array]) -> Array:
     """(k, 2, 2, TILE), the same in every lane."""
     return np.ascontiguousarray(np.repeat(np.array(tensors)[..., None], TILE, axis=-1))
-
-
-def _stress(law: RveLaw, u: Array, w: Array, F: Array, F_dot: Array) -> Array:
-    unit, X, drive = law.unit_cell, law.rest_state(1).z[0], Drive(*_lanes([F, F_dot]))
-    stress = np.empty((2, 2, TILE))
-    _stress_of(u, w, drive, X, unit.topology, unit.constants, stress)
-    return stress[..., 0].copy()
 
 
 @kernel
@@ -98,7 +97,7 @@ def _set_forces(u, w, drive, X, topology, c, work):
 
 
 @kernel
-def _stress_of(u, w, drive, X, topology, c, stress):
+def _set_stress(u, w, drive, X, topology, c, stress):
     work = make_workspace(topology)
     _set_forces(u, w, drive, X, topology, c, work)
     cauchy_stress(work.x, work.f, drive.F, topology.area, stress)

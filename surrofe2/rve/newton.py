@@ -42,12 +42,10 @@ from surrofe2.rve.rve_state import (
     empty_answer,
     entries,
     evaluate,
-    give_up,
     inverse,
     keep_factors,
     keep_lane,
     kept_factors,
-    limit_step,
     map_affine,
     set_images,
 )
@@ -58,6 +56,12 @@ Flags = NDArray[np.bool_]
 CHORD_LIMIT, NEWTON_LIMIT, SEEK_LIMIT = 10, 40, 16
 CONTRACTION = 0.5
 """`chord` gives a point up where the mean force does not fall by this factor."""
+LONGEST_STEP = 0.4
+"""Longest Newton step of a particle, µm; contacts stiffen over r/7."""
+ASTRAY = 1.2
+"""Material displacement of a particle, µm, at which an equilibrium nearby is not sought on."""
+PATIENCE = 6
+"""From so many evaluations on the residual is to be halved by each while such is sought."""
 
 SKIP, CHECK, RENEW, SOLVE, SEEK = 0, 1, 2, 3, 4
 """What `newton` does with a tile; each up to SOLVE does what the one before does, too."""
@@ -130,11 +134,15 @@ def settle(residual, before, stop, count, source, target, iterations):
 
 
 @kernel
-def correct(lu, f, step, iterations, F, z, topology):
-    """z ← z − F⁻¹ J⁻¹ f in lanes under way."""
+def correct(lu, f, step, limited, iterations, F, z, topology):
+    """z ← z − F⁻¹ J⁻¹ f in lanes under way, by no more than LONGEST_STEP if `limited`."""
     set_residual(f, step)
     solve(lu, step, topology)
-    hold(step, iterations)
+    if limited:
+        limit_step(step)
+    for k in range(TILE):
+        if iterations[k] != 0:
+            step[:, k] = 0.0
     move(step, F, z)
 
 
@@ -147,11 +155,16 @@ def set_residual(f, step):
 
 
 @kernel
-def hold(step, iterations):
-    """No step in lanes that are done."""
+def limit_step(step):
+    """Shorten the step of each lane to LONGEST_STEP; a step that is not finite to nothing."""
     for k in range(TILE):
-        if iterations[k] != 0:
-            step[:, k] = 0.0
+        longest = 0.0
+        for i in range(step.shape[0]):
+            longest = max(longest, abs(step[i, k])) if step[i, k] == step[i, k] else np.inf
+        if longest > LONGEST_STEP:
+            factor = LONGEST_STEP / longest
+            for i in range(step.shape[0]):
+                step[i, k] = factor * step[i, k] if longest < np.inf else 0.0
 
 
 @kernel
@@ -184,26 +197,41 @@ def set_elastic_jacobian(work, F, topology, c, matrix, columns):
 
 
 @kernel
+def give_up(z, start, count, residual, bound, iterations):
+    """iterations −count where z is `ASTRAY` from the start, or the residual (TILE,) above bound."""
+    for k in range(TILE):
+        if count <= 1:
+            bound[k] = residual[k]
+        elif count >= PATIENCE:
+            if iterations[k] == 0 and residual[k] > bound[k]:
+                iterations[k] = -count
+            bound[k] *= 0.5
+        if iterations[k] == 0:
+            farthest = 0.0
+            for i in range(start.shape[1]):
+                dx, dy = z[0, i, k] - start[0, i, k], z[1, i, k] - start[1, i, k]
+                farthest = max(farthest, dx * dx + dy * dy)
+            if farthest > ASTRAY * ASTRAY:
+                iterations[k] = -count
+
+
+@kernel
 def newton_loop(work, matrices, drive, is_affine, topology, c, stop, answer):
     """Newton's method with limited steps from work.z, in lanes with iterations ≤ 0.
 
     Velocities are rate z if `is_affine`, else what work.v holds; then the rate is 0.
     """
     sigma, residual, before = np.empty((2, 2, TILE)), np.empty((1, TILE)), np.full(TILE, np.inf)
-    iterations, bound = answer.iterations, np.empty(TILE)
+    iterations, bound, matrix = answer.iterations, np.empty(TILE), matrices.matrix
     for k in range(TILE):
         iterations[k] = max(iterations[k], 0)
     for count in range(1, stop.limit + 1):
         evaluate(work, drive, is_affine, topology, c, sigma, residual)
         if settle(residual, before, stop, count, sigma, answer.stress, iterations) == 0:
             break
-        set_jacobian(work, drive, topology, c, matrices.matrix, matrices.no_columns)
-        factorise(matrices.matrix, topology, stop.seeks)
-        set_residual(work.f, matrices.step)
-        solve(matrices.matrix, matrices.step, topology)
-        limit_step(matrices.step)
-        hold(matrices.step, iterations)
-        move(matrices.step, drive.F, work.z)
+        set_jacobian(work, drive, topology, c, matrix, matrices.no_columns)
+        factorise(matrix, topology, stop.seeks)
+        correct(matrix, work.f, matrices.step, True, iterations, drive.F, work.z, topology)
         if stop.seeks:
             give_up(work.z, stop.start, count, before, bound, iterations)
 
@@ -217,7 +245,7 @@ def chord_loop(work, drive, is_affine, lu, topology, c, stop, answer):
         evaluate(work, drive, is_affine, topology, c, sigma, residual)
         if settle(residual, before, stop, count, sigma, answer.stress, iterations) == 0:
             break
-        correct(lu, work.f, step, iterations, drive.F, work.z, topology)
+        correct(lu, work.f, step, False, iterations, drive.F, work.z, topology)
 
 
 @parallel_kernel
@@ -280,7 +308,13 @@ def _newton_tile(drive, z, factors, task, topology, c, tolerance, answer):
     set_images(work.z, topology)
     if RENEW <= task <= SOLVE:
         lu, slopes = kept_factors(factors, topology)
-        _refactorise(work, matrices, drive, topology, c, lu, slopes)
+        map_affine(drive.F, work.z, work.x)
+        map_affine(drive.rate, work.z, work.v)
+        set_jacobian(work, drive, topology, c, matrices.matrix, matrices.columns)
+        factorise(matrices.matrix, topology, False)
+        keep_factors(matrices.matrix, lu)
+        for first in (0, COLUMNS):
+            keep_slopes(solved_columns(matrices, first, topology), drive.F, slopes, first)
     check_stable(work, matrices, drive.F, topology, c, answer.stable)
 
 
@@ -292,18 +326,6 @@ def renew(
     task = np.where(wanted, RENEW, CHECK).astype(np.int8)
     newton(drive, z, factors.address, task, topology, c, 0.0, answer)
     return answer.stable
-
-
-@kernel
-def _refactorise(work, matrices, drive, topology, c, lu, slopes):
-    """Fill lu and slopes of a tile at work.z, images set."""
-    map_affine(drive.F, work.z, work.x)
-    map_affine(drive.rate, work.z, work.v)
-    set_jacobian(work, drive, topology, c, matrices.matrix, matrices.columns)
-    factorise(matrices.matrix, topology, False)
-    keep_factors(matrices.matrix, lu)
-    for first in (0, COLUMNS):
-        keep_slopes(solved_columns(matrices, first, topology), drive.F, slopes, first)
 
 
 @kernel

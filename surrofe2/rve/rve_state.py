@@ -250,13 +250,6 @@ def with_copies(index: Index, points: int) -> tuple[Index, Index]:
 
 # What particles feel
 
-LONGEST_STEP = 0.4
-"""Longest Newton step of a particle, µm; contacts stiffen over r/7."""
-ASTRAY = 1.2
-"""Material displacement of a particle, µm, at which an equilibrium nearby is not sought on."""
-PATIENCE = 6
-"""From so many evaluations on the residual is to be halved by each while such is sought."""
-
 
 class Drive(NamedTuple):
     """F and Ḟ (the rate that particles feel) of all tiles, (tiles, 2, 2, TILE)."""
@@ -315,38 +308,6 @@ def keep_lane(source, k, target):
     for a in range(target.shape[0]):
         for i in range(target.shape[1]):
             target[a, i, k] = source[a, i, k]
-
-
-@kernel
-def limit_step(step):
-    """Shorten the step of each lane to LONGEST_STEP; a step that is not finite to nothing."""
-    for k in range(TILE):
-        longest = 0.0
-        for i in range(step.shape[0]):
-            longest = max(longest, abs(step[i, k])) if step[i, k] == step[i, k] else np.inf
-        if longest > LONGEST_STEP:
-            factor = LONGEST_STEP / longest
-            for i in range(step.shape[0]):
-                step[i, k] = factor * step[i, k] if longest < np.inf else 0.0
-
-
-@kernel
-def give_up(z, start, count, residual, bound, iterations):
-    """iterations −count where z is `ASTRAY` from the start, or the residual (TILE,) above bound."""
-    for k in range(TILE):
-        if count <= 1:
-            bound[k] = residual[k]
-        elif count >= PATIENCE:
-            if iterations[k] == 0 and residual[k] > bound[k]:
-                iterations[k] = -count
-            bound[k] *= 0.5
-        if iterations[k] == 0:
-            farthest = 0.0
-            for i in range(start.shape[1]):
-                dx, dy = z[0, i, k] - start[0, i, k], z[1, i, k] - start[1, i, k]
-                farthest = max(farthest, dx * dx + dy * dy)
-            if farthest > ASTRAY * ASTRAY:
-                iterations[k] = -count
 
 
 @kernel

@@ -5,7 +5,6 @@ stretch across follows by (A41); with initialisation "elastic" it stays where it
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -36,36 +35,20 @@ _DIFFERENCE = 1e-4
 """Of λ, by which s is differenced."""
 
 
-@dataclass(frozen=True, slots=True)
-class Follow:
-    """How F₂₂ and Ḟ₂₂ follow the stretch λ and its rate, (n,) each."""
-
-    F_by_stretch: Array
-    F_by_rate: Array
-    rate_by_stretch: Array
-    rate_by_rate: Array
-
-    def slopes(self, tangents: Tangents, a: int, b: int) -> tuple[Array, Array]:
-        """(∂P_ab/∂λ, ∂P_ab/∂λ̇), (n,) each, where F and Ḟ follow."""
-        by_F, by_rate = tangents.P_by_F[:, a, b], tangents.P_by_F_dot[:, a, b]
-        by_stretch = by_F[:, 0, 0] + by_F[:, 1, 1] * self.F_by_stretch
-        by_stretch += by_rate[:, 1, 1] * self.rate_by_stretch
-        along = by_rate[:, 0, 0] + by_F[:, 1, 1] * self.F_by_rate
-        return by_stretch, along + by_rate[:, 1, 1] * self.rate_by_rate
-
-
 class SideFree(NamedTuple):
-    """The bulk at n points: F and Ḟ (n, 2, 2) diagonal; P₁₁ (n,), µN/µm, and its slopes as the side
-    follows; where (n,) there is such a state; and how the stretch across follows.
+    """The bulk at n points with stretch λ along its free side.
+
+    F, F_dot: (n, 2, 2) diagonal. P: (n,) P₁₁, µN/µm. slopes: (2, n) of P₁₁ by λ and λ̇ where the
+    stretch across follows. valid: (n,) whether there is such a state. follow: (2, 2, n), [k, m] how
+    F₂₂ and Ḟ₂₂ follow λ and λ̇.
     """
 
     F: Array
     F_dot: Array
     P: Array
-    by_stretch: Array
-    by_rate: Array
+    slopes: Array
     valid: NDArray[np.bool_]
-    follow: Follow
+    follow: Array
 
 
 def side_free(law: RveLaw, stretch: Array, rate: Array) -> SideFree:
@@ -75,20 +58,23 @@ def side_free(law: RveLaw, stretch: Array, rate: Array) -> SideFree:
     across, s = _at_rest(law, np.concatenate([stretch, lower, upper]))
     across, (s, before, after) = across[:n], s.reshape(3, n)
     bend, across_rate = (after - before) / (upper - lower), s * rate
-    follow = Follow(s, zero, bend * rate, s)
+    follow = np.array([[s, zero], [bend * rate, s]])
     if law.initialisation != "elastic":
         across = _solve_across(law, stretch, across, rate, across_rate)
-        only_rates = replace(follow, F_by_stretch=zero)
         tangents = _respond(law, stretch, across, rate, across_rate)[1]
-        by_stretch, by_rate = only_rates.slopes(tangents, 1, 1)
-        stiffness = tangents.P_by_F[:, 1, 1, 1, 1]
-        follow = replace(
-            follow, F_by_stretch=-by_stretch / stiffness, F_by_rate=-by_rate / stiffness
-        )
+        follow[0] = 0.0
+        follow[0] = -slopes(tangents, follow, 1) / tangents.P_by_F[:, 1, 1, 1, 1]
     P, tangents, valid = _respond(law, stretch, across, rate, across_rate)
     F, F_dot = diagonal(stretch, across), diagonal(rate, across_rate)
-    by_stretch, by_rate = follow.slopes(tangents, 0, 0)
-    return SideFree(F, F_dot, P[:, 0], by_stretch, by_rate, valid & np.isfinite(across), follow)
+    valid &= np.isfinite(across)
+    return SideFree(F, F_dot, P[:, 0], slopes(tangents, follow, 0), valid, follow)
+
+
+def slopes(tangents: Tangents, follow: Array, a: int) -> Array:
+    """(2, n) ∂P_aa by λ and λ̇, where F₂₂ and Ḟ₂₂ follow."""
+    by_F, by_rate = tangents.P_by_F[:, a, a], tangents.P_by_F_dot[:, a, a]
+    along = np.stack([by_F[:, 0, 0], by_rate[:, 0, 0]])
+    return along + by_F[:, 1, 1] * follow[0] + by_rate[:, 1, 1] * follow[1]
 
 
 def diagonal(first: Array, second: Array) -> Array:
@@ -216,7 +202,7 @@ class SlabLaw:
         half, across = 0.5 * self.thickness, bulk.F[0, 1, 1]
         stiffness, _ = bend(self.unit, bulk.F[0], z)
         assert surface.tangent is not None
-        lacking = 0.5 * (stiffness / across**2 - 2.0 / 3.0 * half**3 * bulk.by_stretch[0])
+        lacking = 0.5 * (stiffness / across**2 - 2.0 / 3.0 * half**3 * bulk.slopes[0, 0])
         farthest = half + self.cell.cell_side
         square = np.clip(lacking / surface.tangent[0], 0.0, farthest**2)
         return float(half - np.sqrt(square))
@@ -235,13 +221,9 @@ class SlabLaw:
         tension[~at.valid] = np.nan
         if not tangents:
             return SurfaceResponse(tension)
-        bulk, height = at.bulk, self.unit.reference.lattice[1, 1]
-        slopes = bulk.follow.slopes(at.solution.tangents(), 0, 0)
-        by_stretch, by_rate = (
-            0.5 * (height * slab - self.thickness * beside)
-            for slab, beside in zip(slopes, (bulk.by_stretch, bulk.by_rate), strict=True)
-        )
-        return SurfaceResponse(tension, by_stretch, by_rate)
+        height, beside = self.unit.reference.lattice[1, 1], self.thickness * at.bulk.slopes
+        of_slab = height * slopes(at.solution.tangents(), at.bulk.follow, 0)
+        return SurfaceResponse(tension, *(0.5 * (of_slab - beside)))
 
     def point(self, stretch: Array, rate: Array) -> SlabPoint:
         """Slab and bulk at stretches and rates (n,)."""
@@ -269,7 +251,7 @@ class SlabLaw:
             assert surface.tangent is not None
             height = across * self.cell.cell_side
             force = height * bulk.P + 2.0 * surface.tension
-            slope = height * bulk.by_stretch + 2.0 * surface.tangent
+            slope = height * bulk.slopes[0] + 2.0 * surface.tangent
             if not surface.valid[0] or not slope[0] > 0.0:
                 break
             step = force / slope

@@ -16,7 +16,10 @@ REST = 1.9
 
 
 class Patch:
-    """One cell, in every lane another state: material positions z (TILE, n, 2), F, Ḟ."""
+    """One cell, in every lane another state: material positions z (TILE, n, 2), F, Ḟ.
+
+    x, v: (2, local, TILE) of local particles, whose `owners` are own ones.
+    """
 
     def __init__(self, preset: str, seed: int = 0) -> None:
         rng = np.random.default_rng(seed)
@@ -28,12 +31,13 @@ class Patch:
         self.z = base + 0.1 * rng.uniform(-1, 1, (TILE, *base.shape))
         self.F = np.eye(2) + 0.08 * rng.uniform(-1, 1, (TILE, 2, 2))
         self.F_dot = 0.01 * rng.uniform(-1, 1, (TILE, 2, 2))
+        self.owners = np.append(np.arange(self.topology.particles), self.topology.owner)
+        self.x, self.v = self.local(self.z, self.F), self.local(self.z, self.F_dot)
 
     def local(self, z, tensor):
         """(2, local, TILE): tensor applied to own particles and images."""
-        everyone = np.concatenate(
-            [z, z[:, self.topology.owner] + self.topology.image_offset], axis=1
-        )
+        offset = np.pad(self.topology.image_offset, ((z.shape[1], 0), (0, 0)))
+        everyone = z[:, self.owners] + offset
         return np.ascontiguousarray(np.einsum("lab,lpb->apl", tensor, everyone))
 
     def workspace(self, x, v, z=None):
@@ -51,15 +55,20 @@ class Patch:
         derivatives.force_jacobian(self.workspace(*at), L, self.topology, self.constants, J, load)
         return J.reshape(2 * n - 2, 2 * n - 2, TILE), load
 
+    def local_forces(self, x, v):
+        """(2, local, TILE)."""
+        work = self.workspace(x, v)
+        forces.local_forces(work, self.topology, self.constants)
+        return work.f
+
     def forces(self, z=None, F=None, F_dot=None, fold=True):
         """(TILE, n, 2)."""
         z = self.z if z is None else z
         x = self.local(z, self.F if F is None else F)
-        work = self.workspace(x, self.local(z, self.F_dot if F_dot is None else F_dot))
-        forces.local_forces(work, self.topology, self.constants)
+        f = self.local_forces(x, self.local(z, self.F_dot if F_dot is None else F_dot))
         if fold:
-            forces.fold_images(work.f, self.topology)
-        return np.moveaxis(work.f[:, : self.topology.particles], -1, 0).swapaxes(1, 2)
+            forces.fold_images(f, self.topology)
+        return np.moveaxis(f[:, : self.topology.particles], -1, 0).swapaxes(1, 2)
 
     def elastic_rates(self, x, v):
         """f and its rate (2, local, TILE), elastic, of local particles."""
@@ -68,6 +77,12 @@ class Patch:
             work, rate, np.empty_like(work.volume), self.topology, self.constants
         )
         return work.f, rate
+
+    def gradients(self, weights):
+        by_x, by_v = np.zeros_like(weights), np.zeros_like(weights)
+        work = self.workspace(self.x, self.v)
+        derivatives.add_force_gradients(work, weights, by_x, by_v, self.topology, self.constants)
+        return by_x, by_v
 
     def energy(self, z, F):
         energy = np.empty((1, TILE))

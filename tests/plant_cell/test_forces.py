@@ -7,7 +7,7 @@ from scipy.integrate import quad
 
 from surrofe2.base.simd import TILE, load, pack, store, unpack
 from surrofe2.plant_cell import forces
-from surrofe2.plant_cell.derivatives import add_force_gradients, add_stiffness_rates
+from surrofe2.plant_cell.derivatives import add_stiffness_rates
 from surrofe2.plant_cell.forces import spline, spline_curvature, spline_slope
 from tests.numerics import assert_near, differences, slope_along
 from tests.plant_cell.lanes_of_states import Patch
@@ -109,10 +109,8 @@ def test_elastic_force_rates_are_the_slopes_along_a_motion(patch):
     """For any motion of the particles with a moving lattice, fluctuating ones included."""
     n = patch.topology.particles
     y = 0.1 * np.random.default_rng(5).normal(size=patch.z.shape)
-    x = patch.local(patch.z, patch.F)
-    v = patch.local(patch.z, patch.F_dot)
-    owners = np.concatenate([np.arange(n), patch.topology.owner])
-    v += np.einsum("lab,lpb->apl", patch.F, y[:, owners])
+    x, v = patch.x, patch.v.copy()
+    v += np.einsum("lab,lpb->apl", patch.F, y[:, patch.owners])
     found, still = patch.elastic_rates(x, v), np.zeros_like(patch.F_dot)
     for each in found:
         forces.fold_images(each, patch.topology)
@@ -136,38 +134,10 @@ def test_packing_into_tiles_is_undone_by_unpacking():
     np.testing.assert_array_equal(tiles[2, :, :, 7], values[18])
 
 
-class Local(Patch):
-    """A patch with the velocities of any motion and four fields over local particles."""
-
-    def __init__(self, preset):
-        super().__init__(preset)
-        self.owners = np.concatenate([np.arange(self.topology.particles), self.topology.owner])
-        rng = np.random.default_rng(7)
-        self.x = self.local(self.z, self.F)
-        self.v = self.local(self.z, self.F_dot)
-        self.fields = rng.normal(size=(4, 2, len(self.owners), TILE))
-        self.others = rng.normal(size=self.fields.shape)
-
-    def gradients(self, weights):
-        by_x, by_v = np.zeros_like(weights), np.zeros_like(weights)
-        work = self.workspace(self.x, self.v)
-        add_force_gradients(work, weights, by_x, by_v, self.topology, self.constants)
-        return by_x, by_v
-
-    def all_forces(self, x, v):
-        work = self.workspace(x, v)
-        forces.local_forces(work, self.topology, self.constants)
-        return work.f
-
-    def stiffness_rates(self, u, v):
-        f = np.zeros_like(u)
-        add_stiffness_rates(self.workspace(self.x, v), u, f, self.topology, self.constants)
-        return f
-
-
-@pytest.fixture(params=["printed", "water"])
-def local(request):
-    return Local(request.param)
+@pytest.fixture
+def fields(patch):
+    """Two times four fields of local particles."""
+    return np.random.default_rng(7).normal(size=(2, 4, *patch.x.shape))
 
 
 def along(first, second):
@@ -175,41 +145,43 @@ def along(first, second):
     return np.einsum("mapl,mapl->ml", first, second)
 
 
-def test_gradients_are_the_slopes_of_the_weighted_sum(local):
+def test_gradients_are_the_slopes_of_the_weighted_sum(patch, fields):
     """Images have weights of their own here, as they have in the virial."""
-    by_x, by_v = local.gradients(local.fields)
+    weights, others = fields
+    by_x, by_v = patch.gradients(weights)
     for forces_at, at, by in (
-        (lambda x: local.all_forces(x, local.v), local.x, by_x),
-        (lambda v: local.all_forces(local.x, v), local.v, by_v),
+        (lambda x: patch.local_forces(x, patch.v), patch.x, by_x),
+        (lambda v: patch.local_forces(patch.x, v), patch.v, by_v),
     ):
-        slope = along(by, local.others)
-        expected = [slope_along(forces_at, at, each, 1e-6) for each in local.others]
-        assert_near(along(local.fields, np.array(expected)), slope, 1e-6)
+        slope = along(by, others)
+        expected = [slope_along(forces_at, at, each, 1e-6) for each in others]
+        assert_near(along(weights, np.array(expected)), slope, 1e-6)
 
 
-def test_gradients_are_the_transposed_jacobian(local):
-    n, (J, columns) = local.topology.particles, local.jacobian(local.F_dot)
-    L = np.moveaxis(local.F_dot @ np.linalg.inv(local.F), 0, -1)
-    Z = local.local(local.z, np.broadcast_to(np.eye(2), local.F.shape))
-    weights = np.ascontiguousarray(local.fields[:, :, local.owners])
-    by_x, by_v = local.gradients(weights)
+def test_gradients_are_the_transposed_jacobian(patch, fields):
+    n, (J, columns) = patch.topology.particles, patch.jacobian(patch.F_dot)
+    L = np.moveaxis(patch.F_dot @ np.linalg.inv(patch.F), 0, -1)
+    Z = patch.local(patch.z, np.broadcast_to(np.eye(2), patch.F.shape))
+    weights = np.ascontiguousarray(fields[0][:, :, patch.owners])
+    by_x, by_v = patch.gradients(weights)
     own = weights[:, :, :n].swapaxes(1, 2).reshape(4, 2 * n, TILE)
-    for fields, first in ((by_x, 0), (by_v, 4)):
-        affine = np.einsum("mckl,dkl->mcdl", fields, Z).reshape(4, 4, TILE)
+    for by, first in ((by_x, 0), (by_v, 4)):
+        affine = np.einsum("mckl,dkl->mcdl", by, Z).reshape(4, 4, TILE)
         expected = np.einsum("mil,ijl->mjl", own, columns[:, first : first + 4])
         assert_near(affine, expected, 1e-12)
-    weights[:, :, local.owners == 0] = 0.0  # forces on the held particle are in no matrix
-    by_x, by_v = local.gradients(weights)
+    weights[:, :, patch.owners == 0] = 0.0  # forces on the held particle are in no matrix
+    by_x, by_v = patch.gradients(weights)
     total = by_x + np.einsum("cal,mckl->makl", L, by_v)
     folded = np.zeros((4, 2, n, TILE))
-    np.add.at(folded, (slice(None), slice(None), local.owners), total)
+    np.add.at(folded, (slice(None), slice(None), patch.owners), total)
     folded = folded.swapaxes(1, 2).reshape(4, 2 * n, TILE)
     own = weights[:, :, 1:n].swapaxes(1, 2).reshape(4, 2 * n - 2, TILE)
     assert_near(folded[:, 2:], np.einsum("mil,ijl->mjl", own, J), 1e-12)
 
 
-def test_stiffness_rates_are_the_slopes_of_the_elastic_force_rates(local):
-    rates = local.stiffness_rates(local.fields, local.v)
-    rates_at = lambda x: local.elastic_rates(x, local.v)[1]  # noqa: E731
-    for found, field in zip(rates, local.fields, strict=True):
-        assert_near(slope_along(rates_at, local.x, field, 1e-6), found, 1e-6)
+def test_stiffness_rates_are_the_slopes_of_the_elastic_force_rates(patch, fields):
+    work, rates = patch.workspace(patch.x, patch.v), np.zeros_like(fields[0])
+    add_stiffness_rates(work, fields[0], rates, patch.topology, patch.constants)
+    rates_at = lambda x: patch.elastic_rates(x, patch.v)[1]  # noqa: E731
+    for rate, field in zip(rates, fields[0], strict=True):
+        assert_near(slope_along(rates_at, patch.x, field, 1e-6), rate, 1e-6)

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 
+from surrofe2.base.simd import unpack
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw, RveSettings
 from tests.plant_cell.twin import IMAGES, Twin
@@ -29,18 +30,16 @@ def deformations(preset, n=48, seed=0, corners=True):
     return np.eye(2) + SPREAD[preset] * F, 0.01 * rng.uniform(-1, 1, (n, 2, 2))
 
 
-def particles(state, point):
-    """(n, 2) material positions of one point."""
-    tile, lane = divmod(point, 8)
-    return state.z[tile, :, :, lane].T
+def positions(state):
+    """(points, n, 2) material positions."""
+    return unpack(state.z, state.points).transpose(0, 2, 1)
 
 
 def clear_of_the_cut_off(answer, F, wide=1e-3):
     """(n,) whether no contact sits within `wide` µm of x₀, where tangents are one-sided."""
     clear = []
-    for point in range(len(F)):
-        z = particles(answer.state, point)
-        offsets = 25.0 * np.array(IMAGES)
+    offsets = 25.0 * np.array(IMAGES)
+    for point, z in enumerate(positions(answer.state)):
         r = (z[None, :, None] + offsets[None, None]) - z[:, None, None]
         length = np.linalg.norm(r @ F[point].T, axis=-1)
         clear.append(np.abs(length - 10.0).min() > wide)
@@ -59,7 +58,7 @@ def assert_balanced(this, answer, F, F_dot, points, felt=None, beyond=None):
     twin = Twin(this.cell, this.rest_length)
     felt, beyond = F_dot if felt is None else felt, np.zeros(len(F)) if beyond is None else beyond
     for point in points:
-        z = particles(answer.state, point)
+        z = positions(answer.state)[point]
         f, *_ = twin.evaluate(z, F[point], felt[point], beyond[point])
         assert np.linalg.norm(f, axis=1).mean() < 1e-8
         stress = twin.evaluate(z, F[point], F_dot[point], beyond[point])[2]

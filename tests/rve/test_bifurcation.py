@@ -15,8 +15,8 @@ from surrofe2.rve.rve_state import stored_energy
 from tests.numerics import turn
 from tests.rve import rves
 from tests.rve.curvature_twin import Curvatures
+from tests.rve.rves import PRESETS, positions
 
-PRESETS = ("printed", "water")
 NEAR = {"printed": 0.1, "water": 0.04}
 """Within so much of I, entry by entry, no solve may fail (docs/theory.md)."""
 BEYOND = {
@@ -35,10 +35,6 @@ def law(preset, initialisation="elastic"):
 @cache
 def curvatures(preset):
     return Curvatures(law(preset).cell, law(preset).rest_length)
-
-
-def positions(state):
-    return unpack(state.z, state.points).transpose(0, 2, 1)
 
 
 def assert_stable(preset, F, answer, chunk=256):

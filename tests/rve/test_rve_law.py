@@ -10,7 +10,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import INITIALISATIONS, RveLaw, RveSettings
 from tests.numerics import assert_near, differences, turn
 from tests.plant_cell.twin import Twin
-from tests.rve.rves import PRESETS, assert_balanced, deformations, law, particles, piola
+from tests.rve.rves import PRESETS, assert_balanced, deformations, law, piola, positions
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -104,7 +104,7 @@ def test_elastic_stress_is_the_slope_of_the_relaxed_energy(preset):
 
     def energy(F):
         answer = this.respond(F[None], still[None])
-        return twin.evaluate(particles(answer.state, 0), F, still)[1] / 625.0
+        return twin.evaluate(positions(answer.state)[0], F, still)[1] / 625.0
 
     for point in range(3):
         P = piola(this, F[point][None], still[None])[0]
@@ -163,8 +163,8 @@ def test_states_of_single_points_can_be_taken_and_put_back():
     part = law("printed").respond(F[index] * 1.001, F_dot[index], answer.state.take(index))
     assert part.effort["newton_solves"] == 0
     whole = answer.state.put(index, part.state)
-    np.testing.assert_array_equal(particles(whole, 20), particles(part.state, 1))
-    np.testing.assert_array_equal(particles(whole, 4), particles(answer.state, 4))
+    np.testing.assert_array_equal(positions(whole)[20], positions(part.state)[1])
+    np.testing.assert_array_equal(positions(whole)[4], positions(answer.state)[4])
 
 
 @pytest.mark.parametrize(

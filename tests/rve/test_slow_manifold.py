@@ -13,7 +13,7 @@ from surrofe2.rve.micro_integration import integrate_rve
 from surrofe2.rve.parameter_gradients import parameter_gradients
 from tests.laws import tangents_by_differences
 from tests.numerics import slope_along
-from tests.rve.rves import PRESETS, assert_balanced, deformations, law
+from tests.rve.rves import PRESETS, assert_balanced, deformations, law, positions
 
 
 def shear(t):
@@ -90,11 +90,10 @@ def test_velocities_are_those_of_the_moving_equilibrium_and_forces_vanish_with_t
 
     def moving(t):
         at = F + t * F_dot
-        z = unpack(law(preset, "elastic").respond(at, 0.0 * F).state.z, 6).transpose(0, 2, 1)
+        z = positions(law(preset, "elastic").respond(at, 0.0 * F).state)
         return z @ at.transpose(0, 2, 1)
 
-    z = unpack(answer.state.z, 6).transpose(0, 2, 1)
-    velocities = z @ F_dot.transpose(0, 2, 1) + beyond
+    velocities = positions(answer.state) @ F_dot.transpose(0, 2, 1) + beyond
     expected = slope_along(moving, 0.0, 1.0, 1e-3)
     np.testing.assert_allclose(velocities, expected, rtol=0, atol=1e-6)
 
@@ -165,16 +164,3 @@ def test_beyond_a_bifurcation_it_is_constrained_runs():
     by = [parameter_gradients(each, F, F_dot, names).P_by for each in (slow, runs)]
     for name in names:
         np.testing.assert_allclose(by[0][name], by[1][name], rtol=1e-6, atol=1e-12)
-
-
-def test_accepted_states_are_checked_for_stability_and_renewed():
-    this, state = law("printed", "slow-manifold"), None
-    for stretch in np.linspace(1.0, 1.4, 41):
-        F = np.array([np.diag([stretch, 1.0])])
-        answer = this.respond(F, 0.001 * F, state)
-        accepted = this.accept(F, 0.001 * F, answer)
-        state = accepted.state
-        if state.left.any():
-            break
-    assert accepted.status[0] == Status.OK
-    assert 1.1 < stretch < 1.35

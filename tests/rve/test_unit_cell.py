@@ -9,7 +9,6 @@ from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import ReferenceState, RveLaw
 from surrofe2.rve.unit_cell import make_unit_cell
-from tests.numerics import turn
 from tests.plant_cell.twin import Twin
 from tests.rve import rves
 from tests.rve.rves import assert_balanced, deformations
@@ -161,14 +160,6 @@ def test_fluid_pushes_on_the_walls_with_what_their_tension_carries():
     pushes = seen.contact_pressure[0, 1:]  # without the corner, which four plant cells push
     assert pushes.mean() == pytest.approx(seen.tension.mean() / law.cell.cell_side, rel=0.15)
     assert seen.extremes()["highest_turgor_uN_per_um"] >= seen.pressure.mean()
-
-
-def test_a_rotation_turns_the_particles_and_changes_nothing_else():
-    law, Q = rves.law("water", "slow-manifold"), turn(0.6)
-    seen, turned = law.particles(F, 0.0 * F), law.particles(Q @ F, 0.0 * F)
-    np.testing.assert_allclose(turned.pressure, seen.pressure, rtol=1e-6)
-    np.testing.assert_allclose(turned.stretch, seen.stretch, rtol=1e-6)
-    np.testing.assert_allclose(turned.position, seen.position @ Q.T, atol=1e-5)
 
 
 def test_a_point_without_stress_is_named():

@@ -85,7 +85,7 @@ def test_a_bent_slab_says_where_its_sides_act(preset):
         _, surface, bulk = law.rest(m)
         half, lever = 0.5 * m * 25.0, 4.79 if preset == "water" else 13.52
         shift = (half - law.depth) ** 2 - (half - lever) ** 2
-        excess.append(2.0 * surface.tangent[0] * shift / (bulk.by_stretch[0] * 25.0**3))
+        excess.append(2.0 * surface.tangent[0] * shift / (bulk.slopes[0, 0] * 25.0**3))
     alpha = np.diff(excess) / np.diff(at)
     assert 0.0 < alpha.min() < alpha.max() < 1.0 / 6.0  # what lines alone have
     assert np.ptp(alpha) < 0.1 * alpha.max()
@@ -236,9 +236,9 @@ def test_outer_rows_of_a_relaxed_tissue_shrink_as_those_of_the_slab():
 def missing_cells(law, across):
     """By how many plant cells a strip at rest is softer than as much bulk at stretch 1."""
     side = law.cell.cell_side
-    stiff = side_free(law.law, np.ones(1), np.zeros(1)).by_stretch
+    stiff = side_free(law.law, np.ones(1), np.zeros(1)).slopes[0]
     _, surface, bulk = law.rest(across)
-    slope = across * side * bulk.by_stretch + 2.0 * surface.tangent
+    slope = across * side * bulk.slopes[0] + 2.0 * surface.tangent
     return float(across - slope[0] / (side * stiff[0]))
 
 
