@@ -19,7 +19,7 @@ LEAST = 5e-3
 
 
 def side_by_side(calls: Sequence[Call], repeats: int) -> list[float]:
-    """Seconds of each call, the medians, sampled in turns after one call each that is not counted."""
+    """Median seconds of each call, sampled in turns after one call each that is not counted."""
     numbers = [_number(call) for call in calls]
     samples = np.empty((repeats, len(calls)))
     for turn in samples:

@@ -20,7 +20,7 @@ from surrofe2.tissue.external_forces import (
 )
 from surrofe2.tissue.kernels import Particles, Watch, elastic_energy, leap
 from surrofe2.tissue.layout import NOWHERE, Tissue
-from surrofe2.tissue.pair_lists import DAMPING, WHOLE, Factors, PairConstants, PairLister
+from surrofe2.tissue.pair_lists import DAMPING, ELASTIC, WHOLE, Factors, PairLister
 
 Array = NDArray[np.float64]
 
@@ -167,7 +167,7 @@ class TissueDynamics:
                 if renewed:
                     self._put(self.x, self.v)
                 taken = leap(
-                    self._particles, self._lists, self._constants(factors), self._lister.cells,
+                    self._particles, self._lists, self._constants[factors], self._lister.cells,
                     self.driven, bodies, outline, self._watch, steps, retained,
                 )  # fmt: skip
                 self.counts["force_evaluations"] += taken
@@ -209,7 +209,7 @@ class TissueDynamics:
         """
         self.forces(amplitudes=amplitudes)
         energy = np.empty((self.tissue.tiles, TILE))
-        constants, cells = self._constants(WHOLE), self._lister.cells
+        constants, cells = self._constants[WHOLE], self._lister.cells
         elastic_energy(self._particles.x, self._lists, constants, cells, energy)
         return float(energy.sum())
 
@@ -227,7 +227,8 @@ class TissueDynamics:
         if listed is None:
             listed = own_x
             self._lists, constants = self._lister.make(listed)
-            self._scaled = {WHOLE: constants}
+            every = WHOLE, ELASTIC, DAMPING
+            self._constants = {factors: constants.times(factors) for factors in every}
             self.counts["list_builds"] += 1
         shape = (tiles + 1, 2, self._lists.local, TILE)
         there, rate = np.full(shape, NOWHERE), np.zeros(shape)
@@ -235,9 +236,3 @@ class TissueDynamics:
         self._particles = self._particles._replace(x=there, v=rate, f=np.zeros(shape))
         mean, nothing = np.zeros((tiles, 2, TILE)), np.zeros((tiles, TILE))
         self._watch = Watch(listed, mean, nothing, nothing.copy())
-
-    def _constants(self, factors: Factors) -> PairConstants:
-        """Of the listed pairs, with factors on their elastic and their damping part."""
-        if factors not in self._scaled:
-            self._scaled[factors] = self._scaled[WHOLE].times(factors)
-        return self._scaled[factors]
