@@ -41,7 +41,7 @@ class TissueDynamics:
     Attributes:
         counts: `force_evaluations` and `list_builds` so far.
         free: (particles, 2) which components move freely.
-        mass: (particles,) ng; free_mass: 0 where both components are held.
+        mass: (particles,) ng.
         loads, driven: as above.
         bodies, outline: rigid bodies, and what acts on the outline; at first there are none.
     """
@@ -64,7 +64,6 @@ class TissueDynamics:
         self.mass = tissue.to_particles(tissue.mass)
         shape = tissue.particles, 2
         self.free = np.ones(shape, dtype=np.bool_) if held is None else ~held
-        self.free_mass = np.where(self.free.any(axis=1), self.mass, 0.0)
         self.loads = np.zeros((0, *shape)) if loads is None else loads
         exists = tissue.mass > 0.0
         still = np.zeros(tissue.start.shape)
@@ -193,10 +192,6 @@ class TissueDynamics:
         nothing = np.zeros(1)
         self.leap(nothing, nothing, at_once, factors=factors, with_outline=with_outline)
         return self.f
-
-    def free_forces(self, factors: Factors = WHOLE) -> Array:
-        """`forces`, with none on particles that are held."""
-        return np.where(self.free, self.forces(factors), 0.0)
 
     def dissipation_rate(self) -> float:
         """Power that dashpots and viscosity take, pJ/µs: −Σ v·f of those forces alone."""
