@@ -65,14 +65,12 @@ class TissueDynamics:
         shape = tissue.particles, 2
         self.free = np.ones(shape, dtype=np.bool_) if held is None else ~held
         self.loads = np.zeros((0, *shape)) if loads is None else loads
-        exists = tissue.mass > 0.0
         still = np.zeros(tissue.start.shape)
         self._particles = Particles(
             x=tissue.start,
             v=still,
             f=still,
-            per_mass=np.divide(1.0, tissue.mass, out=np.zeros(exists.shape), where=exists),
-            free=tissue.to_tiles(self.free.astype(np.float64)),
+            per_mass=tissue.to_tiles(self.free / self.mass[:, None]),
             loads=np.array([*map(tissue.to_tiles, self.loads)]).reshape(-1, *tissue.start.shape),
             work=np.zeros((len(self.loads), tissue.tiles, TILE)),
         )
@@ -125,8 +123,7 @@ class TissueDynamics:
         self._particles.v[tuple(driven.at.T)] = led
         moved = bodies.motion >= 0
         bodies.v[moved] = rates[bodies.motion[moved], None] * bodies.largest[moved]
-        mass = self.tissue.mass[tuple(driven.at[:, [0, 2, 3]].T)]
-        return 0.5 * float(mass @ led**2)
+        return 0.5 * float(driven.mass @ led**2)
 
     def leap(
         self,
