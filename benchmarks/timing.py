@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
@@ -19,45 +18,17 @@ LEAST = 5e-3
 """Seconds that one sample lasts at least; shorter calls are repeated within it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Timing:
-    """Seconds a call, one entry a sample."""
-
-    samples: tuple[float, ...]
-
-    @property
-    def median(self) -> float:
-        """Median, s."""
-        return float(np.median(self.samples))
-
-    @property
-    def spread(self) -> float:
-        """Interquartile range, s."""
-        low, high = np.percentile(self.samples, (25, 75))
-        return float(high - low)
-
-
-def time_calls(call: Call, repeats: int) -> Timing:
-    """Seconds a call of `call`, after one call that is not counted."""
-    return side_by_side([call], repeats)[0]
-
-
-def side_by_side(calls: Sequence[Call], repeats: int) -> list[Timing]:
-    """Seconds a call of each, sampled in turns after one call each that is not counted."""
+def side_by_side(calls: Sequence[Call], repeats: int) -> list[float]:
+    """Median seconds of each call, sampled in turns after one call each that is not counted."""
     numbers = [_number(call) for call in calls]
-    samples: list[list[float]] = [[] for _ in calls]
-    for _ in range(repeats):
-        for call, number, taken in zip(calls, numbers, samples, strict=True):
+    samples = np.empty((repeats, len(calls)))
+    for turn in samples:
+        for k, (call, number) in enumerate(zip(calls, numbers, strict=True)):
             begin = perf_counter()
             for _ in range(number):
                 call()
-            taken.append((perf_counter() - begin) / number)
-    return [Timing(tuple(taken)) for taken in samples]
-
-
-def ratio(slow: Timing, fast: Timing) -> float:
-    """Median over neighbouring samples of slow / fast."""
-    return float(np.median(np.divide(slow.samples, fast.samples)))
+            turn[k] = (perf_counter() - begin) / number
+    return [float(median) for median in np.median(samples, axis=0)]
 
 
 def _number(call: Call) -> int:
@@ -83,8 +54,3 @@ def threads(count: int) -> Iterator[None]:
         numba.set_num_threads(before)
         if torch:
             torch.set_num_threads(torch_before)
-
-
-def all_cores() -> int:
-    """Threads that numba may use on this machine."""
-    return int(numba.config.NUMBA_NUM_THREADS)

@@ -102,7 +102,7 @@ class Case:
 
     def compute(self) -> Run:
         """Make the run."""
-        recipe, begin = self.recipe, perf_counter()
+        recipe = self.recipe
         references = {name: RveLaw(part.cell).reference for name, part in recipe.parts().items()}
         if self.method == TISSUE:
             tissue, cells, kind = tissue_of(recipe)

@@ -188,11 +188,10 @@ def describe_shear(runs: Sequence[ShearSteps]) -> Study:
 
 @dataclass(frozen=True, slots=True)
 class RateErrors:
-    """rate: (k,) largest entry of Ḟ, 1/µs. stress: (k,) largest stress, µN/µm. error: by
-    initialisation, (k,) largest stress error, µN/µm."""
+    """rate: (k,) largest entry of Ḟ, 1/µs. error: by initialisation, (k,) largest stress error,
+    µN/µm."""
 
     rate: Array
-    stress: Array
     error: Mapping[str, Array]
 
     def order(self, name: str) -> float:
@@ -215,7 +214,7 @@ def rate_errors(
     """
     laws = {name: RveLaw(cell, initialisation=name) for name in INITIALISATIONS}
     errors: dict[str, list[float]] = {name: [] for name in laws}
-    rates, stresses = [], []
+    rates = []
     amplitude = np.array([[0.04, 0.05], [0.0, 0.0]])
     for slow in slowness:
         omega, moments = 2.0 * np.pi / (40.0 * slow), slow * np.array(times)
@@ -229,9 +228,8 @@ def rate_errors(
         for name, law in laws.items():
             errors[name].append(float(np.abs(law.respond(F[1:], F_dot[1:]).stress - exact).max()))
         rates.append(float(np.abs(F_dot).max()))
-        stresses.append(float(np.abs(exact).max()))
     error = {name: np.array(values) for name, values in errors.items()}
-    return RateErrors(np.array(rates), np.array(stresses), error)
+    return RateErrors(np.array(rates), error)
 
 
 def rates(setting: Setting) -> Study:

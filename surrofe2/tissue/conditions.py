@@ -139,6 +139,7 @@ class Conditions:
             at=np.insert(self.tissue.address[i], 1, axis, axis=1),
             motion=np.repeat(np.arange(len(sizes)), sizes),
             largest=np.concatenate([each.largest for each in self.moving]),
+            mass=self.tissue.to_particles(self.tissue.mass)[i],
             before=np.zeros(len(i)),
             work=np.zeros(1),
         )

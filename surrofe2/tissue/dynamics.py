@@ -20,7 +20,7 @@ from surrofe2.tissue.external_forces import (
 )
 from surrofe2.tissue.kernels import Particles, Watch, elastic_energy, leap
 from surrofe2.tissue.layout import NOWHERE, Tissue
-from surrofe2.tissue.pair_lists import DAMPING, WHOLE, Factors, PairConstants, PairLister
+from surrofe2.tissue.pair_lists import DAMPING, ELASTIC, WHOLE, Factors, PairLister
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class TissueDynamics:
     Attributes:
         counts: `force_evaluations` and `list_builds` so far.
         free: (particles, 2) which components move freely.
-        mass: (particles,) ng; free_mass: 0 where both components are held.
+        mass: (particles,) ng.
         loads, driven: as above.
         bodies, outline: rigid bodies, and what acts on the outline; at first there are none.
     """
@@ -64,16 +64,13 @@ class TissueDynamics:
         self.mass = tissue.to_particles(tissue.mass)
         shape = tissue.particles, 2
         self.free = np.ones(shape, dtype=np.bool_) if held is None else ~held
-        self.free_mass = np.where(self.free.any(axis=1), self.mass, 0.0)
         self.loads = np.zeros((0, *shape)) if loads is None else loads
-        exists = tissue.mass > 0.0
         still = np.zeros(tissue.start.shape)
         self._particles = Particles(
             x=tissue.start,
             v=still,
             f=still,
-            per_mass=np.divide(1.0, tissue.mass, out=np.zeros(exists.shape), where=exists),
-            free=tissue.to_tiles(self.free.astype(np.float64)),
+            per_mass=tissue.to_tiles(self.free / self.mass[:, None]),
             loads=np.array([*map(tissue.to_tiles, self.loads)]).reshape(-1, *tissue.start.shape),
             work=np.zeros((len(self.loads), tissue.tiles, TILE)),
         )
@@ -126,8 +123,7 @@ class TissueDynamics:
         self._particles.v[tuple(driven.at.T)] = led
         moved = bodies.motion >= 0
         bodies.v[moved] = rates[bodies.motion[moved], None] * bodies.largest[moved]
-        mass = self.tissue.mass[tuple(driven.at[:, [0, 2, 3]].T)]
-        return 0.5 * float(mass @ led**2)
+        return 0.5 * float(driven.mass @ led**2)
 
     def leap(
         self,
@@ -167,7 +163,7 @@ class TissueDynamics:
                 if renewed:
                     self._put(self.x, self.v)
                 taken = leap(
-                    self._particles, self._lists, self._constants(factors), self._lister.cells,
+                    self._particles, self._lists, self._constants[factors], self._lister.cells,
                     self.driven, bodies, outline, self._watch, steps, retained,
                 )  # fmt: skip
                 self.counts["force_evaluations"] += taken
@@ -194,10 +190,6 @@ class TissueDynamics:
         self.leap(nothing, nothing, at_once, factors=factors, with_outline=with_outline)
         return self.f
 
-    def free_forces(self, factors: Factors = WHOLE) -> Array:
-        """`forces`, with none on particles that are held."""
-        return np.where(self.free, self.forces(factors), 0.0)
-
     def dissipation_rate(self) -> float:
         """Power that dashpots and viscosity take, pJ/µs: −Σ v·f of those forces alone."""
         return -float(np.sum(self.v * self.forces(DAMPING, with_outline=False)))
@@ -209,7 +201,7 @@ class TissueDynamics:
         """
         self.forces(amplitudes=amplitudes)
         energy = np.empty((self.tissue.tiles, TILE))
-        constants, cells = self._constants(WHOLE), self._lister.cells
+        constants, cells = self._constants[WHOLE], self._lister.cells
         elastic_energy(self._particles.x, self._lists, constants, cells, energy)
         return float(energy.sum())
 
@@ -227,7 +219,8 @@ class TissueDynamics:
         if listed is None:
             listed = own_x
             self._lists, constants = self._lister.make(listed)
-            self._scaled = {WHOLE: constants}
+            every = WHOLE, ELASTIC, DAMPING
+            self._constants = {factors: constants.times(factors) for factors in every}
             self.counts["list_builds"] += 1
         shape = (tiles + 1, 2, self._lists.local, TILE)
         there, rate = np.full(shape, NOWHERE), np.zeros(shape)
@@ -235,9 +228,3 @@ class TissueDynamics:
         self._particles = self._particles._replace(x=there, v=rate, f=np.zeros(shape))
         mean, nothing = np.zeros((tiles, 2, TILE)), np.zeros((tiles, TILE))
         self._watch = Watch(listed, mean, nothing, nothing.copy())
-
-    def _constants(self, factors: Factors) -> PairConstants:
-        """Of the listed pairs, with factors on their elastic and their damping part."""
-        if factors not in self._scaled:
-            self._scaled[factors] = self._scaled[WHOLE].times(factors)
-        return self._scaled[factors]

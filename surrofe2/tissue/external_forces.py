@@ -30,13 +30,14 @@ class DrivenParticles(NamedTuple):
 
     Attributes:
         at: (d, 4) tile, axis, own particle, lane. motion: (d,) which.
-        largest: (d,) µm at amplitude 1.
+        largest: (d,) µm at amplitude 1. mass: (d,) ng.
         before: (d,) velocity before a step, scratch. work: (1,) done so far, pJ.
     """
 
     at: Ints
     motion: Ints
     largest: Array
+    mass: Array
     before: Array
     work: Array
 
@@ -108,7 +109,7 @@ class BodyContacts(NamedTuple):
 
 
 _NO, _NONE, _PAIRS = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 2))
-NO_DRIVEN = DrivenParticles(np.zeros((0, 4), np.int64), _NO, _NONE, _NONE, np.zeros(1))
+NO_DRIVEN = DrivenParticles(np.zeros((0, 4), np.int64), _NO, _NONE, _NONE, _NONE, np.zeros(1))
 NO_OUTLINE = OutlineForces(
     np.zeros((0, 3), np.int64), _NO, _NONE, _PAIRS, _PAIRS, _PAIRS, _PAIRS, _PAIRS, _PAIRS,
     _PAIRS, _NONE,
@@ -138,7 +139,7 @@ def add_driving_work(particles, drive, kick, amplitude):
         force = particles.f[t, axis, i, lane]
         for n in range(particles.loads.shape[0]):
             force += amplitude[n] * particles.loads[n, t, axis, i, lane]
-        impulse = (now - before) / particles.per_mass[t, i, lane] - kick * force
+        impulse = drive.mass[k] * (now - before) - kick * force
         drive.work[0] += 0.5 * (before + now) * impulse
 
 
@@ -230,7 +231,7 @@ def add_friction(particles, bodies, kick, amplitude, speed):
             t, i, lane = bodies.at[k]
             sliding, mobility, tangent = 0.0, of_body, (-ny, nx)
             for axis in range(2):
-                share = particles.per_mass[t, i, lane] * particles.free[t, axis, i, lane]
+                share = particles.per_mass[t, axis, i, lane]
                 force = f[t, axis, i, lane]
                 for n in range(loads.shape[0]):
                     force += amplitude[n] * loads[n, t, axis, i, lane]

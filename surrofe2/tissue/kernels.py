@@ -56,8 +56,7 @@ class Particles(NamedTuple):
 
     Attributes:
         x, v, f: (tiles + 1, 2, local, TILE) µm, µm/µs, µN.
-        per_mass: (tiles, own, TILE) 1/ng, 0 where missing.
-        free: (tiles, 2, own, TILE) 1, or 0 where v does not follow forces.
+        per_mass: (tiles, 2, own, TILE) 1/ng, 0 where missing and where v does not follow forces.
         loads: (loads, tiles, 2, own, TILE) µN at amplitude 1.
         work: (loads, tiles, TILE) of these, pJ, to which each step adds: kick · force · mean of the
             velocities before and after.
@@ -67,7 +66,6 @@ class Particles(NamedTuple):
     v: Array
     f: Array
     per_mass: Array
-    free: Array
     loads: Array
     work: Array
 
@@ -195,17 +193,14 @@ def _kick_and_drift(t, particles, lists, cells, watch, amplitude, step):
     if not folded:
         _fold(t, f, lists)
     mean_x, mean_y = spread(0.0), spread(0.0)
-    for i in range(particles.per_mass.shape[1]):
+    for i in range(cells.particles):
         pull_x, pull_y = load(f, t, 0, i), load(f, t, 1, i)
         for n in range(loads.shape[0]):
             pull_x += amplitude[n] * load(loads, n, t, 0, i)
             pull_y += amplitude[n] * load(loads, n, t, 1, i)
-        push = kick * load(particles.per_mass, t, i)
         old_x, old_y = load(v, t, 0, i), load(v, t, 1, i)
-        speed_x = retained * old_x + push * pull_x
-        speed_y = retained * old_y + push * pull_y
-        speed_x = where_less(0.0, load(particles.free, t, 0, i), speed_x, old_x)
-        speed_y = where_less(0.0, load(particles.free, t, 1, i), speed_y, old_y)
+        speed_x = retained * old_x + kick * load(particles.per_mass, t, 0, i) * pull_x
+        speed_y = retained * old_y + kick * load(particles.per_mass, t, 1, i) * pull_y
         store(speed_x, v, t, 0, i)
         store(speed_y, v, t, 1, i)
         for n in range(loads.shape[0]):
@@ -223,7 +218,7 @@ def _kick_and_drift(t, particles, lists, cells, watch, amplitude, step):
     store(mean_x, watch.mean, t, 0)
     store(mean_y, watch.mean, t, 1)
     largest = spread(0.0)
-    for i in range(cells.exists.shape[1]):
+    for i in range(cells.particles):
         dx = load(x, t, 0, i) - load(watch.listed, t, 0, i) - mean_x
         dy = load(x, t, 1, i) - load(watch.listed, t, 1, i) - mean_y
         square = (dx * dx + dy * dy) * load(cells.exists, t, i)

@@ -76,9 +76,9 @@ def relax(dynamics: TissueDynamics, residual: float) -> Array:
 
 
 def _settle(dynamics: TissueDynamics, residual: float, step: float, frequency: float) -> Array:
-    mass = dynamics.free_mass[:, None]
+    mass = dynamics.mass[:, None]
     drag = _FIRST_DRAG * frequency
-    x, f = dynamics.x, dynamics.free_forces(ELASTIC)
+    x, f = dynamics.x, dynamics.forces(ELASTIC)
     for _ in range(0, LIMIT, STRETCH):
         implicit = 1.0 + 0.5 * drag * step
         drifts = np.full(STRETCH, step)
@@ -86,8 +86,8 @@ def _settle(dynamics: TissueDynamics, residual: float, step: float, frequency: f
             drifts / implicit, drifts, factors=ELASTIC,
             retained=(1.0 - 0.5 * drag * step) / implicit,
         )  # fmt: skip
-        x_before, f_before, x, f = x, f, dynamics.x, dynamics.free_forces(ELASTIC)
-        if np.hypot(*f.T).max() <= residual:
+        x_before, f_before, x, f = x, f, dynamics.x, dynamics.forces(ELASTIC)
+        if np.hypot(*(f * dynamics.free).T).max() <= residual:
             dynamics.place(x)
             return x
         moved = x - x_before
@@ -130,7 +130,7 @@ def stable_step(
         dynamics.place(at_rest)
         return dynamics.forces() - moving
 
-    mass = dynamics.free_mass[:, None]
+    mass = dynamics.mass[:, None]
     kappa, c = (_largest(product, mass) for product in (stiffness, damping))
     kappa, c = kappa + outside[0], c + outside[1]
     return (sqrt(c * c + 4.0 * kappa) - c) / kappa
