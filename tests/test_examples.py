@@ -6,7 +6,6 @@ import itertools
 import re
 import runpy
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,9 +20,10 @@ from surrofe2.workflow.laws import law_by_region
 from surrofe2.workflow.rest import rest_study
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.train import train_surrogate
+from tests.conftest import ROOT
 from tests.laws import KelvinVoigt
 
-FOLDER = Path(__file__).parents[1] / "examples"
+FOLDER = ROOT / "examples"
 RECIPES = sorted(FOLDER.glob("*.toml"))
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import logging
 from dataclasses import replace
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -42,9 +41,9 @@ from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.store.run_folder import read_record
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.run import run_study
+from tests.conftest import ROOT
 from tests.laws import KelvinVoigt, SoftLaw
 
-ROOT = Path(__file__).parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.toml"))
 
 

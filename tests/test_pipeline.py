@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from shutil import copy
 
 import pytest
@@ -14,8 +13,8 @@ from surrofe2.surrogate.settings import CalibrationSettings
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.train import train_surrogate
+from tests.conftest import ROOT
 
-RECIPES = Path(__file__).parent.parent / "data"
 FEWER_PATHS = CalibrationSettings(walks=300, runs=0)
 
 
@@ -25,7 +24,7 @@ def study(tmp_path_factory):
     root = tmp_path_factory.mktemp("study")
     for name in ("data", "training"):
         (root / name).mkdir()
-    for recipe in RECIPES.glob("*.toml"):
+    for recipe in (ROOT / "data").glob("*.toml"):
         copy(recipe, root / "data")
     recipe = load_recipe(root / "data" / "bending-bar.toml")
     recipe = replace(recipe, calibration=FEWER_PATHS)
@@ -39,10 +38,9 @@ def run_both(study, recipe_name):
     folders = [study / "out" / recipe_name / law for law in ("rve", "cached")]
     for folder in folders:
         run_study(recipe, folder.name, folder)
-    compare_runs(folders, study / "out" / recipe_name / "comparison")
-    comparison = json.loads(
-        (study / "out" / recipe_name / "comparison/comparison.json").read_text()
-    )
+    together = study / "out" / recipe_name / "comparison"
+    compare_runs(folders, together)
+    comparison = json.loads((together / "comparison.json").read_text())
     true, cached = (json.loads((folder / "run.json").read_text()) for folder in folders)
     calls = [record["counts"]["right_hand_sides"] for record in (true, cached)]
     assert calls[1] <= 1.05 * calls[0]  # switching does not disturb the steps

@@ -43,13 +43,8 @@ def made(tmp_path, monkeypatch):
     return asked
 
 
-def recipe_in(folder, text):
-    (folder / "study.toml").write_text(text, encoding="utf-8")
-    return load_recipe(folder / "study.toml")
-
-
-def test_a_run_with_a_surface_law(tmp_path, made):
-    recipe = recipe_in(tmp_path, RECIPE + SIDES)
+def test_a_run_with_a_surface_law(written, tmp_path, made):
+    recipe = load_recipe(written(RECIPE + SIDES))
     record = run_study(recipe, "rve", tmp_path / "sided")
     assert len(made) == 1
     assert made[0][1:] == ((0.94, pytest.approx(np.hypot(1.05, 0.05) + 0.01)), 0.015)
@@ -68,7 +63,7 @@ def test_a_run_with_a_surface_law(tmp_path, made):
     assert "surface" in energies
     assert "dissipated_surface_top" in energies.replace(" ", "_")
 
-    bare = recipe_in(tmp_path, RECIPE)
+    bare = load_recipe(written(RECIPE))
     other = run_study(bare, "rve", tmp_path / "bare")
     assert "surface" not in other.problem
     sided, plain = (read_run(tmp_path / name).curve.displacement for name in ("sided", "bare"))
@@ -79,8 +74,8 @@ def test_a_run_with_a_surface_law(tmp_path, made):
     assert again.problem["surface"] == record.problem["surface"]
 
 
-def test_an_interrupted_run_with_a_surface_law_goes_on(tmp_path, made, monkeypatch):
-    recipe = recipe_in(tmp_path, RECIPE + SIDES)
+def test_an_interrupted_run_with_a_surface_law_goes_on(written, tmp_path, made, monkeypatch):
+    recipe = load_recipe(written(RECIPE + SIDES))
     run_study(recipe, "rve", tmp_path / "whole")
     monkeypatch.setattr("surrofe2.workflow.run.CHECKPOINT_INTERVAL", 0.0)
     calls = 0
@@ -105,11 +100,11 @@ def test_an_interrupted_run_with_a_surface_law_goes_on(tmp_path, made, monkeypat
     assert record.problem["surface"]["rest"] == told[0]["rest"]
 
 
-def test_rest_with_a_surface_law(tmp_path, made):
-    recipe = recipe_in(tmp_path, RECIPE + SIDES)
+def test_rest_with_a_surface_law(written, tmp_path, made):
+    recipe = load_recipe(written(RECIPE + SIDES))
     record = rest_study(recipe, tmp_path / "rest", load_steps=2)
     assert record.problem["surface"]["rest"] > 0.01
-    bare = rest_study(recipe_in(tmp_path, RECIPE), tmp_path / "bare", load_steps=2)
+    bare = rest_study(load_recipe(written(RECIPE)), tmp_path / "bare", load_steps=2)
     soft, stiff = (each.met["watched"][1] for each in (record, bare))
     assert 0.001 < abs(soft / stiff - 1.0) < 0.5
 

@@ -15,30 +15,23 @@ from surrofe2.workflow import check as module
 from surrofe2.workflow import laws
 from surrofe2.workflow.check import advised_law, dry_run, recipe_faults, seconds_by_rves
 from surrofe2.workflow.run import run_study
-from tests.conftest import RECIPE
+from tests.conftest import RANGE, RECIPE
 from tests.laws import SquareLaw
 
 WHOLE = 600.0
 """Seconds in which any of these dry runs comes to its end."""
 
-MANY_FAULTS = (
-    RECIPE.replace("count = 40", "count = 0")
-    .replace("shear = 0.05\n", "")
-    .replace("[macro]", "[makro]")
-    .replace("iterations = 40", "iteration = 40")
-    .replace("duration = 4.0", "duration = '4 µs'")
-)
 
-
-def test_all_that_is_wrong_is_told_in_one_go(invoke, recipe_path):
-    recipe_path.write_text(MANY_FAULTS, encoding="utf-8")
-    done = invoke("check", recipe_path)
-    assert done.exit_code == 1
-    told = done.stderr.splitlines()
+def test_all_that_is_wrong_is_told_in_one_go(invoke, changed_recipe):
+    path = changed_recipe(
+        "count = 40", "count = 0", "shear = 0.05\n", "", "[macro]", "[makro]",
+        "iterations = 40", "iteration = 40", "duration = 4.0", "duration = '4 µs'",
+    )  # fmt: skip
+    told = invoke("check", path, code=1).stderr.splitlines()
     starts = {line.partition(": ")[2].partition(": ")[0] for line in told[:-1]}
     wrong = {"samples.count", "range.shear", "makro", "training.iteration", "load.duration"}
     assert starts == wrong
-    assert told[-1] == f"error: {recipe_path}: 5 problems found"
+    assert told[-1] == f"error: {path}: 5 problems found"
 
 
 STATED = """
@@ -65,10 +58,9 @@ tip = [100.0]
 """
 
 
-def test_faults_of_a_stated_problem(tmp_path):
-    path = tmp_path / "stated.toml"
-    path.write_text(STATED, encoding="utf-8")
-    told = [sentence.partition(": ")[2].partition(": ")[0] for sentence in recipe_faults(path)]
+def test_faults_of_a_stated_problem(written):
+    faults = recipe_faults(written(STATED))
+    told = [sentence.partition(": ")[2].partition(": ")[0] for sentence in faults]
     wrong = {"mesh.height", "mesh.regions.skin.box", "conditions.clamp.kind", "watch.tip"}
     wrong |= {"conditions.pull.traction", "cells.flesh.samples.file"}
     assert set(told) == wrong
@@ -83,32 +75,25 @@ def test_faults_of_a_stated_problem(tmp_path):
         (RECIPE.replace('file = "cells.h5"', ""), "samples.file: missing"),
     ],
 )
-def test_files_and_names(invoke, recipe_path, text, said):
-    recipe_path.write_text(text, encoding="utf-8")
-    done = invoke("check", recipe_path, "--only")
-    assert said in done.stdout + done.stderr
+def test_files_and_names(invoke, written, text, said):
     is_fault = "samples" not in said  # a run by RVEs needs no samples
-    assert done.exit_code == int(is_fault)
+    done = invoke("check", written(text), "--only", code=int(is_fault))
+    assert said in done.stdout + done.stderr
 
 
-def test_another_recipe_s_data_set_is_told(invoke, recipe_path):
-    law = SquareLaw()
-    assert invoke("generate", recipe_path, law=law).exit_code == 0
-    other = recipe_path.with_name("other.toml")
-    other.write_text(recipe_path.read_text().replace("seed = 3", "seed = 4"), encoding="utf-8")
-    refused = invoke("check", other, "--only", law=law)
+@pytest.mark.usefixtures("data_set")
+def test_another_recipe_s_data_set_is_told(invoke, changed_recipe):
+    refused = invoke("check", changed_recipe("seed = 3", "seed = 4"), "--only", law=SquareLaw)
     assert "samples.seed: this call has" in refused.stdout
 
 
 @pytest.fixture
-def soft_law(monkeypatch):
-    law = SquareLaw()
-    monkeypatch.setattr(laws, "true_law", lambda recipe, *_: law.of(recipe.cell, recipe.rve))
+def soft_law(stand_in):
+    stand_in(SquareLaw)
 
 
 def test_check_says_how_long_rves_take_and_writes_nothing(invoke, recipe_path, tmp_path):
     done = invoke("check", recipe_path, "--seconds", WHOLE, law=SquareLaw())
-    assert done.exit_code == 0, done.output
     said = re.search(r"^20 points, about ([\d,]+) evaluations of the stress: ", done.stdout, re.M)
     run = dry_run(load_recipe(recipe_path), WHOLE)
     assert float(said[1].replace(",", "")) == pytest.approx(run.calls, rel=0.05)
@@ -178,30 +163,20 @@ class SlowLaw:
         return self.law.accept(F, F_dot, response)
 
 
-def test_the_advice(recipe_path, changed_recipe, invoke):
-    recipe = load_recipe(recipe_path)
+def test_the_advice(recipe, changed_recipe, request):
     assert advised_law(recipe, 10.0) == "rve"  # done before a surrogate is trained
     assert advised_law(recipe, 1000.0) == "cached"
-    law = SquareLaw()
-    assert invoke("generate", recipe_path, law=law).exit_code == 0
-    assert invoke("train", recipe_path, law=law).exit_code == 0
+    request.getfixturevalue("trained")
     assert advised_law(recipe, 10.0) == "cached"  # it is there
     without = load_recipe(changed_recipe('file = "cells-surrogate.h5"\n', ""))
     assert advised_law(without, 1000.0) == "table"
     implicit = changed_recipe("[macro]", '[macro]\nintegrator = "implicit"')
     assert advised_law(load_recipe(implicit), 1000.0) == "rve"
-    table = recipe_path.read_text(encoding="utf-8")
-    start, end = table.index("[range]"), table.index("[samples]")
-    recipe_path.write_text(table[:start] + table[end:], encoding="utf-8")
-    assert advised_law(load_recipe(recipe_path), 1000.0) == "rve"
+    assert advised_law(load_recipe(changed_recipe(RANGE, "")), 1000.0) == "rve"
 
 
-def test_a_recipe_without_a_range_is_for_rves(invoke, recipe_path):
-    text = recipe_path.read_text(encoding="utf-8")
-    start, end = text.index("[range]"), text.index("[samples]")
-    recipe_path.write_text(text[:start] + text[end:], encoding="utf-8")
-    done = invoke("check", recipe_path, "--only")
-    assert done.exit_code == 0
+def test_a_recipe_without_a_range_is_for_rves(invoke, changed_recipe):
+    done = invoke("check", changed_recipe(RANGE, ""), "--only")
     assert "No [range]: only `--law rve` can run this recipe.\n" in done.stdout
 
 
@@ -225,12 +200,10 @@ def checked(path, *options):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("elements", "is_large"), [(64, False), (1024, True)])
-def test_a_check_ends_soon_and_takes_little_memory(recipe_path, elements, is_large):
-    text = recipe_path.read_text(encoding="utf-8").replace("duration = 4.0", "duration = 2000.0")
-    text = text.replace("elements = [2, 2]", f"elements = [{elements}, {elements}]")
-    recipe_path.write_text(text, encoding="utf-8")
-    checked(recipe_path, "--seconds", "0.1")  # compiles kernels
-    printed, seconds, memory = checked(recipe_path)
+def test_a_check_ends_soon_and_takes_little_memory(changed_recipe, elements, is_large):
+    path = changed_recipe("= 4.0", "= 2000.0", "[2, 2]", f"[{elements}, {elements}]")
+    checked(path, "--seconds", "0.1")  # compiles kernels
+    printed, seconds, memory = checked(path)
     assert seconds < 20.0
     assert memory < 1000.0
     assert ("the mesh is large" in printed) == is_large

@@ -5,50 +5,36 @@ import tomllib
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import SamplingRange
-from surrofe2.cli import app
 from surrofe2.macro import MetRange, simulate
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.workflow.check import dry_run, proposed_range
 from surrofe2.workflow.laws import law_by_region, quadratic_law
+from tests.cli.conftest import call
 from tests.conftest import ROOT
 
 
-def call(*arguments):
-    return CliRunner().invoke(app, [str(entry) for entry in arguments])
-
-
-def printed_for(path, *options):
+def printed_for(path):
     """The sections that `check` prints, and all that it prints."""
-    done = call("check", path, "--seconds", 600, *options)
-    assert done.exit_code == 0, done.output
-    said = done.stdout
+    said = call("check", path, "--seconds", 600).stdout
     start = re.search(r"^\[(cells\..*\.)?range\]$", said, re.MULTILINE).start()
     return tomllib.loads(said[start : said.index(" points, about")].rpartition("\n")[0]), said
 
 
-def proposed_for(path, *options):
-    sections, said = printed_for(path, *options)
-    return SamplingRange(**sections["range"]), said
-
-
 @pytest.fixture
-def bending_bar(tmp_path):
+def bending_bar(written):
     """The paper's bar up to past its first minimum, without a range."""
     text = (ROOT / "data/bending-bar.toml").read_text(encoding="utf-8")
-    head, rest = text.split("[range]")
-    path = tmp_path / "bar.toml"
-    text = head + rest[rest.index("[samples]") :].replace("duration = 250.0", "duration = 40.0")
-    path.write_text(text, encoding="utf-8")
-    return path
+    head, rest = text.replace("duration = 250.0", "duration = 40.0").split("[range]")
+    return written(head + rest[rest.index("[samples]") :])
 
 
 def test_a_true_run_stays_within_the_range_proposed(bending_bar):
-    range, printed = proposed_for(bending_bar)
+    sections, printed = printed_for(bending_bar)
+    range = SamplingRange(**sections["range"])
     assert "by the quadratic law of the RVE at rest" in printed
     assert "margin 20 %" in printed
     recipe = load_recipe(bending_bar)
@@ -90,12 +76,12 @@ def test_what_gives_no_range_says_why(given, margin, sentence):
         proposed_range(met(*given), margin)
 
 
-def test_each_cell_gets_the_range_that_its_own_points_meet(recipe_path):
+def test_each_cell_gets_the_range_that_its_own_points_meet(written):
     """A stiff layer beside a soft one in series: each strained by its share."""
-    recipe_path.write_text(SERIES, encoding="utf-8")
-    printed = printed_for(recipe_path)[0]["cells"]
+    path = written(SERIES)
+    printed = printed_for(path)[0]["cells"]
     assert list(printed) == ["stiff", "soft"]
-    recipe = load_recipe(recipe_path)
+    recipe = load_recipe(path)
     met = dry_run(recipe, 600.0).met
     for name, found in met.items():
         assert SamplingRange(**printed[name]["range"]) == proposed_range(found)

@@ -4,22 +4,17 @@ import json
 from functools import partial
 
 import pytest
-from typer.testing import CliRunner
 
-from surrofe2.cli import app, console
+from surrofe2.cli import console
 from surrofe2.questions import stability
 from surrofe2.store.store import locked_file, read_json, write_json
-
-
-def invoke(*arguments):
-    return CliRunner().invoke(app, [str(entry) for entry in arguments], env={"COLUMNS": "160"})
+from tests.cli.conftest import call
 
 
 def test_moduli(tmp_path, monkeypatch):
     monkeypatch.setattr(console, "SELDOM", 0.0)
     path = tmp_path / "moduli.json"
-    done = invoke("moduli", "--preset", "water", "--turgor", "2.5", "--out", path)
-    assert done.exit_code == 0, done.output
+    done = call("moduli", "--preset", "water", "--turgor", "2.5", "--out", path)
     assert "turgor 2.5 MPa" in done.stdout
     assert "Viscous moduli, MPa µs" in done.stdout
     assert "moduli: 50 %" in done.stderr
@@ -31,43 +26,36 @@ def test_moduli(tmp_path, monkeypatch):
         "cauchy-born", "elastic", "constrained-runs", "slow-manifold"
     ]  # fmt: skip
     assert rows[0]["bulk"] > rows[1]["bulk"] > 0.0
-    alone = invoke("moduli", "--preset", "water", "--initialisation", "elastic")
+    alone = call("moduli", "--preset", "water", "--initialisation", "elastic")
     assert alone.stdout.splitlines()[-1].startswith("moduli: elastic and viscous, of "), "no file"
 
 
-def study_call(path, *more):
-    return invoke(
-        "moduli", "--cell", "water", "--initialisation", "elastic", "--memory", path, *more
-    )
+WATER = "moduli", "--cell", "water", "--initialisation", "elastic"
 
 
 @pytest.mark.slow
 def test_memory_gives_a_verdict_and_is_kept(tmp_path):
-    done = study_call(tmp_path)
-    assert done.exit_code == 0, done.output
+    memory = partial(call, *WATER, "--memory", tmp_path)
+    done = memory()
     assert done.stdout.splitlines()[-2].startswith("Motions as fast as 17 µs can be")
     assert (tmp_path / "memory-water.png").stat().st_size > 10_000
     record = read_json(tmp_path / "memory-water.json")
     assert record["cell"]["fluid_particle_mass"] == 0.27
     assert record["units"]["largest_difference"] == "µN/µm"
     with locked_file(tmp_path / "memory-water.json"):
-        refused = study_call(tmp_path, "--fresh")
+        refused = memory("--fresh", code=1)
     assert f"error: {tmp_path / 'memory-water.json'}: in use by" in refused.stderr
-    assert "memory-water.json, there already" in study_call(tmp_path).stdout
-    refused = study_call(tmp_path, "--period", "20")
-    assert refused.exit_code == 1
+    assert "memory-water.json, there already" in memory().stdout
+    refused = memory("--period", "20", code=1)
     assert "asked.period: this call has 20.0, what is there 17.0" in refused.stderr
     changed = {**record, "cell": {**record["cell"], "viscosity": 9.0}}
     write_json(tmp_path / "memory-water.json", changed)
-    refused = study_call(tmp_path)
+    refused = memory(code=1)
     assert "cell.viscosity: this call has 0.1, what is there 9.0" in refused.stderr
 
 
 def test_the_map_of_stability_is_written(tmp_path, monkeypatch):
     monkeypatch.setattr(stability, "stability", partial(stability.stability, points=3))
-    done = invoke(
-        "moduli", "--cell", "water", "--initialisation", "elastic", "--stability", tmp_path
-    )
-    assert done.exit_code == 0, done.output
+    done = call(*WATER, "--stability", tmp_path)
     assert "simple shear" in done.stdout
     assert (tmp_path / "stability-water.png").exists()
