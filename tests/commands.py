@@ -1,7 +1,5 @@
 """Commands on short recipes over laws without cells, each with all that it leaves in its folder."""
 
-from __future__ import annotations
-
 import os
 import sys
 import traceback

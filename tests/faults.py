@@ -1,7 +1,5 @@
 """Faults of the disk: each operation of `surrofe2.store.disk` in turn fails, or is the last one."""
 
-from __future__ import annotations
-
 import errno
 import os
 from contextlib import contextmanager

@@ -5,8 +5,6 @@ isotropic law that stands in for RVEs; a law with the square's symmetry; a latti
 points with what plant cells have; true laws and surrogates of a cached law; a surface law.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import Any
 

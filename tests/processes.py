@@ -5,8 +5,6 @@ a process that runs `main` of the module with these arguments and says what it s
 It tells first the number of the process and then its exit code.
 """
 
-from __future__ import annotations
-
 import faulthandler
 import json
 import os

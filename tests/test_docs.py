@@ -2,8 +2,6 @@
 commands, notebooks and the README's example print.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import io

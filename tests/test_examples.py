@@ -1,7 +1,5 @@
 """The examples: every recipe runs by true RVEs in a short form; whole ones give their pages."""
 
-from __future__ import annotations
-
 import itertools
 import re
 import runpy

@@ -1,7 +1,5 @@
 """All of it from Python: the page's example, runs saved as the commands do, laws of one's own."""
 
-from __future__ import annotations
-
 import json
 import logging
 from dataclasses import replace

@@ -3,8 +3,6 @@
 To the bit where there are no RVEs, else as in `tests.folders`.
 """
 
-from __future__ import annotations
-
 from shutil import copytree
 
 import numba

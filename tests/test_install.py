@@ -1,7 +1,5 @@
 """The wheel and the sdist, installed without the repository, do a whole study."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -3,8 +3,6 @@
 The import contract of the layers stands in pyproject.toml.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

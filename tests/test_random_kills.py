@@ -3,8 +3,6 @@
 `SURROFE2_KILLS` is how often the long tests kill each command, and interrupt it; default: 20.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

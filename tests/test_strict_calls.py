@@ -1,7 +1,5 @@
 """What laws refuse; points answer alike however many there are, by any number of threads."""
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Work that several processes do is what one process does, also where some of them are lost."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

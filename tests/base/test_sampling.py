@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -18,13 +19,9 @@ from surrofe2.base.sampling import (
 )
 from surrofe2.law.samples import StressSamples
 from surrofe2.plant_cell.parameters import CellParameters
+from tests.numerics import turn
 
 RANGE = SamplingRange(stretch=(0.9, 1.05), shear=0.08, rate=0.01)
-
-
-def turned(tensors, angle):
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s], [s, c]]) @ tensors
 
 
 @pytest.mark.parametrize(
@@ -104,7 +101,7 @@ def test_points_of_a_data_set_begin_at_rest_and_a_third_is_near_it():
 def test_range_is_of_stretch_and_of_rates_seen_by_the_material():
     F, F_dot = np.eye(2) * np.ones((6, 1, 1)), np.zeros((6, 2, 2))
     F[1, 0, 0] = 1.0501
-    F[2] = turned(np.diag([0.91, 1.04]), 2.0)  # a rotation alone takes nothing out of range
+    F[2] = turn(2.0) @ np.diag([0.91, 1.04])  # a rotation alone takes nothing out of range
     F[3, 0, 1] = F[3, 1, 0] = -0.0801
     F_dot[4, 1, 0] = 0.0101
     F[5, 1, 1] = -1.0
@@ -115,22 +112,17 @@ def test_range_is_of_stretch_and_of_rates_seen_by_the_material():
 def test_edges_belong_to_the_range_in_any_orientation():
     angles = np.linspace(0.0, 6.0, 50)
     edge = np.array([[0.9, 0.08], [0.08, 1.05]])
-    F = np.stack([turned(edge, angle) for angle in angles])
-    F_dot = np.stack([turned(np.full((2, 2), -0.01), angle) for angle in angles])
+    F, F_dot = turn(angles) @ edge, turn(angles) @ np.full((2, 2), -0.01)
     assert contains(RANGE, F, F_dot).all()
     assert not contains(RANGE, F, F_dot * (1.0 + 1e-9)).any()
     assert not contains(RANGE, F * (1.0 + 1e-9), F_dot).any()
 
 
 def test_what_is_not_a_number_is_not_in_range():
-    for value in (np.nan, np.inf):
-        for k in range(4):
-            F, F_dot = np.eye(2)[None].copy(), np.zeros((1, 2, 2))
-            F.flat[k] = value
-            assert not contains(RANGE, F, F_dot).any()
-            F, F_dot = np.eye(2)[None].copy(), np.zeros((1, 2, 2))
-            F_dot.flat[k] = value
-            assert not contains(RANGE, F, F_dot).any()
+    for value, k, which in product((np.nan, np.inf), range(4), (0, 1)):
+        both = np.array([np.eye(2)[None], np.zeros((1, 2, 2))])
+        both[which].flat[k] = value
+        assert not contains(RANGE, *both).any()
     assert not contains(RANGE, np.zeros((1, 2, 2)), np.zeros((1, 2, 2))).any()
 
 
@@ -214,8 +206,8 @@ def test_tangents_belong_to_the_samples():
     ],
 )
 def test_what_is_farthest_out_is_named_after_the_rotation_is_taken_out(U, A, said):
-    F = turned(np.array(U), 0.7)[None]
-    F_dot = turned(np.array([[0.0, 0.0], [A, 0.0]]), 0.7)[None]
+    F = turn(0.7)[None] @ np.array(U)
+    F_dot = turn(0.7)[None] @ np.array([[0.0, 0.0], [A, 0.0]])
     (which,), (value,), (bound,) = farthest_out(RANGE, F, F_dot)
     assert (which < 0) == (said is None)
     if said is not None:

@@ -1,7 +1,5 @@
 """The command line, by RVEs or by laws without cells."""
 
-from __future__ import annotations
-
 import pytest
 from typer.testing import CliRunner
 

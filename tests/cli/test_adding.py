@@ -1,7 +1,5 @@
 """Harvested states join samples that have tangents."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

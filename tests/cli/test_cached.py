@@ -1,7 +1,5 @@
 """Runs through a surrogate over a law without cells."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What `train` does at its end: the bound of the error."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tissue of several cell types: its recipes, their mistakes, and runs by all laws."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 

@@ -1,7 +1,5 @@
 """What `check` tells of a recipe, over laws without cells."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import re

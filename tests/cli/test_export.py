@@ -1,7 +1,5 @@
 """`surrofe2 export`."""
 
-from __future__ import annotations
-
 import pytest
 
 from surrofe2.store.surrogates import write_surrogate

@@ -1,7 +1,5 @@
 """Parameter studies, over a law without cells."""
 
-from __future__ import annotations
-
 import csv
 import json
 

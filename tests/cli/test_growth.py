@@ -1,7 +1,5 @@
 """Runs by table, harvests, training on them and refining, over laws without cells."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 

@@ -1,7 +1,5 @@
 """What the command line says without computing anything."""
 
-from __future__ import annotations
-
 import runpy
 from importlib.metadata import version
 

@@ -1,7 +1,5 @@
 """Recipes to start from: each loads, runs, and explains its keys."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

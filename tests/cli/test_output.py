@@ -1,7 +1,5 @@
 """What commands print: lines, tables, or nothing."""
 
-from __future__ import annotations
-
 import io
 import itertools
 import re

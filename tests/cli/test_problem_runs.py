@@ -1,7 +1,5 @@
 """Runs of recipes that state their problem: the bar again, contact, a mesh from a file."""
 
-from __future__ import annotations
-
 import csv
 import json
 

@@ -1,7 +1,5 @@
 """Where a recipe leaves out how many samples there are, training takes as many as it needs."""
 
-from __future__ import annotations
-
 import json
 from contextlib import contextmanager
 

@@ -3,8 +3,6 @@
 `SURROFE2_SIGNALS` is how many signals the long tests send to each command; default: 20.
 """
 
-from __future__ import annotations
-
 import os
 import shlex
 import signal

@@ -1,7 +1,5 @@
 """What a process imports, and what a command says by its exit code."""
 
-from __future__ import annotations
-
 import shlex
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """A whole study by one command, over a law without cells."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

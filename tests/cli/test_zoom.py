@@ -1,7 +1,5 @@
 """A look into the cells of short runs by true plant cells: the command, its files and errors."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Small bars: a run, a mesh of elements that are no rectangles, states at random."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 
 import numpy as np

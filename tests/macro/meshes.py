@@ -1,7 +1,5 @@
 """Meshes of both kinds of elements, none of them regular, and integrals over them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The law of contact: the same numbers from kernels as from arrays, its slopes, its far ends."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What a person sees of results in a notebook, and hands on to other libraries."""
 
-from __future__ import annotations
-
 import re
 import sys
 from dataclasses import replace
