@@ -54,12 +54,9 @@ BAR = """
 width = 100.0
 height = 100.0
 elements = [2, 2]
-[conditions.clamp]
-kind = "fixed"
-on = "left"
-[conditions.load]
-kind = "body_force"
-acceleration = [0.0, -0.1]
+[conditions]
+clamp = { kind = "fixed", on = "left" }
+load = { kind = "body_force", acceleration = [0.0, -0.1] }
 [watch]
 tip = [100.0, 50.0]
 [time]
@@ -81,10 +78,9 @@ WITHOUT_FILES = changed(
     LEARNING, 'file = "cells.h5"', "", 'file = "cells-surrogate.h5"', "", "runs = 9", "runs = 0"
 )
 CELLS = f"""{WITHOUT_FILES}{BAR}
-[mesh.regions.skin]
-box = [0.0, 50.0, 100.0, 100.0]
-[mesh.regions.inside]
-box = [0.0, 0.0, 100.0, 50.0]
+[mesh.regions]
+skin = {{ box = [0.0, 50.0, 100.0, 100.0] }}
+inside = {{ box = [0.0, 0.0, 100.0, 50.0] }}
 [cells.skin]
 wall_stiffness = 8000.0
 samples = {{ file = "skin.h5", seed = 2 }}
@@ -100,7 +96,7 @@ training = {{ file = "flesh-surrogate.h5" }}
 
 FIRST = ("test_rve_law", "test_tabulated_surface")
 NEXT = ("test_slow_manifold", "test_bound_of_plant_cells", "test_arranged_cells", "test_pipeline",
-        "test_memory", "test_bar")  # fmt: skip
+        "test_memory")  # fmt: skip
 """Files that take long though they have few tests, or compile the kernels of RVEs, each others."""
 
 

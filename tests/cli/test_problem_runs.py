@@ -19,11 +19,10 @@ LEAF = TRIANGLES.replace(
 PRESSED = f"""{RANGE}
 [mesh]
 file = "leaf.msh"
-[mesh.boundaries.upper]
-half_plane = {{ through = [0.0, 100.0], normal = [0.0, 1.0] }}
-[conditions.base]
-kind = "fixed"
-on = "base"
+[mesh.boundaries]
+upper = {{ half_plane = {{ through = [0.0, 100.0], normal = [0.0, 1.0] }} }}
+[conditions]
+base = {{ kind = "fixed", on = "base" }}
 [bodies.plate]
 plane = {{ normal = [0.0, -1.0] }}
 on = "upper"

@@ -88,40 +88,31 @@ STATED = """
 preset = "water"
 wall_stiffness = 5000.0
 regions = ["upper"]
-
 [cells.parenchyma]
 preset = "water"
 regions = ["rest"]
-
 [mesh]
 width = 50.0
 height = 50.0
 elements = [2, 2]
-
 [mesh.regions]
 upper = { box = [0, 25, 50, 50] }
-
-[conditions.base]
-kind = "symmetry"
-on = "bottom"
-
+[conditions]
+base = { kind = "symmetry", on = "bottom" }
 [conditions.grip]
 kind = "prescribed_motion"
 on = "left"
 displacement = [0.2, "free"]
 amplitude = { kind = "ramp", end = 0.5, smooth = true }
-
 [bodies.plate]
 plane = { normal = [0, -1] }
 on = "top"
 position = [0, 50]
 displacement = [0, -0.5]
 amplitude = { kind = "ramp", end = 1.0, smooth = true }
-
 [watch]
 top = [25.0, 50.0]
 right = [50.0, 25.0]
-
 [time]
 duration = 1.0
 output_interval = 0.1
@@ -167,9 +158,9 @@ def test_all_conditions_and_bodies_of_a_recipe_act_on_a_tissue(stated, folder):
     recipe = stated(
         "plane = { normal = [0, -1] }", "corner = { axis = [0, 1], angle = 170, radius = 5 }",
         "position = [0, 50]", "position = [25, 50]\nfriction = 0.3\ndamping = 2.0",
-        '"symmetry"\non = "bottom"', '"foundation"\non = "bottom"\nstiffness = 5.0\ndamping = 1.0',
-        'on = "left"', 'on = "upper"', "[watch]",
-        '[conditions.gas]\nkind = "pressure"\non = "right"\npressure = 3.0\n\n[watch]',
+        '"symmetry", on = "bottom"', '"foundation", on = "bottom", stiffness = 5.0, damping = 1.0',
+        "[conditions]", '[conditions]\ngas = { kind = "pressure", on = "right", pressure = 3.0 }',
+        'on = "left"', 'on = "upper"',
     )  # fmt: skip
     invoke(recipe, "--out", folder)
     history, energies = read_history(folder), read_history(folder, "energies.csv")

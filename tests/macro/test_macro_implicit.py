@@ -12,9 +12,10 @@ from surrofe2.macro.generalised_alpha import Weights
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from tests.laws import DryFriction, KelvinVoigt
+from tests.macro.bars import SQUARE, run_and_states
 from tests.numerics import rates
 
-LOAD_CASE = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0), duration=12.8, elements=(2, 2))
+LOAD_CASE = replace(SQUARE, duration=12.8)
 IMPLICIT = MacroSettings(integrator="implicit")
 TIGHT = MacroSettings(absolute_tolerance=1e-9, relative_tolerance=1e-9)
 
@@ -102,9 +103,8 @@ def test_stiff_viscosity_costs_the_explicit_run_its_steps():
 
 @pytest.mark.parametrize("begun", ["explicit", "implicit"])
 def test_a_checkpoint_of_the_other_integrator_is_refused(begun):
-    states = []
     first = replace(IMPLICIT, integrator=begun)
-    simulate(LOAD_CASE, KelvinVoigt(), first, checkpoint=states.append, checkpoint_interval=0.0)
+    _, states = run_and_states(LOAD_CASE, KelvinVoigt(), first)
     other = {"explicit": "implicit", "implicit": "explicit"}[begun]
     with pytest.raises(
         MismatchError, match=rf"integrator: {other}; the checkpoint is of an {begun}"

@@ -26,7 +26,7 @@ from surrofe2.problem import (
 )
 from surrofe2.problem.mesh import element_nodes
 from tests.laws import KelvinVoigt, LinearFirstPiola, Skin
-from tests.macro.bars import assert_same_run, resumed
+from tests.macro.bars import SETTINGS, assert_same_run, resumed, run_and_states
 from tests.macro.meshes import HEIGHT, KINDS, WIDTH, plate, sides_of, triangles
 from tests.macro.test_macro_tangents import assert_slopes
 
@@ -179,15 +179,15 @@ def test_rest_under_load_and_its_resumption():
 
 
 def test_a_run_goes_on_to_the_bit():
-    problem, states = clamped(Surface(law=SKIN)), []
-    whole = simulate(problem, LAW, checkpoint=states.append, checkpoint_interval=0.0)
+    problem = clamped(Surface(law=SKIN))
+    whole, states = run_and_states(problem, LAW)
     middle = states[len(states) // 2]
-    again = resumed(problem, LAW, MacroSettings(), middle)
+    again = resumed(problem, LAW, SETTINGS, middle)
     assert_same_run(again, whole)
     assert np.array_equal(again.rest, whole.rest)
     for other in (None, Surface(law=SKIN, on=("top",))):
         with pytest.raises(MismatchError, match=r"surface: not that of the checkpoint"):
-            simulate(replace(problem, surface=other), LAW, resume=middle)
+            simulate(replace(problem, surface=other), LAW, SETTINGS, resume=middle)
 
 
 def test_a_rectangle_under_constant_tension_shrinks():

@@ -73,7 +73,6 @@ def assert_tangents(bar, law, u, v, step, share):
 @pytest.mark.parametrize("law", [KelvinVoigt(), LinearFirstPiola(), Fibres()], ids=repr)
 @pytest.mark.parametrize("kind", ["distorted", "triangles", "curved triangles"])
 def test_tangents_are_the_slopes_of_the_internal_force(rng, kind, law):
-    """At random displacement and velocity."""
     if kind == "distorted":
         system = distorted_bar(rng, elements=(3, 2))
     else:
