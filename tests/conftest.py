@@ -136,6 +136,11 @@ def _strict_floating_point():
 
 
 @pytest.fixture
+def rng():
+    return np.random.default_rng(20090550)
+
+
+@pytest.fixture
 def written(tmp_path):
     """written(text, name): the path of a recipe."""
 

@@ -1,7 +1,6 @@
 """rest, modes and moduli, with memory and stability, over plant cells."""
 
 import json
-from dataclasses import replace
 from functools import partial
 
 import h5py
@@ -9,14 +8,13 @@ import numpy as np
 import pytest
 
 from surrofe2.cli import console
-from surrofe2.law.stress_law import Status
 from surrofe2.macro import find_modes, find_rest
 from surrofe2.questions import stability
 from surrofe2.rve import RveLaw
 from surrofe2.store.run_folder import read_record
 from surrofe2.store.store import locked_file, read_json, write_json
-from surrofe2.workflow import laws
 from tests.cli.conftest import call
+from tests.laws import SquareLaw, failing
 
 
 def test_rest_writes_its_load_path_and_fields(recipe, recipe_path, tmp_path):
@@ -66,10 +64,12 @@ def test_rest_writes_its_load_path_and_fields(recipe, recipe_path, tmp_path):
     assert "rest.factor: this call has 0.5, what is there 1.0" in refused.stderr
 
 
-def test_rest_that_fails_keeps_the_way_there(recipe_path, tmp_path, monkeypatch):
-    out = tmp_path / "rest"
-    monkeypatch.setattr(laws, "true_law", _law_that(fails_above=3e-3))
-    failed = call("rest", recipe_path, "--out", out, "--load-steps", 2, code=1)
+def test_rest_that_fails_keeps_the_way_there(recipe_path, tmp_path, invoke):
+    def far(F, F_dot):
+        return abs(F - np.eye(2)).max(axis=(1, 2)) > 0.02
+
+    out, law = tmp_path / "rest", failing(SquareLaw(), fails=far)
+    failed = invoke("rest", recipe_path, "--out", out, "--load-steps", 2, law=law, code=1)
     assert "no load step succeeds after 10 halvings" in failed.stderr
     record = read_record(out)
     assert record.status == "failed"
@@ -77,34 +77,13 @@ def test_rest_that_fails_keeps_the_way_there(recipe_path, tmp_path, monkeypatch)
     factors = np.loadtxt(out / "path.csv", delimiter=",", skiprows=1)[:, 0]
     assert factors[0] == 0.0
     assert 0.1 < factors[-1] < 1.0
-    call("rest", recipe_path, "--out", out, "--factor", 0.1, "--fresh")
+    invoke("rest", recipe_path, "--out", out, "--factor", 0.1, "--fresh", law=law)
 
 
 def test_a_rest_and_a_run_are_not_taken_for_each_other(recipe_path, tmp_path):
     call("rest", recipe_path, "--out", tmp_path / "rest")
     refused = call("run", recipe_path, "--law", "rve", "--out", tmp_path / "rest", code=1)
     assert "rest.factor: this call has nothing, what is there 1.0" in refused.stderr
-
-
-def _law_that(**trouble):
-    return lambda recipe: _Troubled(RveLaw(recipe.cell), **trouble)
-
-
-class _Troubled:
-    """No stress where an entry of F is farther from I than `fails_above`."""
-
-    def __init__(self, law, fails_above):
-        self.law, self.density, self.has_tangents = law, law.density, law.has_tangents
-        self.fails_above = fails_above
-
-    def respond(self, F, F_dot, state=None, *, tangents=False):
-        answer = self.law.respond(F, F_dot, state, tangents=tangents)
-        far = np.abs(F - np.eye(2)).max(axis=(1, 2)) > self.fails_above
-        status = np.where(far, Status.NOT_CONVERGED, answer.status).astype(np.int8)
-        return replace(answer, status=status)
-
-    def accept(self, F, F_dot, response):
-        return self.law.accept(F, F_dot, response)
 
 
 def test_modes_about_both_states(recipe, recipe_path, tmp_path):

@@ -270,21 +270,3 @@ def test_newton_converges_quadratically(kind, name, rng):
     assert near.size >= 2
     for before, after in zip(residuals[near[:-1]], residuals[near[1:]], strict=True):
         assert after < max(20.0 * before**2, 1e-12), residuals
-
-
-def test_pressure_never_pulls_and_its_dashpot_never_drives():
-    """At all depths and speeds, the smoothing and speeds far above k δ/c included."""
-    struck = body("plane", stiffness=50.0, smoothing=0.1, damping=30.0)
-    contact, _ = contact_of(struck, plate("quads", np.random.default_rng(1)))
-    depth, closing = (
-        each.ravel() for each in np.meshgrid(np.geomspace(1e-6, 10.0, 60), np.linspace(-9, 9, 37))
-    )
-    pressure, _, by_closing = contact._pressure(depth, closing)
-    spring, *_ = contact._pressure(depth, 0.0 * closing)
-    assert pressure.min() >= 0.0
-    assert by_closing.min() > 0.0
-    assert ((pressure - spring) * closing).min() >= 0.0
-    far = depth > 0.1
-    np.testing.assert_allclose(spring[far], 50.0 * (depth[far] - 0.05), rtol=1e-12)
-    closes = far & (closing > 0.0)
-    np.testing.assert_allclose((pressure - spring)[closes], 30.0 * closing[closes], rtol=1e-9)

@@ -20,11 +20,6 @@ class State(RunState):
     mark: "State | None" = None
 
 
-@pytest.fixture
-def rng():
-    return np.random.default_rng(5)
-
-
 def grown(rows, times):
     journal = Journal.of({"rows": np.empty((0, 2)), "frames.t": np.empty(0)})
     for row, t in zip(rows, times, strict=True):
