@@ -244,6 +244,14 @@ class SoftLaw(Memoryless):
         return R @ S @ transpose(R)
 
 
+class SoftCell(SoftLaw):
+    """As stiff and as heavy as its plant cell says."""
+
+    def of(self, cell, settings=None):
+        self.a, self.density = cell.wall_stiffness / 80.0, cell.density
+        return super().of(cell, settings)
+
+
 class StoppingLaw(SoftLaw):
     """Raises after so many calls, as Ctrl-C or a kill would."""
 

@@ -171,7 +171,6 @@ def deflection(upper, lower):
 @pytest.mark.nightly
 @pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.stem)
 def test_cached_is_true_within_a_thousandth(path, tmp_path):
-    """Data set, training, both runs and their comparison, as the commands do it."""
     (tmp_path / "examples").mkdir()
     for name in (path.name, "notched-leaf.msh"):
         (tmp_path / "examples" / name).write_bytes((FOLDER / name).read_bytes())

@@ -12,7 +12,6 @@ from surrofe2 import (
     CachedLaw,
     CalibrationSettings,
     CellParameters,
-    LoadCase,
     MacroSettings,
     Problem,
     RegionalLaw,
@@ -144,10 +143,8 @@ def test_a_law_for_each_region_is_saved_with_its_cells(tmp_path):
         np.testing.assert_allclose(found.seen.pressure[0], own.pressure[0], rtol=1e-9)
 
 
-def test_a_run_that_fails_is_saved_as_failed(tmp_path):
-    load = LoadCase(
-        width=100.0, height=100.0, watched=(100.0, 50.0), elements=(2, 2), duration=30.0
-    )
+def test_a_run_that_fails_is_saved_as_failed(recipe, tmp_path):
+    load = replace(recipe.problem(), duration=30.0)
     with pytest.raises(SimulationError) as stopped:
         simulate(load, SoftLaw(fails_above=1.005), MacroSettings())
     assert save_run(stopped.value.partial, tmp_path).status == "failed"

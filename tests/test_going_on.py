@@ -24,9 +24,8 @@ from tests.folders import assert_same
 
 CACHED = STRONG + "[cache]\ntolerance = 0.2\naudit = 0.1\n"
 TABLE = CACHED + "[table]\ntolerance = 1e-3\n"
-CELLS = (
-    changed(conftest.CELLS, "-0.1]", "-0.9]") + "[table]\ntolerance = 1e-2\n[cache]\naudit = 0.3\n"
-)
+CELLS = changed(conftest.CELLS, "-0.1]", "-0.9]")
+CELLS += "[table]\ntolerance = 1e-2\n[cache]\naudit = 0.3\n"
 IMPLICIT = 'integrator = "implicit"\n'
 
 

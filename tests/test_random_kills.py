@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import time
+from itertools import product
 
 import numpy as np
 import pytest
@@ -49,17 +50,11 @@ ENDS = {"killed": (signal.SIGKILL, -signal.SIGKILL), "interrupted": (signal.SIGI
 QUICK = ("train", "cached", "grid")
 """Commands that are killed once in the quick tests; the others once in the slow ones."""
 CASES = [
-    *((name, "killed", 1) for name in QUICK),
-    *(
-        pytest.param(name, "killed", 1, marks=pytest.mark.slow)
-        for name in commands.COMMANDS
-        if name not in QUICK
-    ),
-    *(
-        pytest.param(name, how, KILLS, marks=pytest.mark.nightly)
-        for name in commands.COMMANDS
-        for how in ENDS
-    ),
+    pytest.param(name, "killed", 1, marks=[pytest.mark.slow] * (name not in QUICK))
+    for name in commands.COMMANDS
+] + [
+    pytest.param(*case, KILLS, marks=pytest.mark.nightly)
+    for case in product(commands.COMMANDS, ENDS)
 ]
 
 

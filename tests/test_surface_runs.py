@@ -24,9 +24,8 @@ SIDES = '\n[surface]\non = ["top", "right"]\n'
 def table(cell, method, pull=40.0):
     """P_s = pull + 300 (λ − 1) + 20 λ̇ for 0.9 < λ < 1.1 and |λ̇| < 0.02."""
     coefficients = np.array([[pull, 0.4], [30.0, 0.0]])
-    return TabulatedSurface(
-        coefficients, (0.9, 1.1), 0.02, 0.0, 12.0, 25.0, cell, method, 1e-3, 80.0
-    )
+    bounds = (0.9, 1.1), 0.02, 0.0, 12.0, 25.0
+    return TabulatedSurface(coefficients, *bounds, cell, method, 1e-3, 80.0)
 
 
 @pytest.fixture

@@ -114,10 +114,9 @@ def test_wrong_executors(arguments, sentence):
 @pytest.mark.slow
 def test_a_cluster_of_dask_that_loses_a_worker(tmp_path):
     distributed = pytest.importorskip("distributed")
+    two = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
     with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=None
-        ) as cluster,
+        distributed.LocalCluster(**two) as cluster,
         executor_of(0, cluster.scheduler_address) as executor,
     ):
         assert joined(partial(squares_or_death, str(tmp_path), 1), executor) == joined(squares)

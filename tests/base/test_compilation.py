@@ -151,9 +151,8 @@ def said(module, *lines):
     """What a new process says that has these kernels."""
     folders = {"PYTHONPATH": os.pathsep.join([str(module), *sys.path])}
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(module / "kept"), **folders}
-    return python(
-        "-B", "-c", "\n".join(["from kernels import *", *lines]), env=environment
-    ).stdout.split()
+    code = "\n".join(["from kernels import *", *lines])
+    return python("-B", "-c", code, env=environment).stdout.split()
 
 
 A = "a = np.linspace(0.1, 2.0, 13)"
@@ -162,23 +161,25 @@ A = "a = np.linspace(0.1, 2.0, 13)"
 def test_a_kernel_has_the_same_bits_whichever_was_compiled_or_read_before(module):
     """It is compiled alone; read after another; compiled into one that was read."""
     first = said(module, A, "print(inner(a.copy()).hex())")
-    again = said(
-        module,
-        A,
-        "print(inner(a.copy()).hex(), inner.stats.cache_hits.total())",
-        "print(outer(a.copy()).hex(), outer.stats.cache_hits.total())",
-        "print(inner(a.copy()).hex())",
-    )
+    shown = "print({0}(a.copy()).hex(), {0}.stats.cache_hits.total())"
+    again = said(module, A, *map(shown.format, ("inner", "outer", "inner")))
     assert again[:2] == [*first, "1"]
-    assert again[3:] == ["0", *first]
-    assert said(module, A, "print(outer(a.copy()).hex(), inner(a.copy()).hex())") == [
-        again[2], *first,
-    ]  # fmt: skip
+    assert again[3:5] == ["0", *first]
+    both = said(module, A, "print(outer(a.copy()).hex(), inner(a.copy()).hex())")
+    assert both == [again[2], *first]
 
 
 def test_arrays_of_kernels_begin_at_a_line_of_the_cache(module):
     places = said(module, "print(*[a.ctypes.data % 64 for a in some_arrays(40)])")
     assert set(places) == {"0"}
+
+
+PAIR = """
+from typing import NamedTuple
+class Pair(NamedTuple):
+    {}: float
+    {}: float
+"""
 
 
 @pytest.mark.parametrize(
@@ -194,10 +195,8 @@ def test_the_class_of_an_argument_may_change(module, classes, hits):
     old module, which is no source that the kernel depends on."""
     found = []
     for name, *fields in classes:
-        text = (
-            "from typing import NamedTuple\nclass Pair(NamedTuple):\n    {}: float\n    {}: float\n"
-        )
-        (module / f"{name}.py").write_text(text.format(*fields), encoding="utf-8")
+        text = PAIR.format(*fields)
+        (module / f"{name}.py").write_text(text, encoding="utf-8")
         shown = "print(int(first(Pair(x=3.0, y=5.0))), first.stats.cache_hits.total())"
         number, hit = said(module, f"from {name} import Pair", shown)
         assert number == "3"

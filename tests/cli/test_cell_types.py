@@ -18,17 +18,9 @@ from surrofe2.store.tables import read_table
 from surrofe2.workflow.rest import rest_study
 from surrofe2.workflow.run import run_study
 from tests.conftest import BAR, CELLS, LEARNING, WITHOUT_FILES, changed
-from tests.laws import SoftLaw, SquareLaw, StoppingLaw
+from tests.laws import SoftCell, SquareLaw, StoppingLaw
 
 ONE = '[cell]\npreset = "water"\n' + WITHOUT_FILES + BAR
-
-
-class SoftCell(SoftLaw):
-    """A soft law as stiff and as heavy as its cell says."""
-
-    def of(self, cell, settings=None):
-        self.a, self.b, self.density = cell.wall_stiffness / 80.0, 100.0, cell.density
-        return super().of(cell, settings)
 
 
 @pytest.fixture
@@ -118,9 +110,8 @@ def test_a_grid_learns_the_cells_that_it_changes(invoke, trained, tmp_path):
     out = tmp_path / "grid"
     stiffness = "cells.skin.wall_stiffness=8000,9000"
     invoke("grid", trained, "--out", out, "--law", "cached", "--set", stiffness)
-    assert [path.name for path in out.glob("*-surrogate.h5")] == [
-        "cells.skin.wall_stiffness=9000-skin-surrogate.h5"
-    ]
+    (made,) = out.glob("*-surrogate.h5")
+    assert made.name == "cells.skin.wall_stiffness=9000-skin-surrogate.h5"
     records = [read_record(each.parent) for each in sorted(out.glob("*/run.json"))]
     used = [record.surrogate["fingerprint"].split() for record in records]
     names = [*records[0].recipe["cells"]]
@@ -148,9 +139,8 @@ def test_refine_teaches_each_cell_until_it_knows(invoke, trained, written, tmp_p
     assert record.surrogate["file"] == ", ".join(file.name for file in files)
     assert record.counts["fallbacks"] < 0.1 * record.counts["hits"]
     twice = invoke(*run, tmp_path / "x", "--surrogate", files[0], "--surrogate", files[0], code=1)
-    assert twice.stderr == (
-        f"error: --surrogate: {files[0]} and {files[0]}; both are of cell skin, give one\n"
-    )
+    told = f"{files[0]} and {files[0]}; both are of cell skin, give one"
+    assert twice.stderr == f"error: --surrogate: {told}\n"
 
     only = tmp_path / "only"
     done = invoke("refine", path, "--out", only, "--cell", "flesh", "--rounds", 1, code=1)

@@ -3,7 +3,6 @@
 import itertools
 import math
 import re
-import subprocess
 import sys
 import tomllib
 
@@ -15,20 +14,13 @@ from surrofe2.base.sampling import SamplingRange
 from surrofe2.macro import MetRange, simulate
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
-from surrofe2.workflow import check as module
-from surrofe2.workflow import laws
-from surrofe2.workflow.check import (
-    advised_law,
-    dry_run,
-    proposed_range,
-    recipe_faults,
-    seconds_by_rves,
-)
+from surrofe2.workflow import check
 from surrofe2.workflow.laws import law_by_region, quadratic_law
 from surrofe2.workflow.run import run_study
 from tests.cli.conftest import call
 from tests.conftest import RANGE, RECIPE, ROOT
 from tests.laws import SquareLaw
+from tests.processes import python
 
 WHOLE = 600.0
 """Seconds in which any of these dry runs comes to its end."""
@@ -67,7 +59,7 @@ tip = [100.0]
 
 
 def test_faults_of_a_stated_problem(written):
-    faults = recipe_faults(written(STATED))
+    faults = check.recipe_faults(written(STATED))
     told = [sentence.partition(": ")[2].partition(": ")[0] for sentence in faults]
     wrong = {"mesh.height", "mesh.regions.skin.box", "conditions.clamp.kind", "watch.tip"}
     wrong |= {"conditions.pull.traction", "cells.flesh.samples.file"}
@@ -103,7 +95,7 @@ def soft_law(stand_in):
 def test_check_says_how_long_rves_take_and_writes_nothing(invoke, recipe_path, tmp_path):
     done = invoke("check", recipe_path, "--seconds", WHOLE, law=SquareLaw())
     said = re.search(r"^20 points, about ([\d,]+) evaluations of the stress: ", done.stdout, re.M)
-    run = dry_run(load_recipe(recipe_path), WHOLE)
+    run = check.dry_run(load_recipe(recipe_path), WHOLE)
     assert float(said[1].replace(",", "")) == pytest.approx(run.calls, rel=0.05)
     assert "recipe.toml: use --law rve" in done.stdout
     assert [path.name for path in tmp_path.iterdir()] == ["recipe.toml"]
@@ -112,7 +104,7 @@ def test_check_says_how_long_rves_take_and_writes_nothing(invoke, recipe_path, t
 @pytest.mark.usefixtures("soft_law")
 def test_a_dry_run_asks_as_often_as_the_run(recipe_path, tmp_path):
     recipe = load_recipe(recipe_path, {"load.duration": 40.0})
-    found = dry_run(recipe, WHOLE)
+    found = check.dry_run(recipe, WHOLE)
     counts = run_study(recipe, "rve", tmp_path / "rve").counts
     assert found.reached == 1.0
     calls = (counts["stress_points"] + counts["dissipation_points"]) / found.points
@@ -124,63 +116,55 @@ def test_a_dry_run_that_is_cut_short_is_extrapolated(recipe_path, monkeypatch):
     changes = {"load.duration": 40.0, "macro.elements": [8, 8]}
     recipe = load_recipe(recipe_path, changes)
     ticks = itertools.count()
-    monkeypatch.setattr(module, "cpu_clock", lambda: float(next(ticks)))
-    whole = dry_run(recipe, math.inf)
+    monkeypatch.setattr(check, "cpu_clock", lambda: float(next(ticks)))
+    whole = check.dry_run(recipe, math.inf)
     steps = next(ticks)  # the clock ticks once a step
     ticks = itertools.count()
-    short = dry_run(recipe, 1.4 * steps)
+    short = check.dry_run(recipe, 1.4 * steps)
     assert short.points == whole.points == 320
     assert short.reached == 1.0  # of 4 × 4 elements, whose steps are longer
     assert len(short.steps[""][0][0]) == 80
     assert short.calls == pytest.approx(whole.calls, rel=0.1)
     assert not short.omitted
-    monkeypatch.setattr(module, "MOST_ELEMENTS", 16)
-    coarse = dry_run(recipe, math.inf)
+    monkeypatch.setattr(check, "MOST_ELEMENTS", 16)
+    coarse = check.dry_run(recipe, math.inf)
     assert len(coarse.steps[""][0][0]) == 80
     assert coarse.points == 320
     assert coarse.calls == pytest.approx(whole.calls, rel=0.5)
     ticks = itertools.count()
-    shorter = dry_run(recipe, 0.1 * steps)
+    shorter = check.dry_run(recipe, 0.1 * steps)
     assert shorter.reached < 1.0
     assert "what is met after" in shorter.omitted
 
 
-@pytest.mark.usefixtures("soft_law")
-def test_the_time_by_rves_is_solves_times_a_solve(recipe_path, monkeypatch):
-    recipe = load_recipe(recipe_path, {"load.duration": 20.0})
-    run = dry_run(recipe, math.inf)
-    law = SlowLaw(laws.true_law(recipe))
-    monkeypatch.setattr(laws, "true_law", lambda recipe, *_: law)
-    monkeypatch.setattr(module, "clock", lambda: law.time)
-    assert seconds_by_rves(recipe, run) == pytest.approx(run.solves * law.SECONDS)
-
-
-class SlowLaw:
+class SlowLaw(SquareLaw):
     """A law of which each point takes a millisecond of its own clock, and a cold one a hundred."""
 
-    SECONDS = 1e-3
-
-    def __init__(self, law):
-        self.law, self.time = law, 0.0
+    SECONDS, time = 1e-3, 0.0
 
     def respond(self, F, F_dot, state=None, *, tangents=False):
         self.time += (100.0 if state is None else 1.0) * self.SECONDS * len(F)
-        return self.law.respond(F, F_dot, state, tangents=tangents)
+        return super().respond(F, F_dot, state, tangents=tangents)
 
-    def accept(self, F, F_dot, response):
-        return self.law.accept(F, F_dot, response)
+
+def test_the_time_by_rves_is_solves_times_a_solve(recipe_path, monkeypatch, stand_in):
+    recipe, law = load_recipe(recipe_path, {"load.duration": 20.0}), SlowLaw()
+    stand_in(law)
+    run = check.dry_run(recipe, math.inf)
+    monkeypatch.setattr(check, "clock", lambda: law.time)
+    assert check.seconds_by_rves(recipe, run) == pytest.approx(run.solves * law.SECONDS)
 
 
 def test_the_advice(recipe, changed_recipe, request):
-    assert advised_law(recipe, 10.0) == "rve"  # done before a surrogate is trained
-    assert advised_law(recipe, 1000.0) == "cached"
+    assert check.advised_law(recipe, 10.0) == "rve"  # done before a surrogate is trained
+    assert check.advised_law(recipe, 1000.0) == "cached"
     request.getfixturevalue("trained")
-    assert advised_law(recipe, 10.0) == "cached"  # it is there
+    assert check.advised_law(recipe, 10.0) == "cached"  # it is there
     without = load_recipe(changed_recipe('file = "cells-surrogate.h5"\n', ""))
-    assert advised_law(without, 1000.0) == "table"
+    assert check.advised_law(without, 1000.0) == "table"
     implicit = changed_recipe("[macro]", '[macro]\nintegrator = "implicit"')
-    assert advised_law(load_recipe(implicit), 1000.0) == "rve"
-    assert advised_law(load_recipe(changed_recipe(RANGE, "")), 1000.0) == "rve"
+    assert check.advised_law(load_recipe(implicit), 1000.0) == "rve"
+    assert check.advised_law(load_recipe(changed_recipe(RANGE, "")), 1000.0) == "rve"
 
 
 def test_a_recipe_without_a_range_is_for_rves(invoke, changed_recipe):
@@ -199,9 +183,8 @@ sys.exit(os.waitstatus_to_exitcode(code))
 
 def checked(path, *options):
     """The command in a process: (what it prints, processor seconds, memory in MB)."""
-    command = [sys.executable, "-m", "surrofe2", "check", str(path), *options]
-    watched = [sys.executable, "-c", WATCH, *command]
-    printed = subprocess.run(watched, stdout=subprocess.PIPE, text=True, check=True).stdout
+    command = sys.executable, "-m", "surrofe2", "check", path, *options
+    printed = python("-c", WATCH, *command).stdout
     seconds, memory = map(float, printed.splitlines()[-1].split())
     return printed, seconds, memory
 
@@ -253,13 +236,12 @@ def test_a_true_run_stays_within_the_range_proposed(bending_bar):
 def met(stretch, shear, rate):
     U = np.array([np.diag([stretch[0]] * 2), np.diag([stretch[1]] * 2)])
     U[0, 0, 1], U[1, 0, 1] = -shear, 0.5 * shear
-    return MetRange(
-        F=U, F_dot=0.0 * U, U=U, RT_F_dot=np.array([-rate, rate])[:, None, None] + 0 * U
-    )
+    rates = np.array([-rate, rate])[:, None, None] + 0.0 * U
+    return MetRange(F=U, F_dot=0.0 * U, U=U, RT_F_dot=rates)
 
 
 def test_bounds_are_rounded_outward_to_two_digits_of_strain():
-    found = proposed_range(met((0.9876, 1.0), 0.0331, 0.001234), margin=0.0)
+    found = check.proposed_range(met((0.9876, 1.0), 0.0331, 0.001234), margin=0.0)
     assert (found.stretch, found.shear, found.rate) == ((0.987, 1.0), 0.034, 0.0013)
 
 
@@ -274,7 +256,7 @@ def test_bounds_are_rounded_outward_to_two_digits_of_strain():
 )
 def test_what_gives_no_range_says_why(given, margin, sentence):
     with pytest.raises(InputError, match=sentence):
-        proposed_range(met(*given), margin)
+        check.proposed_range(met(*given), margin)
 
 
 def test_each_cell_gets_the_range_that_its_own_points_meet(written):
@@ -283,14 +265,12 @@ def test_each_cell_gets_the_range_that_its_own_points_meet(written):
     printed = printed_for(path)[0]["cells"]
     assert list(printed) == ["stiff", "soft"]
     recipe = load_recipe(path)
-    met = dry_run(recipe, 600.0).met
+    met = check.dry_run(recipe, 600.0).met
     for name, found in met.items():
-        assert SamplingRange(**printed[name]["range"]) == proposed_range(found)
-    whole = simulate(
-        recipe.problem(),
-        law_by_region(recipe, recipe.problem().mesh, quadratic_law),
-        recipe.macro,
-    ).met
+        assert SamplingRange(**printed[name]["range"]) == check.proposed_range(found)
+    problem = recipe.problem()
+    law = law_by_region(recipe, problem.mesh, quadratic_law)
+    whole = simulate(problem, law, recipe.macro).met
     assert max(each.stretch[1] for each in met.values()) == whole.stretch[1]
     assert min(each.rate for each in met.values()) < max(each.rate for each in met.values())
     assert max(each.rate for each in met.values()) == whole.rate

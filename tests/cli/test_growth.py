@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from surrofe2.base.sampling import sample
-from surrofe2.law.samples import StressSamples
 from surrofe2.store.run_folder import read_record
-from surrofe2.store.samples import HarvestWriter, read_harvest
+from surrofe2.store.samples import HarvestWriter, read_data_set, read_harvest
 from surrofe2.store.surrogates import read_surrogate
 from surrofe2.store.tables import read_table
 from surrofe2.workflow.generate import with_harvests
@@ -138,21 +137,9 @@ KNOWN, HARVESTED, FAILED, OTHERWISE = 40, 30, 3, 2
 
 
 @pytest.fixture
-def samples(recipe):
-    F, F_dot = sample(recipe.range, KNOWN, 1)
-    answer = SquareLaw().respond(F, F_dot, tangents=True)
-    return StressSamples(
-        F=F,
-        F_dot=F_dot,
-        stress=answer.stress,
-        status=answer.status,
-        cell=recipe.cell,
-        initialisation=recipe.rve.initialisation,
-        range=recipe.range,
-        seed=1,
-        P_by_F=answer.tangents.P_by_F,
-        P_by_F_dot=answer.tangents.P_by_F_dot,
-    )
+def samples(invoke, recipe, changed_recipe):
+    invoke("generate", changed_recipe("count = 40", "count = 40\ntangents = true"))
+    return read_data_set(recipe.data_path())
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Recipes to start from: each loads, runs, and explains its keys."""
+"""`new` and `export`: recipes that load, run and explain their keys; what is there stays."""
 
 import re
 
@@ -7,8 +7,10 @@ import pytest
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.recipe.schema import TEMPLATES, write_recipe
 from surrofe2.store.run_folder import read_record
+from surrofe2.store.surrogates import write_surrogate
 from tests.conftest import ROOT
 from tests.laws import SquareLaw
+from tests.surrogate.twins import make_law
 
 
 @pytest.mark.parametrize("kind", TEMPLATES)
@@ -32,7 +34,6 @@ def test_each_kind_loads_and_runs_some_steps(invoke, tmp_path, kind):
 
 @pytest.mark.parametrize("kind", TEMPLATES)
 def test_what_is_a_comment_is_a_default(tmp_path, kind):
-    """With all keys that stand as comments the recipe is the same."""
     path = tmp_path / "mine.toml"
     write_recipe(path, kind)
     text = path.read_text(encoding="utf-8")
@@ -47,9 +48,8 @@ def test_what_is_a_comment_is_a_default(tmp_path, kind):
 def test_the_bar_is_that_of_the_clone(tmp_path):
     path = tmp_path / "bending-bar.toml"
     write_recipe(path, "bar")
-    here, there = (
-        load_recipe(each).to_dict() for each in (path, ROOT / "data" / "bending-bar.toml")
-    )
+    here = load_recipe(path).to_dict()
+    there = load_recipe(ROOT / "data" / "bending-bar.toml").to_dict()
     here["training"]["file"] = there["training"]["file"]
     assert here == there
 
@@ -59,9 +59,8 @@ def test_what_is_there_is_not_written_over(invoke, tmp_path):
     invoke("new", path, "--example", "strip")
     invoke("new", tmp_path / "mine", "--example", "strip")
     refused = invoke("new", path, "--example", "bar", code=1)
-    assert refused.stderr == (
-        f"error: {path}: another file is there; --fresh writes this one in its place\n"
-    )
+    told = "another file is there; --fresh writes this one in its place"
+    assert refused.stderr == f"error: {path}: {told}\n"
     assert "pulled" in path.read_text(encoding="utf-8")
     invoke("new", path, "--example", "bar", "--fresh")
 
@@ -69,3 +68,27 @@ def test_what_is_there_is_not_written_over(invoke, tmp_path):
 def test_kinds_are_told(invoke, tmp_path):
     refused = invoke("new", tmp_path / "a", "--example", "bra", code=1)
     assert refused.stderr.startswith("error: --example: 'bra': unknown kind; did you mean bar?")
+
+
+@pytest.fixture
+def surrogate(tmp_path):
+    write_surrogate(make_law(), tmp_path / "law-surrogate.h5")
+    return tmp_path / "law-surrogate.h5"
+
+
+def test_the_source_lies_beside_the_surrogate(surrogate, invoke):
+    done = invoke("export", surrogate, "--to", "c")
+    source = surrogate.with_suffix(".c")
+    lines = source.read_text(encoding="utf-8").count("\n")
+    assert f"{source}: {lines} lines of C, " in done.output
+
+
+def test_what_is_there_stays(surrogate, invoke):
+    source = surrogate.with_suffix(".c")
+    source.write_text("mine", encoding="utf-8")
+    done = invoke("export", surrogate, code=1)
+    assert "another source is there; --fresh" in done.output
+    assert source.read_text(encoding="utf-8") == "mine"
+    invoke("export", surrogate, "--fresh")
+    invoke("export", surrogate)  # the same, so nothing is lost
+    assert source.read_text(encoding="utf-8").startswith("/*")

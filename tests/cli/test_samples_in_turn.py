@@ -2,6 +2,7 @@
 
 import json
 from contextlib import contextmanager
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -36,21 +37,14 @@ def _few(monkeypatch, stand_in):
 @pytest.fixture
 def wanting(changed_recipe):
     """wanting(bound): the small recipe without a number of samples, whose training wants it."""
-
     return lambda bound: load_recipe(
         changed_recipe("count = 40\n", "", "interval = 20", f"interval = 10\nbound = {bound}")
     )
 
 
-def stages():
-    """(a display, names and totals of its stages)."""
-    shown = []
-
-    def stage(what, total, unit):
-        shown.append((what, total))
-        return no_stage(what, total, unit)
-
-    return stage, shown
+def shown(stage):
+    """Names and totals of the stages of a display."""
+    return [call.args[:2] for call in stage.call_args_list]
 
 
 def same(path, other):
@@ -63,9 +57,9 @@ def same(path, other):
 def test_the_first_samples_suffice(wanting):
     recipe = wanting(MET)
     assert generate_data_set(recipe).count == 40
-    stage, shown = stages()
+    stage = Mock(wraps=no_stage)
     trained = train_surrogate(recipe, stage=stage)
-    assert shown == [("train", 40), ("calibrate", 1.0)]
+    assert shown(stage) == [("train", 40), ("calibrate", 1.0)]
     assert stored_count(recipe.data_path()) == (40, True, True)
     assert trained.surrogate.data_fingerprint == read_data_set(recipe.data_path()).fingerprint
 
@@ -73,11 +67,11 @@ def test_the_first_samples_suffice(wanting):
 def test_more_are_taken_until_they_do_not_help(wanting, written, monkeypatch):
     recipe = wanting(NEVER)
     generate_data_set(recipe)
-    stage, shown = stages()
+    stage = Mock(wraps=no_stage)
     monkeypatch.setattr("surrofe2.workflow.train._HELPS", np.inf)
     trained = train_surrogate(recipe, stage=stage)
     told = [("train", 40), ("generate", 80), ("train", 40), ("generate", 160), ("train", 40)]
-    assert shown == [*told, ("calibrate", 1.0)]
+    assert shown(stage) == [*told, ("calibrate", 1.0)]
     samples = read_data_set(recipe.data_path())
     assert len(samples.F) == 160
     assert trained.surrogate.data_fingerprint == samples.fingerprint

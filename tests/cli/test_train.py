@@ -19,7 +19,7 @@ from surrofe2.surrogate.deformation_paths import random_walks
 from surrofe2.workflow import train as train_workflow
 from surrofe2.workflow.train import FACTOR, PACE, Varied, large_errors, varied_problems
 from tests.conftest import LEARNING, changed
-from tests.laws import SoftLaw, StoppingLaw
+from tests.laws import SoftCell, SoftLaw, StoppingLaw
 from tests.macro.bars import with_load
 
 pytestmark = pytest.mark.usefixtures("data_set")
@@ -319,9 +319,8 @@ position = [50.0, 71.0]
 mass = 3.0
 velocity = [0.0, -1.0]
 """
-    found = list(
-        varied_problems(load_recipe(written(LEARNING + BLOCK + more)).problem(), 50, seed=1)
-    )
+    problem = load_recipe(written(LEARNING + BLOCK + more)).problem()
+    found = list(varied_problems(problem, 50, seed=1))
     falls = np.array([problem.conditions[-1].velocity for problem in found])
     balls = np.array([problem.bodies[0].velocity for problem in found])
     for velocity, most in ((falls, 2.0), (balls, 1.0)):
@@ -337,16 +336,15 @@ def test_a_cell_sees_its_own_points_among_the_others(written, monkeypatch):
     text = changed(LEARNING, 'file = "cells.h5"', "", 'file = "cells-surrogate.h5"', "")
     recipe = load_recipe(written(text + BLOCK + CELLS))
 
-    class SoftCell(SoftLaw):
-        def __init__(self, cell):
-            super().__init__(a=cell.wall_stiffness / 80.0)
+    def soft(part):
+        return SoftCell().of(part.cell, part.rve)
 
-    monkeypatch.setattr(train_workflow.laws, "quadratic_law", lambda part: SoftCell(part.cell))
+    monkeypatch.setattr(train_workflow.laws, "quadratic_law", soft)
     monkeypatch.setattr(train_workflow, "simulate", recording := Mock(wraps=simulate))
     parts = recipe.parts()
     met = {}
     for name, part in parts.items():
-        (states,) = train_workflow._runs(part, SoftCell(part.cell), 1, seed=4)
+        (states,) = train_workflow._runs(part, soft(part), 1, seed=4)
         met[name] = states[-1][0]
     # Coarser elements would make the end thicker, so the mesh stays.
     assert [call.args[0].mesh.nelements for call in recording.call_args_list] == [6, 6]

@@ -23,9 +23,8 @@ def plate(kind, rng, elements=(4, 3), size=(WIDTH, HEIGHT), *, distortion=0.15, 
     mesh = rectangle(width, height, elements)
     spacing = np.divide(size, elements)
     nodes = mesh.p.T
-    moved = nodes + _inner(nodes, size) * spacing * rng.uniform(
-        -distortion, distortion, nodes.shape
-    )
+    shift = spacing * rng.uniform(-distortion, distortion, nodes.shape)
+    moved = nodes + _inner(nodes, size) * shift
     if kind == "quads":
         return replace(mesh, doflocs=moved.T)
     mesh = triangles(moved, np.concatenate([mesh.t.T[:, [0, 1, 2]], mesh.t.T[:, [0, 2, 3]]]))

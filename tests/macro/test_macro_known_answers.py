@@ -218,9 +218,8 @@ def test_momentum_of_tissue_and_free_body_is_kept(friction, integrator, rng):
         name="plate", shape=Plane(normal=(0.1, -1.0)), on="top", mass=20.0, friction=friction,
         position=(0.5 * WIDTH, HEIGHT + 1.7), velocity=(0.3, -0.8), slip_speed=0.02,
     )  # fmt: skip
-    problem = Problem(
-        mesh=plate("triangles", rng, (3, 2)), conditions=(), bodies=(thrown,), duration=3.0
-    )
+    mesh = plate("triangles", rng, (3, 2))
+    problem = Problem(mesh=mesh, conditions=(), bodies=(thrown,), duration=3.0)
     settings = MacroSettings(
         integrator=integrator, frames=2, record_dissipation=False, newton_tolerance=1e-12
     )

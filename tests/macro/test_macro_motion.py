@@ -166,12 +166,9 @@ JERK = Table(points=((0.0, 0.0), (0.5, 0.0), (1.5, 1.0), (2.2, 0.4)))
 
 
 def pulled(kind, rng, amplitude=JERK, **settings):
-    conditions = (
-        Fixed(on="left"),
-        PrescribedMotion(on="right", displacement=(1.5, None), amplitude=amplitude),
-    )
+    pull = PrescribedMotion(on="right", displacement=(1.5, None), amplitude=amplitude)
     settings = {"duration": 3.0, "output_interval": 0.1, **settings}
-    return Problem(mesh=plate(kind, rng, (3, 2)), conditions=conditions, **settings)
+    return Problem(mesh=plate(kind, rng, (3, 2)), conditions=(Fixed(on="left"), pull), **settings)
 
 
 @pytest.mark.parametrize("kind", ["quads", "triangles"])
@@ -305,12 +302,8 @@ def test_balance_closes_with_everything_that_acts_at_the_default_tolerance(integ
 def test_an_initial_velocity_of_all_leaves_what_is_held_at_rest_without_a_blow():
     """Kinetic energy at t = 0 is that of the free nodes' velocity, and no work was done."""
     mesh = rectangle(30.0, 20.0, (3, 2))
-    thrown = Problem(
-        mesh=mesh,
-        conditions=(Fixed(on="left"), InitialVelocity(velocity=(0.0, 0.3))),
-        duration=1.0,
-    )
-    run = simulate(thrown, KelvinVoigt())
+    conditions = Fixed(on="left"), InitialVelocity(velocity=(0.0, 0.3))
+    run = simulate(Problem(mesh=mesh, conditions=conditions, duration=1.0), KelvinVoigt())
     held = mesh.p.T[:, 0] == 0.0
     assert not run.frames.velocity[0, held].any()
     np.testing.assert_array_equal(run.frames.velocity[0, ~held], [[0.0, 0.3]] * (~held).sum())

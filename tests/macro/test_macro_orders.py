@@ -185,9 +185,8 @@ def gradient(x):
 
 def clamped_square(kind, n, duration=1.0):
     mesh = plate(kind, np.random.default_rng(3), (n, n), (1.0, 1.0), distortion=0.12)
-    return Problem(
-        mesh=mesh, conditions=(Fixed(on="left"),), duration=duration, output_interval=duration
-    )
+    times = {"duration": duration, "output_interval": duration}
+    return Problem(mesh=mesh, conditions=(Fixed(on="left"),), **times)
 
 
 @pytest.mark.parametrize(

@@ -121,9 +121,8 @@ def dragged(along, friction, load_steps=4, **steps_on):
         name="plate", shape=Plane(normal=(0.0, -1.0)), on="top", position=(0.0, 20.0),
         displacement=(along, -0.4), friction=friction,
     )  # fmt: skip
-    problem = Problem(
-        mesh=rectangle(30.0, 20.0, (3, 2)), conditions=(Fixed(on="bottom"),), bodies=(plate,)
-    )
+    mesh, held = rectangle(30.0, 20.0, (3, 2)), (Fixed(on="bottom"),)
+    problem = Problem(mesh=mesh, conditions=held, bodies=(plate,))
     rest = find_rest(problem, KelvinVoigt(), load_steps=load_steps, **steps_on)
     return rest.forces[rest.system.force_names.index("plate")], rest
 

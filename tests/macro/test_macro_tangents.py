@@ -84,10 +84,8 @@ def test_tangents_are_the_slopes_of_the_internal_force(rng, kind, law):
 
 @pytest.mark.parametrize("initialisation", ["elastic", "constrained-runs", "slow-manifold"])
 def test_tangents_of_rves_are_the_slopes_of_the_internal_force(rng, initialisation):
-    law = RveLaw(
-        CellParameters.preset("printed"),
-        RveSettings(initialisation=initialisation, tolerance=1e-10),
-    )
+    settings = RveSettings(initialisation=initialisation, tolerance=1e-10)
+    law = RveLaw(CellParameters.preset("printed"), settings)
     load_case = LoadCase(width=50.0, height=50.0, watched=(50.0, 25.0), elements=(2, 1))
     bar = make_system(load_case, law.density)
     u, v = random_state(bar, rng, 0.4)
@@ -150,11 +148,8 @@ def contact_of(body, mesh, modulus=1.0):
 
 @pytest.mark.parametrize("kind", ["quads", "triangles"])
 def test_slopes_of_pressure_and_foundation(kind, rng):
-    conditions = (
-        Pressure(on="right", pressure=-3.0),
-        Foundation(on="top", stiffness=2.0, damping=0.7),
-    )
-    system = make_system(Problem(mesh=plate(kind, rng, (2, 2)), conditions=conditions), 0.08)
+    loads = Pressure(on="right", pressure=-3.0), Foundation(on="top", stiffness=2.0, damping=0.7)
+    system = make_system(Problem(mesh=plate(kind, rng, (2, 2)), conditions=loads), 0.08)
     u, v = rng.uniform(-0.5, 0.5, (2, system.n_rows, 2))
     for force in system.forces:
         slopes = assert_slopes(force, u, v)
