@@ -147,9 +147,9 @@ def test_a_run_that_fails_is_saved_as_failed(recipe, tmp_path):
     load = replace(recipe.problem(), duration=30.0)
     with pytest.raises(SimulationError) as stopped:
         simulate(load, SoftLaw(fails_above=1.005), MacroSettings())
-    assert save_run(stopped.value.partial, tmp_path).status == "failed"
+    assert save_run(stopped.value.partial, tmp_path / "own").status == "failed"
     with pytest.raises(InputError, match="the run is failed"):
-        read_run(tmp_path)
+        read_run(tmp_path / "own")
 
 
 def test_why_a_surrogate_is_not_trusted_is_one_line(caplog, tmp_path):
