@@ -1,15 +1,7 @@
-"""Commands on short recipes over laws without cells, each with all that it leaves in its folder.
-
-`python -m tests.commands` starts processes and ends them: of each line NAME FOLDER SECONDS SIGNAL
-that it reads once it is "ready" it makes one, sends it the signal after so long, and tells its exit
-code when it has ended. As in `checkpointed`, a checkpoint follows every step.
-"""
-
-from __future__ import annotations
+"""Commands on short recipes over laws without cells, each with all that it leaves in its folder."""
 
 import os
 import sys
-import time
 import traceback
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -26,18 +18,19 @@ from surrofe2.workflow import laws, rest, run, tissue
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.tissue import run_tissue
-from tests.conftest import RECIPE
+from tests.conftest import RECIPE, changed
 from tests.laws import SoftLaw, SquareLaw
 
-SHORT = RECIPE.replace("-0.1]", "-0.9]").replace("duration = 4.0", "duration = 2.0")
-SHORT = SHORT.replace("stretch = [0.95, 1.05]", "stretch = [0.98, 1.02]")
+STRONG = changed(RECIPE, "-0.1]", "-0.9]", "stretch = [0.95, 1.05]", "stretch = [0.98, 1.02]")
+SHORT = changed(STRONG, "duration = 4.0", "duration = 2.0")
 CACHED = SHORT + "[cache]\ntolerance = 0.5\naudit = 0.3\n[table]\ntolerance = 1e-2\n"
-SMALL = RECIPE.replace("= 100.0\n", "= 50.0\n").replace("[100.0, 50.0]", "[50.0, 25.0]")
-TISSUE = SMALL.replace("duration = 4.0", "duration = 0.3\noutput_interval = 0.1")
-LEAVING = RECIPE.replace("-0.1]", "-8.0]").replace("duration = 4.0", "duration = 0.5")
-LEAVING = LEAVING.replace("runs = 9", "runs = 0")
-GROWING = SHORT.replace("count = 40\n", "").replace("= 40\n", "= 40\nbound = 1e-12\n")
-BRIEF = CACHED.replace("duration = 2.0", "duration = 0.3").replace("runs = 9", "runs = 0")
+SMALL = changed(RECIPE, "= 100.0\n", "= 50.0\n", "[100.0, 50.0]", "[50.0, 25.0]")
+TISSUE = changed(SMALL, "duration = 4.0", "duration = 0.3\noutput_interval = 0.1")
+LEAVING = changed(
+    RECIPE, "-0.1]", "-8.0]", "duration = 4.0", "duration = 0.5", "runs = 9", "runs = 0"
+)
+GROWING = changed(SHORT, "count = 40\n", "", "= 40\n", "= 40\nbound = 1e-12\n")
+BRIEF = changed(CACHED, "duration = 2.0", "duration = 0.3", "runs = 9", "runs = 0")
 
 
 def by(law, **changes):
@@ -101,7 +94,7 @@ def checkpointed(name):
         patch(samples, "INTERVAL", 0.0)
         patch(recipes, "FIRST_COUNT", 40)
         patch(recipes, "MOST_COUNT", 160)
-        patch(generate_data_set, "__kwdefaults__", generate_data_set.__kwdefaults__ | {"chunk": 8})
+        patches.enter_context(mock.patch.dict(generate_data_set.__kwdefaults__, chunk=8))
         patch(Figure, "savefig", lambda self, target, **_: target.write(b"drawn"))
         yield
 
@@ -122,39 +115,16 @@ def execute(name, folder):
         COMMANDS[name][1](load_recipe(folder / "recipe.toml"), folder)
 
 
-def _has_ended(process):
-    how = os.WEXITED | os.WNOHANG | os.WNOWAIT
-    return os.waitid(os.P_PID, process, how) is not None
-
-
-def serve():
-    """Start processes as the docstring of this file says; all is imported once, before them."""
-    from surrofe2.workflow import refine  # noqa: F401 - torch too
-
-    sys.stdout.write("ready\n")
-    sys.stdout.flush()
-    for line in sys.stdin:
-        name, folder, seconds, number = line.rstrip("\n").split("\t")
-        process = os.fork()
-        if process == 0:
-            try:
-                watch()
-                begin_work()
-                execute(name, Path(folder))
-            except KeyboardInterrupt:
-                os._exit(exit_code())
-            except BaseException:
-                traceback.print_exc()
-                os._exit(1)
-            os._exit(0)
-        until = time.perf_counter() + float(seconds)
-        while time.perf_counter() < until and not _has_ended(process):
-            time.sleep(0.002)
-        os.kill(process, int(number))  # nobody else has its number until it is waited for
-        _, status = os.waitpid(process, 0)
-        sys.stdout.write(f"{os.waitstatus_to_exitcode(status)}\n")
-        sys.stdout.flush()
-
-
-if __name__ == "__main__":
-    serve()
+def main():
+    """A command and its folder, as the command line of a process names them."""
+    watch()
+    begin_work()
+    code = 1
+    try:
+        execute(sys.argv[1], Path(sys.argv[2]))
+        code = 0
+    except KeyboardInterrupt:
+        code = exit_code()
+    except Exception:
+        traceback.print_exc()
+    os._exit(code)

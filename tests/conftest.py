@@ -1,7 +1,5 @@
 """Fixtures of all tests."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections import Counter
@@ -12,15 +10,13 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
-RECIPE = """
-[cell]
-preset = "printed"
-
+RANGE = """
 [range]
 stretch = [0.95, 1.05]
 shear = 0.05
 rate = 0.01
-
+"""
+LEARNING = f"""{RANGE}
 [samples]
 count = 40
 seed = 3
@@ -38,7 +34,11 @@ walks = 9
 runs = 9
 length = 6
 alpha = 0.1
-
+"""
+RECIPE = f"""
+[cell]
+preset = "printed"
+{LEARNING}
 [load]
 width = 100.0
 height = 100.0
@@ -49,11 +49,54 @@ watched = [100.0, 50.0]
 [macro]
 elements = [2, 2]
 """
+BAR = """
+[mesh]
+width = 100.0
+height = 100.0
+elements = [2, 2]
+[conditions]
+clamp = { kind = "fixed", on = "left" }
+load = { kind = "body_force", acceleration = [0.0, -0.1] }
+[watch]
+tip = [100.0, 50.0]
+[time]
+duration = 4.0
+output_interval = 0.5
+"""
+"""The problem of `RECIPE` by its mesh, conditions and times."""
 
+
+def changed(text, *pairs):
+    """changed(text, old, new, …): a text with parts of it replaced."""
+    for old, new in zip(pairs[::2], pairs[1::2], strict=True):
+        assert old in text, old
+        text = text.replace(old, new)
+    return text
+
+
+WITHOUT_FILES = changed(
+    LEARNING, 'file = "cells.h5"', "", 'file = "cells-surrogate.h5"', "", "runs = 9", "runs = 0"
+)
+CELLS = f"""{WITHOUT_FILES}{BAR}
+[mesh.regions]
+skin = {{ box = [0.0, 50.0, 100.0, 100.0] }}
+inside = {{ box = [0.0, 0.0, 100.0, 50.0] }}
+[cells.skin]
+wall_stiffness = 8000.0
+samples = {{ file = "skin.h5", seed = 2 }}
+training = {{ file = "skin-surrogate.h5" }}
+[cells.flesh]
+preset = "water"
+regions = ["inside"]
+range = {{ rate = 0.02 }}
+samples = {{ file = "flesh.h5" }}
+training = {{ file = "flesh-surrogate.h5" }}
+"""
+"""Its upper half is of stiff plant cells, the lower of soft ones."""
 
 FIRST = ("test_rve_law", "test_tabulated_surface")
 NEXT = ("test_slow_manifold", "test_bound_of_plant_cells", "test_arranged_cells", "test_pipeline",
-        "test_memory", "test_bar")  # fmt: skip
+        "test_memory")  # fmt: skip
 """Files that take long though they have few tests, or compile the kernels of RVEs, each others."""
 
 
@@ -93,24 +136,32 @@ def _strict_floating_point():
 
 
 @pytest.fixture
-def recipe_path(tmp_path):
-    """A small recipe in a folder of its own; `change` rewrites parts of it."""
-    path = tmp_path / "recipe.toml"
-    path.write_text(RECIPE, encoding="utf-8")
-    return path
+def rng():
+    return np.random.default_rng(20090550)
 
 
 @pytest.fixture
-def changed_recipe(recipe_path):
-    """changed_recipe(old, new): the path of the small recipe with a part replaced."""
+def written(tmp_path):
+    """written(text, name): the path of a recipe."""
 
-    def change(old, new):
-        text = recipe_path.read_text(encoding="utf-8")
-        assert old in text
-        recipe_path.write_text(text.replace(old, new, 1), encoding="utf-8")
-        return recipe_path
+    def write(text, name="recipe.toml"):
+        path = tmp_path / name
+        path.write_text(text, encoding="utf-8")
+        return path
 
-    return change
+    return write
+
+
+@pytest.fixture
+def recipe_path(written):
+    """A small recipe in a folder of its own."""
+    return written(RECIPE)
+
+
+@pytest.fixture
+def changed_recipe(recipe_path, written):
+    """changed_recipe(old, new, …): the path of the small recipe with parts replaced."""
+    return lambda *pairs: written(changed(recipe_path.read_text(encoding="utf-8"), *pairs))
 
 
 @pytest.fixture
@@ -130,6 +181,15 @@ def learnt(tmp_path_factory):
     commands.prepare("train", folder, None)
     commands.execute("train", folder)
     return folder
+
+
+@pytest.fixture(scope="session")
+def forks():
+    """forks(module, arguments, said): its `main` in a process that need not import anything."""
+    from tests.processes import server
+
+    with server() as start:
+        yield start
 
 
 @pytest.fixture

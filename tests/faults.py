@@ -1,11 +1,10 @@
 """Faults of the disk: each operation of `surrofe2.store.disk` in turn fails, or is the last one."""
 
-from __future__ import annotations
-
 import errno
 import os
 from contextlib import contextmanager
 from itertools import count
+from unittest import mock
 
 from surrofe2.base.errors import FileError
 from surrofe2.store import disk
@@ -48,14 +47,9 @@ class Fault:
 def fault_at(kind, at):
     """The operations with a fault in them."""
     fault = Fault(kind, at)
-    whole = {name: getattr(disk, name) for name in OPERATIONS}
-    for name, operation in whole.items():
-        setattr(disk, name, fault.wrap(name, operation))
-    try:
+    faulty = {name: fault.wrap(name, getattr(disk, name)) for name in OPERATIONS}
+    with mock.patch.multiple(disk, **faulty):
         yield fault
-    finally:
-        for name, operation in whole.items():
-            setattr(disk, name, operation)
 
 
 def each_fault(kind, folders, work, stride=1, most=None):

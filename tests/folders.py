@@ -4,8 +4,6 @@ Curves to 1e-9 of their amplitude, histories with forces to 1e-8, each frame of 
 resumed run makes the factors of its RVEs again. To the bit where that is asked for.
 """
 
-from __future__ import annotations
-
 import json
 
 import h5py

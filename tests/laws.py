@@ -5,8 +5,6 @@ isotropic law that stands in for RVEs; a law with the square's symmetry; a latti
 points with what plant cells have; true laws and surrogates of a cached law; a surface law.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -242,6 +240,14 @@ class SoftLaw(Memoryless):
         U, A = transpose(R) @ F, transpose(R) @ F_dot
         S = 2.0 * self.a * (U - np.eye(2)) + self.b * (A + transpose(A))
         return R @ S @ transpose(R)
+
+
+class SoftCell(SoftLaw):
+    """As stiff and as heavy as its plant cell says."""
+
+    def of(self, cell, settings=None):
+        self.a, self.density = cell.wall_stiffness / 80.0, cell.density
+        return super().of(cell, settings)
 
 
 class StoppingLaw(SoftLaw):

@@ -1,7 +1,5 @@
 """What many tests compute: rotations, central differences, rates, whether arrays are near."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -1,7 +1,5 @@
 """Records of runs that nobody has made."""
 
-from __future__ import annotations
-
 from surrofe2.store.run_folder import RunRecord
 
 

@@ -1,7 +1,5 @@
 """Work for processes: it has to be in a module that they can import."""
 
-from __future__ import annotations
-
 import os
 import select
 import signal

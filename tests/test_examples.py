@@ -1,12 +1,9 @@
 """The examples: every recipe runs by true RVEs in a short form; whole ones give their pages."""
 
-from __future__ import annotations
-
 import itertools
 import re
 import runpy
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,9 +18,10 @@ from surrofe2.workflow.laws import law_by_region
 from surrofe2.workflow.rest import rest_study
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.train import train_surrogate
+from tests.conftest import ROOT
 from tests.laws import KelvinVoigt
 
-FOLDER = Path(__file__).parents[1] / "examples"
+FOLDER = ROOT / "examples"
 RECIPES = sorted(FOLDER.glob("*.toml"))
 
 
@@ -171,7 +169,6 @@ def deflection(upper, lower):
 @pytest.mark.nightly
 @pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.stem)
 def test_cached_is_true_within_a_thousandth(path, tmp_path):
-    """Data set, training, both runs and their comparison, as the commands do it."""
     (tmp_path / "examples").mkdir()
     for name in (path.name, "notched-leaf.msh"):
         (tmp_path / "examples" / name).write_bytes((FOLDER / name).read_bytes())

@@ -3,8 +3,6 @@
 `SURROFE2_FAULT_STRIDE` takes every so many operations in the long tests; default: 3; 1: all.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -3,8 +3,6 @@
 To the bit where there are no RVEs, else as in `tests.folders`.
 """
 
-from __future__ import annotations
-
 from shutil import copytree
 
 import numba
@@ -19,16 +17,15 @@ from surrofe2.workflow.rest import rest_study
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.tissue import run_tissue
 from surrofe2.workflow.train import train_surrogate
-from tests.cli.test_cell_types import BAR
-from tests.conftest import RECIPE
+from tests import conftest
+from tests.commands import SMALL, STRONG
+from tests.conftest import RECIPE, changed
 from tests.folders import assert_same
 
-STRONG = RECIPE.replace("-0.1]", "-0.9]").replace(
-    "stretch = [0.95, 1.05]", "stretch = [0.98, 1.02]"
-)
 CACHED = STRONG + "[cache]\ntolerance = 0.2\naudit = 0.1\n"
 TABLE = CACHED + "[table]\ntolerance = 1e-3\n"
-CELLS = BAR.replace("-0.1]", "-0.9]") + "[table]\ntolerance = 1e-2\n[cache]\naudit = 0.3\n"
+CELLS = changed(conftest.CELLS, "-0.1]", "-0.9]")
+CELLS += "[table]\ntolerance = 1e-2\n[cache]\naudit = 0.3\n"
 IMPLICIT = 'integrator = "implicit"\n'
 
 
@@ -142,9 +139,8 @@ def test_a_resumed_run_is_the_uninterrupted_one(case, tmp_path, monkeypatch):
     assert_same(again, whole, exact)
 
 
-def test_a_resumed_rest_is_the_uninterrupted_one(recipe_path, tmp_path, monkeypatch):
-    recipe_path.write_text(by("slow-manifold"), encoding="utf-8")
-    recipe = load_recipe(recipe_path)
+def test_a_resumed_rest_is_the_uninterrupted_one(written, tmp_path, monkeypatch):
+    recipe = load_recipe(written(by("slow-manifold")))
 
     def stopped(out, factor):
         def stop(done, note):
@@ -176,11 +172,9 @@ def test_a_resumed_rest_is_the_uninterrupted_one(recipe_path, tmp_path, monkeypa
     assert_same(killed, whole)
 
 
-def test_a_resumed_tissue_is_the_uninterrupted_one_to_the_bit(recipe_path, tmp_path, monkeypatch):
-    small = RECIPE.replace("= 100.0\n", "= 50.0\n").replace("[100.0, 50.0]", "[50.0, 25.0]")
-    text = small.replace("duration = 4.0", "duration = 1.0\noutput_interval = 0.1")
-    recipe_path.write_text(text, encoding="utf-8")
-    recipe, (whole, killed) = load_recipe(recipe_path), (tmp_path / each for each in "wk")
+def test_a_resumed_tissue_is_the_uninterrupted_one_to_the_bit(written, tmp_path, monkeypatch):
+    text = changed(SMALL, "duration = 4.0", "duration = 1.0\noutput_interval = 0.1")
+    recipe, (whole, killed) = load_recipe(written(text)), (tmp_path / each for each in "wk")
     monkeypatch.setattr(tissue, "CHECKPOINT_INTERVAL", 0.0)
     run_tissue(recipe, whole, report=after(5, lambda: copytree(whole, killed)))
     assert read_record(killed).status == "running"
@@ -196,9 +190,8 @@ def test_a_resumed_tissue_is_the_uninterrupted_one_to_the_bit(recipe_path, tmp_p
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="needs two threads")
-def test_goes_on_with_other_threads_within_rounding(recipe_path, tmp_path):
-    recipe_path.write_text(STRONG, encoding="utf-8")
-    recipe = load_recipe(recipe_path)
+def test_goes_on_with_other_threads_within_rounding(written, tmp_path):
+    recipe = load_recipe(written(STRONG))
     whole, other = tmp_path / "whole", tmp_path / "other"
     run_study(recipe, "rve", whole)
     interrupted(recipe, "rve", other, 6)

@@ -1,7 +1,5 @@
 """The wheel and the sdist, installed without the repository, do a whole study."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -16,9 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import RECIPE
+from tests.conftest import RECIPE, ROOT
 
-ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 NAME = f"surrofe2-{PROJECT['version']}"
 
@@ -34,17 +31,10 @@ def test_all_state_one_version_one_address_and_the_same_authors():
     assert set(re.findall(r'^  - name: "(.*)"$', citation, re.MULTILINE)) == names
 
 
-def call(*words, cwd, **more):
+def call(*words, cwd):
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
-    done = subprocess.run(
-        [str(each) for each in words],
-        cwd=cwd,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-        **more,
-    )
+    words = [str(each) for each in words]
+    done = subprocess.run(words, cwd=cwd, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -106,16 +96,12 @@ def test_an_installed_wheel_does_a_study(built, tmp_path):
     do_a_study(home, tmp_path / "work")
 
 
-def interpreter(version):
-    """A Python of this version among those of pyenv or on the path, or None."""
-    of_pyenv = Path.home().glob(f".pyenv/versions/{version}.*/bin/python")
-    return next(of_pyenv, None) or shutil.which(f"python{version}")
-
-
 @pytest.mark.nightly
 @pytest.mark.parametrize("version", ["3.12", "3.13"])
 def test_a_study_by_another_python(built, tmp_path, version):
-    python, home = interpreter(version), tmp_path / "environment"
+    of_pyenv = Path.home().glob(f".pyenv/versions/{version}.*/bin/python")
+    python = next(of_pyenv, None) or shutil.which(f"python{version}")
+    home = tmp_path / "environment"
     if python is None or version in sys.version:
         pytest.skip(f"there is no Python {version}, or it runs all tests")
     call(python, "-m", "venv", home, cwd=tmp_path)

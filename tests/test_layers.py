@@ -3,11 +3,8 @@
 The import contract of the layers stands in pyproject.toml.
 """
 
-from __future__ import annotations
-
 import ast
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -15,16 +12,14 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-ROOT = Path(__file__).parents[1]
+from tests.conftest import ROOT
+from tests.processes import python
+
 PACKAGE = ROOT / "surrofe2"
 
 
 def test_layers_point_one_way():
-    lint = Path(sys.executable).with_name("lint-imports")
-    done = subprocess.run(
-        [lint, "--no-cache"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    python(Path(sys.executable).with_name("lint-imports"), "--no-cache", cwd=ROOT)
 
 
 def test_every_file_is_named_where_its_room_is_described():
@@ -61,12 +56,9 @@ def test_no_files_import_each_other_in_a_circle():
     }
     graph = {name: imports(tree, trees) - {name} for name, tree in sorted(trees.items())}
     links = np.array([[other in found for other in graph] for found in graph.values()])
-    count, labels = connected_components(csr_array(links), connection="strong")
-    circles = [
-        [name for name, label in zip(graph, labels, strict=True) if label == k]
-        for k in range(count)
-    ]
-    assert not [each for each in circles if len(each) > 1]
+    _, labels = connected_components(csr_array(links), connection="strong")
+    sizes = np.bincount(labels)
+    assert not [name for name, label in zip(graph, labels, strict=True) if sizes[label] > 1]
 
 
 def imports(tree, modules):

@@ -3,15 +3,11 @@
 `SURROFE2_KILLS` is how often the long tests kill each command, and interrupt it; default: 20.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import time
-from pathlib import Path
+from itertools import product
 
 import numpy as np
 import pytest
@@ -21,37 +17,19 @@ from tests import commands
 from tests.folders import assert_same, numbers
 
 KILLS = int(os.environ.get("SURROFE2_KILLS", "20"))
-ROOT = Path(__file__).parents[1]
 
 
-@pytest.fixture(scope="module")
-def server():
-    """Starts processes to kill, without importing anything again."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tests.commands"],
-        cwd=ROOT,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout.readline() == "ready\n"
-    yield process
-    process.stdin.close()
-    process.wait()
-    process.stdout.close()
-
-
-def run(server, name, folder, seconds=600.0, number=signal.SIGKILL):
+def run(forks, name, folder, seconds=600.0, number=signal.SIGKILL):
     """(exit code, s) of a command in its folder, ended by a signal after so many seconds."""
     begin = time.perf_counter()
-    server.stdin.write(f"{name}\t{folder}\t{seconds}\t{int(number)}\n")
-    server.stdin.flush()
-    code = int(server.stdout.readline())
-    return code, time.perf_counter() - begin
+    process = forks("tests.commands", [name, folder], folder.with_name("said.txt"))
+    process.wait(seconds)
+    process.send_signal(number)
+    return process.wait(), time.perf_counter() - begin
 
 
 @pytest.fixture(scope="module")
-def wanted(tmp_path_factory, learnt, server):
+def wanted(tmp_path_factory, learnt, forks):
     """What a whole command leaves, and how long it took last, by its name."""
     known = {}
 
@@ -59,7 +37,7 @@ def wanted(tmp_path_factory, learnt, server):
         if name not in known:
             whole = tmp_path_factory.mktemp("whole") / "folder"
             commands.prepare(name, whole, learnt)
-            code, lasts = run(server, name, whole)
+            code, lasts = run(forks, name, whole)
             assert code == 0
             known[name] = [numbers(whole), lasts]
         return known[name]
@@ -72,22 +50,16 @@ ENDS = {"killed": (signal.SIGKILL, -signal.SIGKILL), "interrupted": (signal.SIGI
 QUICK = ("train", "cached", "grid")
 """Commands that are killed once in the quick tests; the others once in the slow ones."""
 CASES = [
-    *((name, "killed", 1) for name in QUICK),
-    *(
-        pytest.param(name, "killed", 1, marks=pytest.mark.slow)
-        for name in commands.COMMANDS
-        if name not in QUICK
-    ),
-    *(
-        pytest.param(name, how, KILLS, marks=pytest.mark.nightly)
-        for name in commands.COMMANDS
-        for how in ENDS
-    ),
+    pytest.param(name, "killed", 1, marks=[pytest.mark.slow] * (name not in QUICK))
+    for name in commands.COMMANDS
+] + [
+    pytest.param(*case, KILLS, marks=pytest.mark.nightly)
+    for case in product(commands.COMMANDS, ENDS)
 ]
 
 
 @pytest.mark.parametrize(("name", "how", "times"), CASES)
-def test_an_ended_command_goes_on_to_the_bit(name, how, times, tmp_path, learnt, server, wanted):
+def test_an_ended_command_goes_on_to_the_bit(name, how, times, tmp_path, learnt, forks, wanted):
     """Ended once at random in each of as many equal parts of its work as it is ended; once at all:
     in its first third, again sooner where it was done by then."""
     folder, struck, known = tmp_path / "ended", 0, wanted(name)
@@ -96,7 +68,7 @@ def test_an_ended_command_goes_on_to_the_bit(name, how, times, tmp_path, learnt,
     shares = (np.arange(times) + random.uniform(size=times)) / times
     for share in shares if times > 1 else (0.3, 0.15, 0.07):
         commands.prepare(name, folder, learnt)
-        code, took = run(server, name, folder, share * known[1], number)
+        code, took = run(forks, name, folder, share * known[1], number)
         assert code in (0, code_of_ended)
         struck += code != 0
         if code == 0:  # the first may have been busy with kernels

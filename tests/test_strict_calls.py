@@ -1,6 +1,6 @@
 """What laws refuse; points answer alike however many there are, by any number of threads."""
 
-from __future__ import annotations
+from itertools import product
 
 import numba
 import numpy as np
@@ -19,12 +19,9 @@ EYE, STILL = np.tile(np.eye(2), (3, 1, 1)), np.zeros((3, 2, 2))
 @pytest.fixture(scope="module")
 def laws():
     """Laws by true RVEs, of two presets and two initialisations."""
+    kinds = product(("printed", "water"), ("constrained-runs", "slow-manifold"))
     return {
-        (preset, initialisation): RveLaw(
-            CellParameters.preset(preset), initialisation=initialisation
-        )
-        for preset in ("printed", "water")
-        for initialisation in ("constrained-runs", "slow-manifold")
+        (cell, way): RveLaw(CellParameters.preset(cell), initialisation=way) for cell, way in kinds
     }
 
 

@@ -10,13 +10,13 @@ from surrofe2.base.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe.recipe import load_recipe, make_recipe
 from surrofe2.store.run_folder import read_record, read_run
-from surrofe2.store.store import read_columns
 from surrofe2.surface.tabulated import TabulatedSurface
 from surrofe2.workflow import laws as surfaces
 from surrofe2.workflow.laws import surface_notes, with_surface
 from surrofe2.workflow.rest import rest_study
 from surrofe2.workflow.run import new_record, run_study
 from tests.conftest import RECIPE
+from tests.folders import assert_same
 
 SIDES = '\n[surface]\non = ["top", "right"]\n'
 
@@ -24,9 +24,8 @@ SIDES = '\n[surface]\non = ["top", "right"]\n'
 def table(cell, method, pull=40.0):
     """P_s = pull + 300 (λ − 1) + 20 λ̇ for 0.9 < λ < 1.1 and |λ̇| < 0.02."""
     coefficients = np.array([[pull, 0.4], [30.0, 0.0]])
-    return TabulatedSurface(
-        coefficients, (0.9, 1.1), 0.02, 0.0, 12.0, 25.0, cell, method, 1e-3, 80.0
-    )
+    bounds = (0.9, 1.1), 0.02, 0.0, 12.0, 25.0
+    return TabulatedSurface(coefficients, *bounds, cell, method, 1e-3, 80.0)
 
 
 @pytest.fixture
@@ -43,13 +42,8 @@ def made(tmp_path, monkeypatch):
     return asked
 
 
-def recipe_in(folder, text):
-    (folder / "study.toml").write_text(text, encoding="utf-8")
-    return load_recipe(folder / "study.toml")
-
-
-def test_a_run_with_a_surface_law(tmp_path, made):
-    recipe = recipe_in(tmp_path, RECIPE + SIDES)
+def test_a_run_with_a_surface_law(written, tmp_path, made):
+    recipe = load_recipe(written(RECIPE + SIDES))
     record = run_study(recipe, "rve", tmp_path / "sided")
     assert len(made) == 1
     assert made[0][1:] == ((0.94, pytest.approx(np.hypot(1.05, 0.05) + 0.01)), 0.015)
@@ -68,7 +62,7 @@ def test_a_run_with_a_surface_law(tmp_path, made):
     assert "surface" in energies
     assert "dissipated_surface_top" in energies.replace(" ", "_")
 
-    bare = recipe_in(tmp_path, RECIPE)
+    bare = load_recipe(written(RECIPE))
     other = run_study(bare, "rve", tmp_path / "bare")
     assert "surface" not in other.problem
     sided, plain = (read_run(tmp_path / name).curve.displacement for name in ("sided", "bare"))
@@ -79,8 +73,8 @@ def test_a_run_with_a_surface_law(tmp_path, made):
     assert again.problem["surface"] == record.problem["surface"]
 
 
-def test_an_interrupted_run_with_a_surface_law_goes_on(tmp_path, made, monkeypatch):
-    recipe = recipe_in(tmp_path, RECIPE + SIDES)
+def test_an_interrupted_run_with_a_surface_law_goes_on(written, tmp_path, made, monkeypatch):
+    recipe = load_recipe(written(RECIPE + SIDES))
     run_study(recipe, "rve", tmp_path / "whole")
     monkeypatch.setattr("surrofe2.workflow.run.CHECKPOINT_INTERVAL", 0.0)
     calls = 0
@@ -95,21 +89,17 @@ def test_an_interrupted_run_with_a_surface_law_goes_on(tmp_path, made, monkeypat
         run_study(recipe, "rve", tmp_path / "parts", report=stop)
     assert read_record(tmp_path / "parts").status == "interrupted"
     record = run_study(recipe, "rve", tmp_path / "parts")
-    for name in ("curve.csv", "energies.csv", "history.csv"):
-        found = [read_columns(tmp_path / each / name).values() for each in ("parts", "whole")]
-        parts, whole = (np.stack([*columns], axis=1) for columns in found)
-        far = abs(whole[:, 1:]).max()  # a resumed run makes the factors of its RVEs again
-        assert (abs(parts - whole) <= 1e-9 * far).all(), name
+    assert_same(tmp_path / "parts", tmp_path / "whole")
     told = [read_record(tmp_path / each).problem["surface"] for each in ("parts", "whole")]
     assert told[0] == told[1]
     assert record.problem["surface"]["rest"] == told[0]["rest"]
 
 
-def test_rest_with_a_surface_law(tmp_path, made):
-    recipe = recipe_in(tmp_path, RECIPE + SIDES)
+def test_rest_with_a_surface_law(written, tmp_path, made):
+    recipe = load_recipe(written(RECIPE + SIDES))
     record = rest_study(recipe, tmp_path / "rest", load_steps=2)
     assert record.problem["surface"]["rest"] > 0.01
-    bare = rest_study(recipe_in(tmp_path, RECIPE), tmp_path / "bare", load_steps=2)
+    bare = rest_study(load_recipe(written(RECIPE)), tmp_path / "bare", load_steps=2)
     soft, stiff = (each.met["watched"][1] for each in (record, bare))
     assert 0.001 < abs(soft / stiff - 1.0) < 0.5
 

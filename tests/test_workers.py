@@ -1,7 +1,5 @@
 """Work that several processes do is what one process does, also where some of them are lost."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal
@@ -19,9 +17,11 @@ from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.store.samples import read_data_set
 from surrofe2.workflow import workers
 from surrofe2.workflow.generate import generate_data_set
+from surrofe2.workflow.grid import run_grid
 from surrofe2.workflow.workers import ATTEMPTS, executor_of, in_pieces
-from tests.conftest import RECIPE
-from tests.some_work import squares, squares_cut_off, squares_or_death
+from tests.conftest import RECIPE, changed
+from tests.folders import assert_same
+from tests.some_work import killed_once, squares, squares_cut_off, squares_or_death
 
 ALL = range(5, 61)
 
@@ -85,15 +85,8 @@ def test_processes_end_with_what_started_them(tmp_path):
     pytest.fail("a process is left behind")
 
 
-@pytest.fixture
-def recipe(tmp_path):
-    text = RECIPE.replace("count = 40", "count = 300")
-    assert "count = 300" in text
-    (tmp_path / "recipe.toml").write_text(text, encoding="utf-8")
-    return load_recipe(tmp_path / "recipe.toml")
-
-
-def test_a_data_set_is_the_same_from_one_process_and_from_several(recipe):
+def test_a_data_set_is_the_same_from_one_process_and_from_several(changed_recipe):
+    recipe = load_recipe(changed_recipe("count = 40", "count = 300"))
     alone = recipe.with_cell(samples=replace(recipe.samples, file="alone.h5"))
     generate_data_set(alone, chunk=64)
     with executor_of(2) as executor:
@@ -121,11 +114,40 @@ def test_wrong_executors(arguments, sentence):
 @pytest.mark.slow
 def test_a_cluster_of_dask_that_loses_a_worker(tmp_path):
     distributed = pytest.importorskip("distributed")
+    two = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
     with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=None
-        ) as cluster,
+        distributed.LocalCluster(**two) as cluster,
         executor_of(0, cluster.scheduler_address) as executor,
     ):
         assert joined(partial(squares_or_death, str(tmp_path), 1), executor) == joined(squares)
     assert len(list(tmp_path.iterdir())) == 1
+
+
+class Killing:
+    """An executor whose first process that runs is killed."""
+
+    def __init__(self, inner, folder):
+        self.inner, self.folder = inner, folder
+
+    def submit(self, work, *arguments):
+        told = str(self.folder), "out/rve*/run.json", work
+        return self.inner.submit(killed_once, *told, *arguments)
+
+
+@pytest.mark.slow
+def test_two_processes_of_which_one_is_killed_give_the_bits_of_one(tmp_path, caplog):
+    def grid(folder, **executor):
+        values = {"cell.wall_stiffness": (3000, 5000)}
+        path, laws = folder / "recipe.toml", ("rve", "cached")
+        path.write_text(changed(RECIPE, "= 40\nseed", "= 60\nseed", "= 4.0", "= 1.0"), "utf-8")
+        run_grid(path, values, folder / "out", laws=laws, threads=1, **executor)
+
+    (alone := tmp_path / "alone").mkdir()
+    (both := tmp_path / "both").mkdir()
+    grid(alone)
+    with executor_of(2) as executor:
+        grid(both, executor=Killing(executor, both))
+    assert (both / "dead").exists()
+    assert "a worker was lost" in caplog.text
+    assert len([*(both / "out").glob("*/run.json")]) == 4
+    assert_same(both / "out", alone / "out", exact=True)

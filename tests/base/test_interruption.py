@@ -1,10 +1,10 @@
 """Where an interruption would be taken for another error, it comes a moment later."""
 
-from __future__ import annotations
-
 import os
-import subprocess
-import sys
+
+import pytest
+
+from tests.processes import python
 
 WORK = """
 import os, signal, sys, time
@@ -30,15 +30,19 @@ sys.exit(interruption.exit_code())
 """
 
 
-def said(name, signal):
-    code = WORK.format(name=name, signal=signal)
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=10)
-    return done.stdout.split(), done.returncode
-
-
-def test_python_that_machine_code_has_called_is_not_cut():
-    assert said("_numba_unpickle", "SIGINT") == (["whole", "ended"], 130)
-    assert said("_numba_unpickle", "SIGTERM") == (["whole", "ended"], 143)
+@pytest.mark.parametrize(
+    ("name", "signal", "code", "told"),
+    [
+        ("_numba_unpickle", "SIGINT", 130, "whole ended"),
+        ("_numba_unpickle", "SIGTERM", 143, "whole ended"),
+        ("work", "SIGINT", 130, "cut ended"),
+    ],
+)
+def test_python_that_machine_code_has_called_is_not_cut_and_other_work_at_once(
+    name, signal, code, told
+):
+    work = WORK.format(name=name, signal=signal)
+    assert python("-c", work, code=code, timeout=10).stdout.split() == told.split()
 
 
 READING = """
@@ -77,16 +81,5 @@ def test_a_kernel_that_is_being_read_is_read_whole(tmp_path):
     """An interruption there would be lost in the compiler, and the kernel be at address 0."""
     (tmp_path / "reading.py").write_text(READING, encoding="utf-8")
     for seconds, wanted in ((0, ["3.0"]), (20, ["3.0", "ended"])):
-        done = subprocess.run(
-            [sys.executable, "reading.py", str(seconds)],
-            cwd=tmp_path,
-            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert (done.stdout.split(), done.returncode) == (wanted, 0), done.stderr
-
-
-def test_other_work_is_cut_at_once():
-    assert said("work", "SIGINT") == (["cut", "ended"], 130)
+        env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+        assert python("reading.py", seconds, cwd=tmp_path, env=env).stdout.split() == wanted

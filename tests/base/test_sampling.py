@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -18,13 +19,9 @@ from surrofe2.base.sampling import (
 )
 from surrofe2.law.samples import StressSamples
 from surrofe2.plant_cell.parameters import CellParameters
+from tests.numerics import turn
 
 RANGE = SamplingRange(stretch=(0.9, 1.05), shear=0.08, rate=0.01)
-
-
-def turned(tensors, angle):
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s], [s, c]]) @ tensors
 
 
 @pytest.mark.parametrize(
@@ -48,14 +45,9 @@ def test_points_are_those_of_data_sets_of_before():
     """Point 1000 by seed 7 of `scipy.stats.qmc.Sobol` 1.17, to the bit, however it is cut out."""
     unit = SamplingRange(stretch=(1.0, 2.0), shear=0.5, rate=0.5)
     known = [
-        0.523336467333138,
-        0.9700869442895055,
-        0.9816194521263242,
-        0.12429645750671625,
-        0.7514833947643638,
-        0.8737063156440854,
-        0.8571016620844603,
-    ]
+        0.523336467333138, 0.9700869442895055, 0.9816194521263242, 0.12429645750671625,
+        0.7514833947643638, 0.8737063156440854, 0.8571016620844603,
+    ]  # fmt: skip
     for start, count in ((1000, 1), (990, 20), (0, 1001)):
         F, F_dot = sample(unit, count, 7, start)
         found = F[1000 - start, [0, 1, 0], [0, 1, 1]] - [1.0, 1.0, -0.5]
@@ -104,7 +96,7 @@ def test_points_of_a_data_set_begin_at_rest_and_a_third_is_near_it():
 def test_range_is_of_stretch_and_of_rates_seen_by_the_material():
     F, F_dot = np.eye(2) * np.ones((6, 1, 1)), np.zeros((6, 2, 2))
     F[1, 0, 0] = 1.0501
-    F[2] = turned(np.diag([0.91, 1.04]), 2.0)  # a rotation alone takes nothing out of range
+    F[2] = turn(2.0) @ np.diag([0.91, 1.04])  # a rotation alone takes nothing out of range
     F[3, 0, 1] = F[3, 1, 0] = -0.0801
     F_dot[4, 1, 0] = 0.0101
     F[5, 1, 1] = -1.0
@@ -115,22 +107,17 @@ def test_range_is_of_stretch_and_of_rates_seen_by_the_material():
 def test_edges_belong_to_the_range_in_any_orientation():
     angles = np.linspace(0.0, 6.0, 50)
     edge = np.array([[0.9, 0.08], [0.08, 1.05]])
-    F = np.stack([turned(edge, angle) for angle in angles])
-    F_dot = np.stack([turned(np.full((2, 2), -0.01), angle) for angle in angles])
+    F, F_dot = turn(angles) @ edge, turn(angles) @ np.full((2, 2), -0.01)
     assert contains(RANGE, F, F_dot).all()
     assert not contains(RANGE, F, F_dot * (1.0 + 1e-9)).any()
     assert not contains(RANGE, F * (1.0 + 1e-9), F_dot).any()
 
 
 def test_what_is_not_a_number_is_not_in_range():
-    for value in (np.nan, np.inf):
-        for k in range(4):
-            F, F_dot = np.eye(2)[None].copy(), np.zeros((1, 2, 2))
-            F.flat[k] = value
-            assert not contains(RANGE, F, F_dot).any()
-            F, F_dot = np.eye(2)[None].copy(), np.zeros((1, 2, 2))
-            F_dot.flat[k] = value
-            assert not contains(RANGE, F, F_dot).any()
+    for value, k, which in product((np.nan, np.inf), range(4), (0, 1)):
+        both = np.array([np.eye(2)[None], np.zeros((1, 2, 2))])
+        both[which].flat[k] = value
+        assert not contains(RANGE, *both).any()
     assert not contains(RANGE, np.zeros((1, 2, 2)), np.zeros((1, 2, 2))).any()
 
 
@@ -178,29 +165,34 @@ def test_fingerprint_sees_every_field():
     assert len(samples().fingerprint) == 16
 
 
-def test_samples_of_the_wrong_shape_or_without_a_number_are_refused():
-    with pytest.raises(InputError, match=r"samples\.stress: shape"):
-        samples(stress=np.zeros((7, 2, 2)))
-    with pytest.raises(InputError, match=r"samples\.status: shape"):
-        samples(status=np.zeros(9, dtype=np.int8))
-    with pytest.raises(InputError, match=r"samples\.stress: not finite"):
-        samples(stress=np.full((8, 2, 2), np.nan))
+SLOPES = np.random.default_rng(0).normal(size=(2, 8, 2, 2, 2, 2))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"stress": np.zeros((7, 2, 2))}, "stress: shape"),
+        ({"status": np.zeros(9, np.int8)}, "status: shape"),
+        ({"stress": np.full((8, 2, 2), np.nan)}, "stress: not finite"),
+        ({"P_by_F": SLOPES[0]}, "give both or neither"),
+        ({"P_by_F": np.ones((8, 2, 2)), "P_by_F_dot": SLOPES[1]}, "P_by_F: shape (8, 2, 2);"),
+        ({"P_by_F": np.nan * SLOPES[0], "P_by_F_dot": SLOPES[1]}, "P_by_F: not finite"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_samples_of_the_wrong_shape_or_without_a_number_are_refused(changes, message):
+    with pytest.raises(InputError, match=r"samples\..*" + re.escape(message)):
+        samples(**changes)
 
 
 def test_tangents_belong_to_the_samples():
-    slopes = np.random.default_rng(0).normal(size=(2, 8, 2, 2, 2, 2))
+    slopes = SLOPES.copy()
     status = np.array([0, 1, 0, 2, 0, 0, 0, 0], dtype=np.int8)
     slopes[:, status != 0] = np.nan
     whole = samples(status=status, P_by_F=slopes[0], P_by_F_dot=slopes[1])
     assert np.array_equal(whole.valid.P_by_F_dot, slopes[1][status == 0])
     other = replace(whole, P_by_F_dot=slopes[1] * (1.0 + 1e-15))
     assert len({samples().fingerprint, whole.fingerprint, other.fingerprint}) == 3
-    with pytest.raises(InputError, match="give both or neither"):
-        samples(P_by_F=slopes[0])
-    with pytest.raises(InputError, match=r"samples\.P_by_F: shape \(8, 2, 2\); it must be"):
-        samples(P_by_F=np.ones((8, 2, 2)), P_by_F_dot=slopes[1])
-    with pytest.raises(InputError, match=r"samples\.P_by_F: not finite"):
-        samples(P_by_F=slopes[0], P_by_F_dot=slopes[1])
 
 
 @pytest.mark.parametrize(
@@ -214,8 +206,8 @@ def test_tangents_belong_to_the_samples():
     ],
 )
 def test_what_is_farthest_out_is_named_after_the_rotation_is_taken_out(U, A, said):
-    F = turned(np.array(U), 0.7)[None]
-    F_dot = turned(np.array([[0.0, 0.0], [A, 0.0]]), 0.7)[None]
+    F = turn(0.7)[None] @ np.array(U)
+    F_dot = turn(0.7)[None] @ np.array([[0.0, 0.0], [A, 0.0]])
     (which,), (value,), (bound,) = farthest_out(RANGE, F, F_dot)
     assert (which < 0) == (said is None)
     if said is not None:

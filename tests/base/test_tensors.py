@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from surrofe2.base.tensors import stress_error, stress_spread, transpose
+from tests.numerics import turn
 
 
 def test_error_is_that_of_one_entry_and_does_not_turn_with_the_frame():
@@ -10,8 +11,7 @@ def test_error_is_that_of_one_entry_and_does_not_turn_with_the_frame():
     found = true.copy()
     found[:, 0, 1] += 0.3
     assert stress_error(found, true) == pytest.approx(0.3)
-    angle = 0.7
-    Q = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])[None]
+    Q = turn(0.7)[None]
     turned = stress_error(Q @ found @ transpose(Q), Q @ true @ transpose(Q))
     assert turned == pytest.approx(0.3)
 

@@ -1,6 +1,4 @@
-"""The command line over laws without cells."""
-
-from __future__ import annotations
+"""The command line, by RVEs or by laws without cells."""
 
 import pytest
 from typer.testing import CliRunner
@@ -9,14 +7,54 @@ from surrofe2.cli import app
 from surrofe2.workflow import laws
 from tests.laws import SoftLaw
 
+FILES = ["curve.csv", "energies.csv", "fields.h5", "fields.xdmf", "run.json"]
+"""What a run folder holds at the end, whatever was run."""
+TISSUE_FILES = sorted([*FILES, "history.csv"])
+"""Those of all particles."""
+RUN_FILES = sorted([*TISSUE_FILES, "points.h5", "points.xdmf"])
+"""Those of finite elements over time."""
+
+
+def call(*arguments, code=0, env=None, **settings):
+    """Run a command, which ends with this exit code."""
+    words, env = [str(each) for each in arguments], {"COLUMNS": "160", **(env or {})}
+    done = CliRunner().invoke(app, words, env=env, **settings)
+    assert done.exit_code == code, (done.output, done.exception)
+    return done
+
 
 @pytest.fixture
-def invoke(monkeypatch):
+def stand_in(monkeypatch):
+    """stand_in(law): put a law, or one of a class for each plant cell, in the place of RVEs."""
+
+    def put(law=SoftLaw):
+        make = law if isinstance(law, type) else lambda: law
+        monkeypatch.setattr(laws, "true_law", lambda part, *_: make().of(part.cell, part.rve))
+
+    return put
+
+
+@pytest.fixture
+def invoke(stand_in):
     """invoke(*arguments, law=…): run a command whose RVEs are `law`."""
 
-    def run(*arguments, law=None, **settings):
-        soft = law or SoftLaw()
-        monkeypatch.setattr(laws, "true_law", lambda recipe, *_: soft.of(recipe.cell, recipe.rve))
-        return CliRunner().invoke(app, [str(entry) for entry in arguments], **settings)
+    def run(*arguments, law=SoftLaw, **settings):
+        stand_in(law)
+        return call(*arguments, **settings)
 
     return run
+
+
+@pytest.fixture
+def surrogate_path(recipe_path):
+    return recipe_path.with_name("cells-surrogate.h5")
+
+
+@pytest.fixture
+def data_set(invoke, recipe_path):
+    invoke("generate", recipe_path)
+
+
+@pytest.fixture
+def trained(invoke, recipe_path, data_set):
+    invoke("train", recipe_path)

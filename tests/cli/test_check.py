@@ -1,44 +1,41 @@
-"""What `check` tells of a recipe, over laws without cells."""
-
-from __future__ import annotations
+"""What `check` tells of a recipe: faults, time, law, and the sampling range that it proposes."""
 
 import itertools
 import math
 import re
-import subprocess
 import sys
+import tomllib
 
+import numpy as np
 import pytest
 
+from surrofe2.base.errors import InputError
+from surrofe2.base.sampling import SamplingRange
+from surrofe2.macro import MetRange, simulate
 from surrofe2.recipe.recipe import load_recipe
-from surrofe2.workflow import check as module
-from surrofe2.workflow import laws
-from surrofe2.workflow.check import advised_law, dry_run, recipe_faults, seconds_by_rves
+from surrofe2.rve import RveLaw
+from surrofe2.workflow import check
+from surrofe2.workflow.laws import law_by_region, quadratic_law
 from surrofe2.workflow.run import run_study
-from tests.conftest import RECIPE
+from tests.cli.conftest import call
+from tests.conftest import RANGE, RECIPE, ROOT
 from tests.laws import SquareLaw
+from tests.processes import python
 
 WHOLE = 600.0
 """Seconds in which any of these dry runs comes to its end."""
 
-MANY_FAULTS = (
-    RECIPE.replace("count = 40", "count = 0")
-    .replace("shear = 0.05\n", "")
-    .replace("[macro]", "[makro]")
-    .replace("iterations = 40", "iteration = 40")
-    .replace("duration = 4.0", "duration = '4 µs'")
-)
 
-
-def test_all_that_is_wrong_is_told_in_one_go(invoke, recipe_path):
-    recipe_path.write_text(MANY_FAULTS, encoding="utf-8")
-    done = invoke("check", recipe_path)
-    assert done.exit_code == 1
-    told = done.stderr.splitlines()
+def test_all_that_is_wrong_is_told_in_one_go(invoke, changed_recipe):
+    path = changed_recipe(
+        "count = 40", "count = 0", "shear = 0.05\n", "", "[macro]", "[makro]",
+        "iterations = 40", "iteration = 40", "duration = 4.0", "duration = '4 µs'",
+    )  # fmt: skip
+    told = invoke("check", path, code=1).stderr.splitlines()
     starts = {line.partition(": ")[2].partition(": ")[0] for line in told[:-1]}
     wrong = {"samples.count", "range.shear", "makro", "training.iteration", "load.duration"}
     assert starts == wrong
-    assert told[-1] == f"error: {recipe_path}: 5 problems found"
+    assert told[-1] == f"error: {path}: 5 problems found"
 
 
 STATED = """
@@ -52,23 +49,18 @@ training = { file = "b-surrogate.h5" }
 width = 100.0
 height = -1.0
 elements = [2, 2]
-[mesh.regions.skin]
-box = [0.0, 0.0]
-[conditions.clamp]
-kind = "fixd"
-on = "left"
-[conditions.pull]
-kind = "traction"
-on = "right"
+regions = { skin = { box = [0.0, 0.0] } }
+[conditions]
+clamp = { kind = "fixd", on = "left" }
+pull = { kind = "traction", on = "right" }
 [watch]
 tip = [100.0]
 """
 
 
-def test_faults_of_a_stated_problem(tmp_path):
-    path = tmp_path / "stated.toml"
-    path.write_text(STATED, encoding="utf-8")
-    told = [sentence.partition(": ")[2].partition(": ")[0] for sentence in recipe_faults(path)]
+def test_faults_of_a_stated_problem(written):
+    faults = check.recipe_faults(written(STATED))
+    told = [sentence.partition(": ")[2].partition(": ")[0] for sentence in faults]
     wrong = {"mesh.height", "mesh.regions.skin.box", "conditions.clamp.kind", "watch.tip"}
     wrong |= {"conditions.pull.traction", "cells.flesh.samples.file"}
     assert set(told) == wrong
@@ -83,34 +75,27 @@ def test_faults_of_a_stated_problem(tmp_path):
         (RECIPE.replace('file = "cells.h5"', ""), "samples.file: missing"),
     ],
 )
-def test_files_and_names(invoke, recipe_path, text, said):
-    recipe_path.write_text(text, encoding="utf-8")
-    done = invoke("check", recipe_path, "--only")
-    assert said in done.stdout + done.stderr
+def test_files_and_names(invoke, written, text, said):
     is_fault = "samples" not in said  # a run by RVEs needs no samples
-    assert done.exit_code == int(is_fault)
+    done = invoke("check", written(text), "--only", code=int(is_fault))
+    assert said in done.stdout + done.stderr
 
 
-def test_another_recipe_s_data_set_is_told(invoke, recipe_path):
-    law = SquareLaw()
-    assert invoke("generate", recipe_path, law=law).exit_code == 0
-    other = recipe_path.with_name("other.toml")
-    other.write_text(recipe_path.read_text().replace("seed = 3", "seed = 4"), encoding="utf-8")
-    refused = invoke("check", other, "--only", law=law)
+@pytest.mark.usefixtures("data_set")
+def test_another_recipe_s_data_set_is_told(invoke, changed_recipe):
+    refused = invoke("check", changed_recipe("seed = 3", "seed = 4"), "--only", law=SquareLaw)
     assert "samples.seed: this call has" in refused.stdout
 
 
 @pytest.fixture
-def soft_law(monkeypatch):
-    law = SquareLaw()
-    monkeypatch.setattr(laws, "true_law", lambda recipe, *_: law.of(recipe.cell, recipe.rve))
+def soft_law(stand_in):
+    stand_in(SquareLaw)
 
 
 def test_check_says_how_long_rves_take_and_writes_nothing(invoke, recipe_path, tmp_path):
     done = invoke("check", recipe_path, "--seconds", WHOLE, law=SquareLaw())
-    assert done.exit_code == 0, done.output
     said = re.search(r"^20 points, about ([\d,]+) evaluations of the stress: ", done.stdout, re.M)
-    run = dry_run(load_recipe(recipe_path), WHOLE)
+    run = check.dry_run(load_recipe(recipe_path), WHOLE)
     assert float(said[1].replace(",", "")) == pytest.approx(run.calls, rel=0.05)
     assert "recipe.toml: use --law rve" in done.stdout
     assert [path.name for path in tmp_path.iterdir()] == ["recipe.toml"]
@@ -119,7 +104,7 @@ def test_check_says_how_long_rves_take_and_writes_nothing(invoke, recipe_path, t
 @pytest.mark.usefixtures("soft_law")
 def test_a_dry_run_asks_as_often_as_the_run(recipe_path, tmp_path):
     recipe = load_recipe(recipe_path, {"load.duration": 40.0})
-    found = dry_run(recipe, WHOLE)
+    found = check.dry_run(recipe, WHOLE)
     counts = run_study(recipe, "rve", tmp_path / "rve").counts
     assert found.reached == 1.0
     calls = (counts["stress_points"] + counts["dissipation_points"]) / found.points
@@ -131,77 +116,59 @@ def test_a_dry_run_that_is_cut_short_is_extrapolated(recipe_path, monkeypatch):
     changes = {"load.duration": 40.0, "macro.elements": [8, 8]}
     recipe = load_recipe(recipe_path, changes)
     ticks = itertools.count()
-    monkeypatch.setattr(module, "cpu_clock", lambda: float(next(ticks)))
-    whole = dry_run(recipe, math.inf)
+    monkeypatch.setattr(check, "cpu_clock", lambda: float(next(ticks)))
+    whole = check.dry_run(recipe, math.inf)
     steps = next(ticks)  # the clock ticks once a step
     ticks = itertools.count()
-    short = dry_run(recipe, 1.4 * steps)
+    short = check.dry_run(recipe, 1.4 * steps)
     assert short.points == whole.points == 320
     assert short.reached == 1.0  # of 4 × 4 elements, whose steps are longer
     assert len(short.steps[""][0][0]) == 80
     assert short.calls == pytest.approx(whole.calls, rel=0.1)
     assert not short.omitted
-    monkeypatch.setattr(module, "MOST_ELEMENTS", 16)
-    coarse = dry_run(recipe, math.inf)
+    monkeypatch.setattr(check, "MOST_ELEMENTS", 16)
+    coarse = check.dry_run(recipe, math.inf)
     assert len(coarse.steps[""][0][0]) == 80
     assert coarse.points == 320
     assert coarse.calls == pytest.approx(whole.calls, rel=0.5)
     ticks = itertools.count()
-    shorter = dry_run(recipe, 0.1 * steps)
+    shorter = check.dry_run(recipe, 0.1 * steps)
     assert shorter.reached < 1.0
     assert "what is met after" in shorter.omitted
 
 
-@pytest.mark.usefixtures("soft_law")
-def test_the_time_by_rves_is_solves_times_a_solve(recipe_path, monkeypatch):
-    recipe = load_recipe(recipe_path, {"load.duration": 20.0})
-    run = dry_run(recipe, math.inf)
-    law = SlowLaw(laws.true_law(recipe))
-    monkeypatch.setattr(laws, "true_law", lambda recipe, *_: law)
-    monkeypatch.setattr(module, "clock", lambda: law.time)
-    assert seconds_by_rves(recipe, run) == pytest.approx(run.solves * law.SECONDS)
-
-
-class SlowLaw:
+class SlowLaw(SquareLaw):
     """A law of which each point takes a millisecond of its own clock, and a cold one a hundred."""
 
-    SECONDS = 1e-3
-
-    def __init__(self, law):
-        self.law, self.time = law, 0.0
+    SECONDS, time = 1e-3, 0.0
 
     def respond(self, F, F_dot, state=None, *, tangents=False):
         self.time += (100.0 if state is None else 1.0) * self.SECONDS * len(F)
-        return self.law.respond(F, F_dot, state, tangents=tangents)
-
-    def accept(self, F, F_dot, response):
-        return self.law.accept(F, F_dot, response)
+        return super().respond(F, F_dot, state, tangents=tangents)
 
 
-def test_the_advice(recipe_path, changed_recipe, invoke):
-    recipe = load_recipe(recipe_path)
-    assert advised_law(recipe, 10.0) == "rve"  # done before a surrogate is trained
-    assert advised_law(recipe, 1000.0) == "cached"
-    law = SquareLaw()
-    assert invoke("generate", recipe_path, law=law).exit_code == 0
-    assert invoke("train", recipe_path, law=law).exit_code == 0
-    assert advised_law(recipe, 10.0) == "cached"  # it is there
+def test_the_time_by_rves_is_solves_times_a_solve(recipe_path, monkeypatch, stand_in):
+    recipe, law = load_recipe(recipe_path, {"load.duration": 20.0}), SlowLaw()
+    stand_in(law)
+    run = check.dry_run(recipe, math.inf)
+    monkeypatch.setattr(check, "clock", lambda: law.time)
+    assert check.seconds_by_rves(recipe, run) == pytest.approx(run.solves * law.SECONDS)
+
+
+def test_the_advice(recipe, changed_recipe, request):
+    assert check.advised_law(recipe, 10.0) == "rve"  # done before a surrogate is trained
+    assert check.advised_law(recipe, 1000.0) == "cached"
+    request.getfixturevalue("trained")
+    assert check.advised_law(recipe, 10.0) == "cached"  # it is there
     without = load_recipe(changed_recipe('file = "cells-surrogate.h5"\n', ""))
-    assert advised_law(without, 1000.0) == "table"
+    assert check.advised_law(without, 1000.0) == "table"
     implicit = changed_recipe("[macro]", '[macro]\nintegrator = "implicit"')
-    assert advised_law(load_recipe(implicit), 1000.0) == "rve"
-    table = recipe_path.read_text(encoding="utf-8")
-    start, end = table.index("[range]"), table.index("[samples]")
-    recipe_path.write_text(table[:start] + table[end:], encoding="utf-8")
-    assert advised_law(load_recipe(recipe_path), 1000.0) == "rve"
+    assert check.advised_law(load_recipe(implicit), 1000.0) == "rve"
+    assert check.advised_law(load_recipe(changed_recipe(RANGE, "")), 1000.0) == "rve"
 
 
-def test_a_recipe_without_a_range_is_for_rves(invoke, recipe_path):
-    text = recipe_path.read_text(encoding="utf-8")
-    start, end = text.index("[range]"), text.index("[samples]")
-    recipe_path.write_text(text[:start] + text[end:], encoding="utf-8")
-    done = invoke("check", recipe_path, "--only")
-    assert done.exit_code == 0
+def test_a_recipe_without_a_range_is_for_rves(invoke, changed_recipe):
+    done = invoke("check", changed_recipe(RANGE, ""), "--only")
     assert "No [range]: only `--law rve` can run this recipe.\n" in done.stdout
 
 
@@ -216,22 +183,119 @@ sys.exit(os.waitstatus_to_exitcode(code))
 
 def checked(path, *options):
     """The command in a process: (what it prints, processor seconds, memory in MB)."""
-    command = [sys.executable, "-m", "surrofe2", "check", str(path), *options]
-    watched = [sys.executable, "-c", WATCH, *command]
-    printed = subprocess.run(watched, stdout=subprocess.PIPE, text=True, check=True).stdout
+    command = sys.executable, "-m", "surrofe2", "check", path, *options
+    printed = python("-c", WATCH, *command).stdout
     seconds, memory = map(float, printed.splitlines()[-1].split())
     return printed, seconds, memory
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("elements", "is_large"), [(64, False), (1024, True)])
-def test_a_check_ends_soon_and_takes_little_memory(recipe_path, elements, is_large):
-    text = recipe_path.read_text(encoding="utf-8").replace("duration = 4.0", "duration = 2000.0")
-    text = text.replace("elements = [2, 2]", f"elements = [{elements}, {elements}]")
-    recipe_path.write_text(text, encoding="utf-8")
-    checked(recipe_path, "--seconds", "0.1")  # compiles kernels
-    printed, seconds, memory = checked(recipe_path)
+def test_a_check_ends_soon_and_takes_little_memory(changed_recipe, elements, is_large):
+    path = changed_recipe("= 4.0", "= 2000.0", "[2, 2]", f"[{elements}, {elements}]")
+    checked(path, "--seconds", "0.1")  # compiles kernels
+    printed, seconds, memory = checked(path)
     assert seconds < 20.0
     assert memory < 1000.0
     assert ("the mesh is large" in printed) == is_large
     assert re.search("use --law (rve|cached)", printed)
+
+
+def printed_for(path):
+    """The sections that `check` prints, and all that it prints."""
+    said = call("check", path, "--seconds", 600).stdout
+    start = re.search(r"^\[(cells\..*\.)?range\]$", said, re.MULTILINE).start()
+    return tomllib.loads(said[start : said.index(" points, about")].rpartition("\n")[0]), said
+
+
+@pytest.fixture
+def bending_bar(written):
+    """The paper's bar up to past its first minimum, without a range."""
+    text = (ROOT / "data/bending-bar.toml").read_text(encoding="utf-8")
+    head, rest = text.replace("duration = 250.0", "duration = 40.0").split("[range]")
+    return written(head + rest[rest.index("[samples]") :])
+
+
+def test_a_true_run_stays_within_the_range_proposed(bending_bar):
+    sections, printed = printed_for(bending_bar)
+    range = SamplingRange(**sections["range"])
+    assert "by the quadratic law of the RVE at rest" in printed
+    assert "margin 20 %" in printed
+    recipe = load_recipe(bending_bar)
+    met = simulate(recipe.problem(), RveLaw(recipe.cell, recipe.rve), recipe.macro).met
+    assert range.stretch[0] < met.stretch[0] < met.stretch[1] < range.stretch[1]
+    assert met.shear < range.shear
+    assert met.rate < range.rate
+    # and is no waste: of what the run met, each at most twice
+    assert 1.0 - range.stretch[0] < 2.0 * (1.0 - met.stretch[0])
+    assert range.stretch[1] - 1.0 < 2.0 * (met.stretch[1] - 1.0)
+    assert range.shear < 2.0 * met.shear
+    assert range.rate < 2.0 * met.rate
+
+
+def met(stretch, shear, rate):
+    U = np.array([np.diag([stretch[0]] * 2), np.diag([stretch[1]] * 2)])
+    U[0, 0, 1], U[1, 0, 1] = -shear, 0.5 * shear
+    rates = np.array([-rate, rate])[:, None, None] + 0.0 * U
+    return MetRange(F=U, F_dot=0.0 * U, U=U, RT_F_dot=rates)
+
+
+def test_bounds_are_rounded_outward_to_two_digits_of_strain():
+    found = check.proposed_range(met((0.9876, 1.0), 0.0331, 0.001234), margin=0.0)
+    assert (found.stretch, found.shear, found.rate) == ((0.987, 1.0), 0.034, 0.0013)
+
+
+@pytest.mark.parametrize(
+    ("given", "margin", "sentence"),
+    [
+        (((0.9, 1.1), 0.1, 0.01), -0.1, "--margin: -0.1; it must be a number of at least 0"),
+        (((0.9, 1.1), 0.1, 0.01), float("nan"), "--margin: nan"),
+        (((1.0, 1.0), 0.0, 0.0), 0.2, "the run met no strain"),
+        (((0.4, 1.1), 0.3, 0.01), 0.2, "met stretches down to 0.4 and shear up to 0.3"),
+    ],
+)
+def test_what_gives_no_range_says_why(given, margin, sentence):
+    with pytest.raises(InputError, match=sentence):
+        check.proposed_range(met(*given), margin)
+
+
+def test_each_cell_gets_the_range_that_its_own_points_meet(written):
+    """A stiff layer beside a soft one in series: each strained by its share."""
+    path = written(SERIES)
+    printed = printed_for(path)[0]["cells"]
+    assert list(printed) == ["stiff", "soft"]
+    recipe = load_recipe(path)
+    met = check.dry_run(recipe, 600.0).met
+    for name, found in met.items():
+        assert SamplingRange(**printed[name]["range"]) == check.proposed_range(found)
+    problem = recipe.problem()
+    law = law_by_region(recipe, problem.mesh, quadratic_law)
+    whole = simulate(problem, law, recipe.macro).met
+    assert max(each.stretch[1] for each in met.values()) == whole.stretch[1]
+    assert min(each.rate for each in met.values()) < max(each.rate for each in met.values())
+    assert max(each.rate for each in met.values()) == whole.rate
+    strain = {name: each.stretch[1] - 1.0 for name, each in met.items()}
+    assert strain["soft"] > 1.3 * strain["stiff"]
+
+
+SERIES = """
+[mesh]
+width = 100.0
+height = 50.0
+elements = [2, 1]
+regions = { near = { box = [0.0, 0.0, 50.0, 50.0] } }
+[conditions]
+clamp = { kind = "fixed", on = "left" }
+[conditions.grip]
+kind = "prescribed_motion"
+on = "right"
+displacement = [1.0, 0.0]
+amplitude = { kind = "ramp", end = 60.0, smooth = true }
+[time]
+duration = 60.0
+[cells.stiff]
+wall_stiffness = 12000.0
+regions = ["near"]
+[cells.soft]
+regions = ["rest"]
+"""

@@ -1,25 +1,22 @@
-"""Recipes to start from: each loads, runs, and explains its keys."""
-
-from __future__ import annotations
+"""`new` and `export`: recipes that load, run and explain their keys; what is there stays."""
 
 import re
-from pathlib import Path
 
 import pytest
 
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.recipe.schema import TEMPLATES, write_recipe
 from surrofe2.store.run_folder import read_record
+from surrofe2.store.surrogates import write_surrogate
+from tests.conftest import ROOT
 from tests.laws import SquareLaw
-
-ROOT = Path(__file__).parents[2]
+from tests.surrogate.twins import make_law
 
 
 @pytest.mark.parametrize("kind", TEMPLATES)
 def test_each_kind_loads_and_runs_some_steps(invoke, tmp_path, kind):
     path = tmp_path / "mine.toml"
     done = invoke("new", path, "--example", kind)
-    assert done.exit_code == 0, done.output
     assert done.stdout.startswith(f"{path}: recipe of {TEMPLATES[kind]}")
     recipe = load_recipe(path)
     for part in recipe.parts().values():
@@ -31,14 +28,12 @@ def test_each_kind_loads_and_runs_some_steps(invoke, tmp_path, kind):
     long = re.search(rf"(?ms)^\[{of}\].*?^(duration = \S+)", text)[1]
     path.write_text(text.replace(long, "duration = 2.0"), encoding="utf-8")
     out = tmp_path / "out"
-    done = invoke("run", path, "--law", "rve", "--out", out, law=SquareLaw())
-    assert done.exit_code == 0, done.output
+    invoke("run", path, "--law", "rve", "--out", out, law=SquareLaw)
     assert read_record(out).counts["steps"] > 2
 
 
 @pytest.mark.parametrize("kind", TEMPLATES)
 def test_what_is_a_comment_is_a_default(tmp_path, kind):
-    """With all keys that stand as comments the recipe is the same."""
     path = tmp_path / "mine.toml"
     write_recipe(path, kind)
     text = path.read_text(encoding="utf-8")
@@ -53,26 +48,47 @@ def test_what_is_a_comment_is_a_default(tmp_path, kind):
 def test_the_bar_is_that_of_the_clone(tmp_path):
     path = tmp_path / "bending-bar.toml"
     write_recipe(path, "bar")
-    here, there = (
-        load_recipe(each).to_dict() for each in (path, ROOT / "data" / "bending-bar.toml")
-    )
+    here = load_recipe(path).to_dict()
+    there = load_recipe(ROOT / "data" / "bending-bar.toml").to_dict()
     here["training"]["file"] = there["training"]["file"]
     assert here == there
 
 
 def test_what_is_there_is_not_written_over(invoke, tmp_path):
     path = tmp_path / "mine.toml"
-    assert invoke("new", path, "--example", "strip").exit_code == 0
-    assert invoke("new", tmp_path / "mine", "--example", "strip").exit_code == 0
-    refused = invoke("new", path, "--example", "bar")
-    assert refused.exit_code == 1
-    assert refused.stderr == (
-        f"error: {path}: another file is there; --fresh writes this one in its place\n"
-    )
+    invoke("new", path, "--example", "strip")
+    invoke("new", tmp_path / "mine", "--example", "strip")
+    refused = invoke("new", path, "--example", "bar", code=1)
+    told = "another file is there; --fresh writes this one in its place"
+    assert refused.stderr == f"error: {path}: {told}\n"
     assert "pulled" in path.read_text(encoding="utf-8")
-    assert invoke("new", path, "--example", "bar", "--fresh").exit_code == 0
+    invoke("new", path, "--example", "bar", "--fresh")
 
 
 def test_kinds_are_told(invoke, tmp_path):
-    refused = invoke("new", tmp_path / "a", "--example", "bra")
+    refused = invoke("new", tmp_path / "a", "--example", "bra", code=1)
     assert refused.stderr.startswith("error: --example: 'bra': unknown kind; did you mean bar?")
+
+
+@pytest.fixture
+def surrogate(tmp_path):
+    write_surrogate(make_law(), tmp_path / "law-surrogate.h5")
+    return tmp_path / "law-surrogate.h5"
+
+
+def test_the_source_lies_beside_the_surrogate(surrogate, invoke):
+    done = invoke("export", surrogate, "--to", "c")
+    source = surrogate.with_suffix(".c")
+    lines = source.read_text(encoding="utf-8").count("\n")
+    assert f"{source}: {lines} lines of C, " in done.output
+
+
+def test_what_is_there_stays(surrogate, invoke):
+    source = surrogate.with_suffix(".c")
+    source.write_text("mine", encoding="utf-8")
+    done = invoke("export", surrogate, code=1)
+    assert "another source is there; --fresh" in done.output
+    assert source.read_text(encoding="utf-8") == "mine"
+    invoke("export", surrogate, "--fresh")
+    invoke("export", surrogate)  # the same, so nothing is lost
+    assert source.read_text(encoding="utf-8").startswith("/*")

@@ -1,27 +1,65 @@
-"""What commands print: lines, tables, or nothing."""
-
-from __future__ import annotations
+"""What commands print: help, lines, tables, or nothing."""
 
 import io
 import itertools
 import re
+import runpy
 import time
+from importlib.metadata import version
 
 import pytest
 from rich.console import Console
-from typer.testing import CliRunner
 
-from surrofe2.cli import app
+from surrofe2.cli import COMMANDS as ALL
 from surrofe2.cli import console as shown
 from surrofe2.report.tables import Quantity, Table
+from tests.cli.conftest import call
+from tests.conftest import ROOT
+
+COMMANDS = ("study", "generate", "train", "run", "tissue", "compare")
+
+
+def test_help_names_workflow_and_units():
+    told = call("--help").output
+    places = [told.index(f"surrofe2 {command} ") for command in COMMANDS]
+    assert places == sorted(places)
+    assert "micrometre, microsecond, nanogram" in told
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_help_of_each_command_fits_with_its_example_and_the_options_of_all(name):
+    told = call(name, "--help", env={"COLUMNS": "80"}).output
+    for words in (f"Example: surrofe2 {name}", "--quiet", "--traceback"):
+        assert words in " ".join(told.split())
+    assert "\x1b" not in told
+    assert max(map(len, told.splitlines())) <= 80
+
+
+@pytest.mark.parametrize(
+    ("command", "section"),
+    [("refine", "[cells.NAME]"), ("generate", "[samples]"), ("run", "surrofe2[mpi]")],
+)
+def test_sections_of_a_recipe_are_no_markup(command, section):
+    assert section in call(command, "--help").output
+
+
+def test_version():
+    assert call("--version").output == f"surrofe2 {version('surrofe2')}\n"
+
+
+@pytest.mark.parametrize("script", ["data/generate.py", "training/train.py"])
+def test_a_script_is_its_command(script, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", [script, "--help"])
+    with pytest.raises(SystemExit):
+        runpy.run_path(str(ROOT / script), run_name="__main__")
+    name = script.split("/")[1].removesuffix(".py")
+    assert f"surrofe2 {name} data/bending-bar.toml" in " ".join(capsys.readouterr().out.split())
 
 
 def test_quiet_says_nothing_but_errors(invoke, recipe_path, tmp_path):
     command = ("run", recipe_path, "--law", "rve", "--quiet", "--out", tmp_path / "a")
-    done = invoke(*command)
-    assert (done.exit_code, done.output) == (0, "")
-    refused = invoke(*command, "--initialisation", "elastic")
-    assert refused.exit_code == 1
+    assert invoke(*command).output == ""
+    refused = invoke(*command, "--initialisation", "elastic", code=1)
     assert refused.stdout == ""
     assert refused.stderr.startswith("error: ")
 
@@ -95,13 +133,9 @@ def test_no_colours_where_none_are_wanted(monkeypatch):
 
 def test_completion_knows_commands_and_their_options():
     def complete(words):
-        environment = {
-            "_SURROFE2_COMPLETE": "complete_bash",
-            "COMP_WORDS": words,
-            "COMP_CWORD": str(len(words.split(" ")) - 1),
-        }
-        done = CliRunner().invoke(app, [], prog_name="surrofe2", env=environment)
-        return done.output.split()
+        place = str(len(words.split(" ")) - 1)
+        env = {"_SURROFE2_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": place}
+        return call(prog_name="surrofe2", env=env).output.split()
 
     assert {"generate", "run", "compare"} <= set(complete("surrofe2 "))
     assert "--integrator" in complete("surrofe2 run --in")

@@ -1,7 +1,5 @@
 """Runs of recipes that state their problem: the bar again, contact, a mesh from a file."""
 
-from __future__ import annotations
-
 import csv
 import json
 
@@ -9,7 +7,8 @@ import numpy as np
 import pytest
 
 from surrofe2.store.run_folder import read_record, read_run
-from tests.cli.finished_run import RUN_FILES
+from tests.cli.conftest import RUN_FILES
+from tests.conftest import BAR, RANGE, changed
 from tests.laws import SoftLaw
 from tests.store.gmsh_files import TRIANGLES
 
@@ -17,50 +16,19 @@ LEAF = TRIANGLES.replace(
     "0 0 5\n2 0 5\n2 2 5\n0 2 5\n1 1 5", "0 0 5\n100 0 5\n100 100 5\n0 100 5\n50 50 5"
 )
 
-HEAD = """
-[range]
-stretch = [0.95, 1.05]
-shear = 0.05
-rate = 0.01
-"""
-
-BAR = (
-    HEAD
-    + """
-[mesh]
-width = 100.0
-height = 100.0
-elements = [2, 2]
-[conditions.clamp]
-kind = "fixed"
-on = "left"
-[conditions.load]
-kind = "body_force"
-acceleration = [0.0, -0.1]
-[watch]
-point = [100.0, 50.0]
-[time]
-duration = 4.0
-output_interval = 0.5
-"""
-)
-
-PRESSED = (
-    HEAD
-    + """
+PRESSED = f"""{RANGE}
 [mesh]
 file = "leaf.msh"
-[mesh.boundaries.upper]
-half_plane = { through = [0.0, 100.0], normal = [0.0, 1.0] }
-[conditions.base]
-kind = "fixed"
-on = "base"
+[mesh.boundaries]
+upper = {{ half_plane = {{ through = [0.0, 100.0], normal = [0.0, 1.0] }} }}
+[conditions]
+base = {{ kind = "fixed", on = "base" }}
 [bodies.plate]
-plane = { normal = [0.0, -1.0] }
+plane = {{ normal = [0.0, -1.0] }}
 on = "upper"
 position = [0.0, 100.0]
 displacement = [0.0, -2.0]
-amplitude = { kind = "ramp", end = 8.0, smooth = true }
+amplitude = {{ kind = "ramp", end = 8.0, smooth = true }}
 [watch]
 middle = [50.0, 50.0]
 "top, right" = [100.0, 100.0]
@@ -69,9 +37,6 @@ duration = 8.0
 output_interval = 1.0
 frames = 3
 """
-)
-
-
 TWICE = """
 [conditions.again]
 kind = "prescribed_motion"
@@ -82,23 +47,14 @@ amplitude = { kind = "ramp", end = 4.0 }
 
 
 @pytest.fixture
-def written(tmp_path):
-    def write(name, text):
-        path = tmp_path / name
-        path.write_text(text, encoding="utf-8")
-        return path
-
-    return write
+def run(invoke):
+    """run(path, folder): that of a recipe by RVEs."""
+    return lambda path, folder, **more: invoke("run", path, "--law", "rve", "--out", folder, **more)
 
 
-def run(invoke, path, folder, *more, **settings):
-    return invoke("run", path, "--law", "rve", "--out", folder, *more, **settings)
-
-
-def test_the_bar_is_the_same_by_load_and_by_conditions(invoke, recipe_path, written, tmp_path):
-    assert run(invoke, recipe_path, tmp_path / "load").exit_code == 0
-    done = run(invoke, written("bar.toml", BAR), tmp_path / "stated")
-    assert done.exit_code == 0, done.output
+def test_the_bar_is_the_same_by_load_and_by_conditions(run, recipe_path, written, tmp_path):
+    run(recipe_path, tmp_path / "load")
+    done = run(written(RANGE + BAR, "bar.toml"), tmp_path / "stated")
     assert done.stdout.startswith(f"{tmp_path / 'stated'}: 4 µs by rve in ")
     by_load, stated = (read_run(tmp_path / name).curve for name in ("load", "stated"))
     np.testing.assert_array_equal(by_load.t, stated.t)
@@ -108,12 +64,10 @@ def test_the_bar_is_the_same_by_load_and_by_conditions(invoke, recipe_path, writ
     assert one == other
 
 
-def test_a_pressed_mesh_from_a_file(invoke, written, tmp_path):
-    written("leaf.msh", LEAF)
-    path, folder = written("pressed.toml", PRESSED), tmp_path / "rve"
-    law = SoftLaw()
-    done = run(invoke, path, folder, law=law)
-    assert done.exit_code == 0, done.output
+def test_a_pressed_mesh_from_a_file(invoke, run, written, tmp_path):
+    written(LEAF, "leaf.msh")
+    path, folder = written(PRESSED), tmp_path / "rve"
+    done = run(path, folder)
     assert sorted(each.name for each in folder.iterdir()) == RUN_FILES
     record = read_record(folder)
     assert record.problem["boundaries"] == {"base": 1, "tip": 1, "upper": 1}
@@ -141,9 +95,8 @@ def test_a_pressed_mesh_from_a_file(invoke, written, tmp_path):
     assert {"plate_pJ", "contact_pJ", "dissipated_pJ", "dissipated leaf_pJ"} <= set(energies)
 
     soft = tmp_path / "soft"
-    assert run(invoke, path, soft, law=SoftLaw(a=45.0)).exit_code == 0
+    run(path, soft, law=SoftLaw(a=45.0))
     compared = invoke("compare", folder, soft, "--out", tmp_path / "comparison")
-    assert compared.exit_code == 0, compared.output
     stored = json.loads((tmp_path / "comparison" / "comparison.json").read_text(encoding="utf-8"))
     found = stored["runs"][0]["forces"]["plate"]
     there, here = (read_run(each).history for each in (folder, soft))
@@ -154,26 +107,24 @@ def test_a_pressed_mesh_from_a_file(invoke, written, tmp_path):
     assert f"{100.0 * found['largest']:.3g} %" in table
 
 
-def test_errors_found_where_a_run_starts_name_the_recipe(invoke, written, tmp_path):
-    path = written("twice.toml", BAR + TWICE)
-    failed = run(invoke, path, tmp_path / "run")
-    assert failed.exit_code == 1
-    assert failed.stderr.startswith("error: twice.toml: again: component x of the node at (")
+def test_errors_found_where_a_run_starts_name_the_recipe(run, written, tmp_path):
+    path = written(RANGE + BAR + TWICE)
+    failed = run(path, tmp_path / "run", code=1)
+    assert failed.stderr.startswith("error: recipe.toml: again: component x of the node at (")
 
 
-def test_a_changed_problem_or_mesh_is_refused(invoke, written, tmp_path):
-    mesh = written("leaf.msh", LEAF)
+def test_a_changed_problem_or_mesh_is_refused(run, written, tmp_path):
+    mesh = written(LEAF, "leaf.msh")
     folder = tmp_path / "rve"
-    assert run(invoke, written("pressed.toml", PRESSED), folder).exit_code == 0
+    run(written(PRESSED), folder)
     for old, new, told in (
         ("-2.0]", "-2.5]", "bodies.plate.displacement: this call has [0.0, -2.5], what is there "
          "[0.0, -2.0]"),
         ('"top, right" = [100.0, 100.0]\n', "", "watch: this call has ['middle'], what is there "
          "['middle', 'top, right']"),
     ):  # fmt: skip
-        refused = run(invoke, written("pressed.toml", PRESSED.replace(old, new)), folder)
-        assert refused.exit_code == 1
+        refused = run(written(changed(PRESSED, old, new)), folder, code=1)
         assert f"error: {folder}: {told}; change it back" in refused.stderr
     mesh.write_text(LEAF.replace("50 50 5", "51 50 5"), encoding="utf-8")
-    refused = run(invoke, written("pressed.toml", PRESSED), folder)
+    refused = run(written(PRESSED), folder, code=1)
     assert f"error: {folder}: mesh.sha256: this call has " in refused.stderr

@@ -1,28 +1,25 @@
-"""rest and modes over true plant cells on a small bar."""
+"""rest, modes and moduli, with memory and stability, over plant cells."""
 
 import json
-from dataclasses import replace
+from functools import partial
 
 import h5py
 import numpy as np
-from typer.testing import CliRunner
+import pytest
 
-from surrofe2.cli import app
-from surrofe2.law.stress_law import Status
+from surrofe2.cli import console
 from surrofe2.macro import find_modes, find_rest
+from surrofe2.questions import stability
 from surrofe2.rve import RveLaw
 from surrofe2.store.run_folder import read_record
-from surrofe2.workflow import laws
-
-
-def call(*arguments):
-    return CliRunner().invoke(app, [str(entry) for entry in arguments], env={"COLUMNS": "160"})
+from surrofe2.store.store import locked_file, read_json, write_json
+from tests.cli.conftest import call
+from tests.laws import SquareLaw, failing
 
 
 def test_rest_writes_its_load_path_and_fields(recipe, recipe_path, tmp_path):
     out = tmp_path / "rest"
     done = call("rest", recipe_path, "--out", out, "--load-steps", 4)
-    assert done.exit_code == 0, done.output
     law = RveLaw(recipe.cell, recipe.rve)
     expected = find_rest(recipe.problem(), law, recipe.macro, load_steps=4)
     lines = (out / "path.csv").read_text(encoding="utf-8").splitlines()
@@ -63,16 +60,16 @@ def test_rest_writes_its_load_path_and_fields(recipe, recipe_path, tmp_path):
     kept = call("rest", recipe_path, "--out", out, "--load-steps", 4)
     assert f"{out}: finished before" in kept.stdout
     assert kept.stdout.splitlines()[-1] == done.stdout.splitlines()[-1]
-    refused = call("rest", recipe_path, "--out", out, "--load-steps", 4, "--factor", 0.5)
-    assert refused.exit_code == 1
+    refused = call("rest", recipe_path, "--out", out, "--load-steps", 4, "--factor", 0.5, code=1)
     assert "rest.factor: this call has 0.5, what is there 1.0" in refused.stderr
 
 
-def test_rest_that_fails_keeps_the_way_there(recipe_path, tmp_path, monkeypatch):
-    out = tmp_path / "rest"
-    monkeypatch.setattr(laws, "true_law", _law_that(fails_above=3e-3))
-    failed = call("rest", recipe_path, "--out", out, "--load-steps", 2)
-    assert failed.exit_code == 1
+def test_rest_that_fails_keeps_the_way_there(recipe_path, tmp_path, invoke):
+    def far(F, F_dot):
+        return abs(F - np.eye(2)).max(axis=(1, 2)) > 0.02
+
+    out, law = tmp_path / "rest", failing(SquareLaw(), fails=far)
+    failed = invoke("rest", recipe_path, "--out", out, "--load-steps", 2, law=law, code=1)
     assert "no load step succeeds after 10 halvings" in failed.stderr
     record = read_record(out)
     assert record.status == "failed"
@@ -80,41 +77,18 @@ def test_rest_that_fails_keeps_the_way_there(recipe_path, tmp_path, monkeypatch)
     factors = np.loadtxt(out / "path.csv", delimiter=",", skiprows=1)[:, 0]
     assert factors[0] == 0.0
     assert 0.1 < factors[-1] < 1.0
-    assert call("rest", recipe_path, "--out", out, "--factor", 0.1, "--fresh").exit_code == 0
+    invoke("rest", recipe_path, "--out", out, "--factor", 0.1, "--fresh", law=law)
 
 
 def test_a_rest_and_a_run_are_not_taken_for_each_other(recipe_path, tmp_path):
-    assert call("rest", recipe_path, "--out", tmp_path / "rest").exit_code == 0
-    refused = call("run", recipe_path, "--law", "rve", "--out", tmp_path / "rest")
-    assert refused.exit_code == 1
+    call("rest", recipe_path, "--out", tmp_path / "rest")
+    refused = call("run", recipe_path, "--law", "rve", "--out", tmp_path / "rest", code=1)
     assert "rest.factor: this call has nothing, what is there 1.0" in refused.stderr
-
-
-def _law_that(**trouble):
-    return lambda recipe: _Troubled(RveLaw(recipe.cell), **trouble)
-
-
-class _Troubled:
-    """No stress where an entry of F is farther from I than `fails_above`."""
-
-    def __init__(self, law, fails_above):
-        self.law, self.density, self.has_tangents = law, law.density, law.has_tangents
-        self.fails_above = fails_above
-
-    def respond(self, F, F_dot, state=None, *, tangents=False):
-        answer = self.law.respond(F, F_dot, state, tangents=tangents)
-        far = np.abs(F - np.eye(2)).max(axis=(1, 2)) > self.fails_above
-        status = np.where(far, Status.NOT_CONVERGED, answer.status).astype(np.int8)
-        return replace(answer, status=status)
-
-    def accept(self, F, F_dot, response):
-        return self.law.accept(F, F_dot, response)
 
 
 def test_modes_about_both_states(recipe, recipe_path, tmp_path):
     out = tmp_path / "modes.json"
     done = call("modes", recipe_path, "--initialisation", "elastic", "--count", 2, "--out", out)
-    assert done.exit_code == 0, done.output
     assert "Unloaded, 4 elements, preset printed" in done.stdout
     record = json.loads(out.read_text(encoding="utf-8"))
     assert record["fingerprint"] == recipe.cell.fingerprint
@@ -129,5 +103,55 @@ def test_modes_about_both_states(recipe, recipe_path, tmp_path):
     assert record["states"]["loaded"]["elastic"]["watched"][1] < -0.01
     kept = call("modes", recipe_path, "--initialisation", "elastic", "--count", 2, "--out", out)
     assert kept.stdout.splitlines()[:-1] == done.stdout.splitlines()[:-1]
-    refused = call("modes", recipe_path, "--initialisation", "elastic", "--out", out)
+    refused = call("modes", recipe_path, "--initialisation", "elastic", "--out", out, code=1)
     assert "asked.count: this call has 4, what is there 2" in refused.stderr
+
+
+def test_moduli(tmp_path, monkeypatch):
+    monkeypatch.setattr(console, "SELDOM", 0.0)
+    path = tmp_path / "moduli.json"
+    done = call("moduli", "--preset", "water", "--turgor", "2.5", "--out", path)
+    assert "turgor 2.5 MPa" in done.stdout
+    assert "Viscous moduli, MPa µs" in done.stdout
+    assert "moduli: 50 %" in done.stderr
+    assert done.stdout.splitlines()[-1].startswith(f"{path}: elastic and viscous, of ")
+    record = json.loads(path.read_text(encoding="utf-8"))
+    assert record["turgor_mean_MPa"] == pytest.approx(2.5)
+    rows = record["tables"]["Elastic moduli, MPa"]
+    assert [row["initialisation"] for row in rows] == [
+        "cauchy-born", "elastic", "constrained-runs", "slow-manifold"
+    ]  # fmt: skip
+    assert rows[0]["bulk"] > rows[1]["bulk"] > 0.0
+    alone = call("moduli", "--preset", "water", "--initialisation", "elastic")
+    assert alone.stdout.splitlines()[-1].startswith("moduli: elastic and viscous, of "), "no file"
+
+
+WATER = "moduli", "--cell", "water", "--initialisation", "elastic"
+
+
+@pytest.mark.slow
+def test_memory_gives_a_verdict_and_is_kept(tmp_path):
+    memory = partial(call, *WATER, "--memory", tmp_path)
+    done = memory()
+    assert done.stdout.splitlines()[-2].startswith("Motions as fast as 17 µs can be")
+    assert (tmp_path / "memory-water.png").stat().st_size > 10_000
+    record = read_json(tmp_path / "memory-water.json")
+    assert record["cell"]["fluid_particle_mass"] == 0.27
+    assert record["units"]["largest_difference"] == "µN/µm"
+    with locked_file(tmp_path / "memory-water.json"):
+        refused = memory("--fresh", code=1)
+    assert f"error: {tmp_path / 'memory-water.json'}: in use by" in refused.stderr
+    assert "memory-water.json, there already" in memory().stdout
+    refused = memory("--period", "20", code=1)
+    assert "asked.period: this call has 20.0, what is there 17.0" in refused.stderr
+    changed = {**record, "cell": {**record["cell"], "viscosity": 9.0}}
+    write_json(tmp_path / "memory-water.json", changed)
+    refused = memory(code=1)
+    assert "cell.viscosity: this call has 0.1, what is there 9.0" in refused.stderr
+
+
+def test_the_map_of_stability_is_written(tmp_path, monkeypatch):
+    monkeypatch.setattr(stability, "stability", partial(stability.stability, points=3))
+    done = call(*WATER, "--stability", tmp_path)
+    assert "simple shear" in done.stdout
+    assert (tmp_path / "stability-water.png").exists()

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import logging
 import os
@@ -8,6 +6,7 @@ import signal
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -19,9 +18,8 @@ from surrofe2.report.page import write_report
 from surrofe2.store.hdf5 import read, write
 from surrofe2.store.run_folder import STATE, read_record, read_run
 from surrofe2.store.store import read_columns
-from surrofe2.workflow import laws
 from surrofe2.workflow.run import run_study
-from tests.cli.finished_run import RUN_FILES
+from tests.cli.conftest import RUN_FILES
 from tests.laws import SoftLaw, StoppingLaw
 
 
@@ -30,9 +28,14 @@ def folder(tmp_path):
     return tmp_path / "out" / "rve"
 
 
-def test_run_folder(invoke, recipe_path, folder, recipe):
-    done = invoke("run", recipe_path, "--law", "rve", "--out", folder)
-    assert done.exit_code == 0, done.output
+@pytest.fixture
+def run(invoke, recipe_path, folder):
+    """run(*options): that of the small recipe by RVEs in the folder."""
+    return partial(invoke, "run", recipe_path, "--law", "rve", "--out", folder)
+
+
+def test_run_folder(run, recipe_path, folder, recipe):
+    done = run()
     assert sorted(path.name for path in folder.iterdir()) == RUN_FILES
     stored = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     assert stored["status"] == "finished"
@@ -58,9 +61,7 @@ def test_run_folder(invoke, recipe_path, folder, recipe):
 
 
 @pytest.mark.parametrize("call", [1, 60])
-def test_an_error_after_a_signal_is_the_interruption(
-    invoke, recipe_path, folder, monkeypatch, call
-):
+def test_an_error_after_a_signal_is_the_interruption(run, folder, monkeypatch, call):
     """Numpy may turn what a signal raises within its machine code into another error."""
     respond, calls = SoftLaw.respond, []
 
@@ -71,89 +72,66 @@ def test_an_error_after_a_signal_is_the_interruption(
             raise SystemError("a function returned a result with an exception set")
         return respond(self, *arguments, **keywords)
 
-    arguments = "run", recipe_path, "--law", "rve", "--out", folder
     with monkeypatch.context() as patched:
         patched.setattr(SoftLaw, "respond", cut)
-        cut_short = invoke(*arguments)
-    assert cut_short.exit_code == 128 + signal.SIGTERM
+        cut_short = run(code=128 + signal.SIGTERM)
     assert "SystemError" not in cut_short.output
     assert cut_short.stderr.splitlines()[-1].startswith(f"interrupted: {folder} keeps the run")
     assert read_record(folder).status == "interrupted"
     assert (folder / "checkpoint.h5").exists() == (call > 1)
     monkeypatch.setattr(interruption._state, "number", 0)
-    assert invoke(*arguments).exit_code == 0
+    run()
     assert read_record(folder).status == "finished"
     assert len(calls) == call  # no more by the law that was cut short
 
 
-def test_an_error_without_a_signal_stays_one(invoke, recipe_path, folder, monkeypatch):
-    def failing(self, *arguments, **keywords):
-        raise SystemError("a defect")
-
-    monkeypatch.setattr(SoftLaw, "respond", failing)
-    failed = invoke("run", recipe_path, "--law", "rve", "--out", folder)
-    assert failed.exit_code == 1
+def test_an_error_without_a_signal_stays_one(run):
+    failed = run(law=StoppingLaw(0, SystemError("a defect")), code=1)
     assert isinstance(failed.exception, SystemError)
 
 
-def test_existing_folder(invoke, recipe_path, folder):
+def test_existing_folder(run, folder):
     folder.mkdir(parents=True)
     (folder / "notes.txt").write_text("mine")
-    refused = invoke("run", recipe_path, "--law", "rve", "--out", folder)
-    assert refused.exit_code == 1
-    assert refused.stderr == (
-        f"error: {folder}: has files but no run; write elsewhere or say --fresh\n"
-    )
-    assert invoke("run", recipe_path, "--law", "rve", "--out", folder, "--fresh").exit_code == 0
+    told = f"error: {folder}: has files but no run; write elsewhere or say --fresh\n"
+    assert run(code=1).stderr == told
+    run("--fresh")
     assert (folder / "notes.txt").read_text() == "mine"
 
 
-def test_no_write_permission(invoke, recipe_path, unwritable):
-    refused = invoke("run", recipe_path, "--law", "rve", "--out", unwritable)
-    assert refused.exit_code == 1
+def test_no_write_permission(run, unwritable):
+    refused = run("--out", unwritable, code=1)
     assert refused.stderr == f"error: {unwritable}: cannot be written: Not a directory\n"
 
 
-def test_a_finished_run_is_kept(invoke, recipe_path, folder):
-    command = ("run", recipe_path, "--law", "rve", "--out", folder)
-    invoke(*command)
+def test_a_finished_run_is_kept(run, folder):
+    run()
     before = (folder / "run.json").read_bytes()
     law = SoftLaw()
-    kept = invoke(*command, law=law)
-    assert kept.exit_code == 0
-    lines = kept.stdout.splitlines()
+    lines = run(law=law).stdout.splitlines()
     assert lines[0] == f"{folder}: finished before; --fresh starts over"
     assert lines[1].startswith(f"{folder}: 4 µs by rve in ")
     assert law.calls == 0
     assert (folder / "run.json").read_bytes() == before
 
 
-def test_another_run_is_refused(invoke, recipe_path, changed_recipe, folder):
-    command = ("run", recipe_path, "--law", "rve", "--out", folder)
-    invoke(*command, law=StoppingLaw(calls=62))
+def test_another_run_is_refused(run, changed_recipe, folder):
+    run(law=StoppingLaw(calls=62), code=130)
     for options, told in (
         (["--integrator", "implicit"], "macro.integrator: this call has implicit, what is there "),
         (["--initialisation", "elastic"], "rve.initialisation: this call has elastic, what is "),
-        (
-            [],
-            "conditions.load.acceleration: this call has [0.0, -0.2], what is there [0.0, -0.1]; ",
-        ),
+        ([], "conditions.load.acceleration: this call has [0.0, -0.2], what is there [0.0, -0.1]"),
     ):
         if not options:
             changed_recipe("-0.1]", "-0.2]")
-        refused = invoke(*command, *options)
-        assert refused.exit_code == 1
-        assert refused.stderr.startswith(f"error: {folder}: {told}")
-    assert invoke(*command, "--fresh", "--initialisation", "elastic").exit_code == 0
+        assert run(*options, code=1).stderr.startswith(f"error: {folder}: {told}")
+    run("--fresh", "--initialisation", "elastic")
     record = read_record(folder)
     assert record.initialisation == record.recipe["rve"]["initialisation"] == "elastic"
 
 
-def test_failed_run_keeps_what_it_computed(invoke, recipe_path, folder):
-    failed = invoke(
-        "run", recipe_path, "--law", "rve", "--out", folder, law=SoftLaw(fails_above=1.002)
-    )
-    assert failed.exit_code == 1
+def test_failed_run_keeps_what_it_computed(run, folder):
+    failed = run(law=SoftLaw(fails_above=1.002), code=1)
     record = read_record(folder)
     assert record.status == "failed"
     assert failed.stderr.splitlines()[-1] == f"error: {record.error}"
@@ -161,10 +139,8 @@ def test_failed_run_keeps_what_it_computed(invoke, recipe_path, folder):
     assert (folder / "fields.xdmf").exists()
 
 
-def test_a_table_has_no_implicit_runs(invoke, recipe_path, folder):
-    command = ("run", recipe_path, "--law", "table", "--out", folder)
-    refused = invoke(*command, "--integrator", "implicit")
-    assert refused.exit_code == 1
+def test_a_table_has_no_implicit_runs(run, folder):
+    refused = run("--law", "table", "--integrator", "implicit", code=1)
     assert refused.stderr == (
         "error: macro.integrator: implicit; not with --law table, which has no tangents: take "
         "--law cached, surrogate or rve, or --integrator explicit\n"
@@ -172,13 +148,15 @@ def test_a_table_has_no_implicit_runs(invoke, recipe_path, folder):
     assert not folder.exists()
 
 
-def test_names_that_are_no_utf8_are_no_obstacle(recipe_path, tmp_path, monkeypatch, caplog):
+def test_names_that_are_no_utf8_are_no_obstacle(
+    recipe_path, tmp_path, stand_in, monkeypatch, caplog
+):
     """In the lock, in run.json, in pictures and on the page they stand with escapes."""
     caplog.set_level(logging.ERROR, "surrofe2.store")  # workers cannot send such names to pytest
     path = recipe_path.rename(tmp_path / os.fsdecode(b"r\xff.toml"))
     folders = [tmp_path / os.fsdecode(name) for name in (b"o\xff", b"p\xff")]
     monkeypatch.setattr(sys, "argv", ["surrofe2", "run", str(path)])
-    monkeypatch.setattr(laws, "true_law", lambda part, *_: SoftLaw().of(part.cell, part.rve))
+    stand_in()
     for folder in folders:
         run_study(load_recipe(path), "rve", folder)
         run_study(load_recipe(path), "rve", folder)
@@ -187,25 +165,16 @@ def test_names_that_are_no_utf8_are_no_obstacle(recipe_path, tmp_path, monkeypat
     write_report(folders, tmp_path / os.fsdecode(b"q\xff"))
 
 
-class BrokenLaw(SoftLaw):
-    """A law with a fault."""
-
-    def respond(self, F, F_dot, state=None, *, tangents=False):
-        raise ZeroDivisionError("a fault of the law")
-
-
-def test_only_a_checkpoint_without_a_state_of_the_run_is_blamed(invoke, recipe_path, folder):
-    command = ("run", recipe_path, "--law", "rve", "--out", folder)
-    assert invoke(*command, law=StoppingLaw(calls=62)).exit_code == 130
-    faulty = invoke(*command, law=BrokenLaw())
+def test_only_a_checkpoint_without_a_state_of_the_run_is_blamed(run, folder):
+    run(law=StoppingLaw(calls=62), code=130)
+    faulty = run(law=StoppingLaw(0, ZeroDivisionError("a fault of the law")), code=1)
     assert isinstance(faulty.exception, ZeroDivisionError)
     path = folder / "checkpoint.h5"
     header, arrays = read(path, STATE)
     write(path, STATE, header, {name: arrays[name] for name in arrays if "macro" not in name})
-    refused = invoke(*command)
-    assert refused.exit_code == 1
-    assert refused.stderr.startswith(f"error: {path}: no state of this run (state of a run: ")
-    assert invoke(*command, "--fresh").exit_code == 0
+    told = f"error: {path}: no state of this run (state of a run: "
+    assert run(code=1).stderr.startswith(told)
+    run("--fresh")
 
 
 class CompilingLaw(SoftLaw):
@@ -218,14 +187,13 @@ class CompilingLaw(SoftLaw):
         return super().respond(F, F_dot, state, tangents=tangents)
 
 
-def test_the_clock_of_a_run_stands_while_kernels_are_compiled(recipe, folder, monkeypatch):
+def test_the_clock_of_a_run_stands_while_kernels_are_compiled(recipe, folder, stand_in):
     """A longer first call would count in full by any other clock."""
-    time = replace(recipe.time, duration=0.2, output_interval=0.2)
-    short = replace(recipe, time=time)
-    monkeypatch.setattr(laws, "true_law", lambda part, *_: SoftLaw().of(part.cell, part.rve))
+    short = replace(recipe, time=replace(recipe.time, duration=0.2, output_interval=0.2))
+    stand_in()
     run_study(short, "rve", folder / "warm")
     law = CompilingLaw()
-    monkeypatch.setattr(laws, "true_law", lambda part, *_: law.of(part.cell, part.rve))
+    stand_in(law)
     wall = run_study(short, "rve", folder / "cold").wall_time
     assert law.calls > 3
     assert wall["compilation"] >= 1.0

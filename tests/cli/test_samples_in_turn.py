@@ -1,9 +1,8 @@
 """Where a recipe leaves out how many samples there are, training takes as many as it needs."""
 
-from __future__ import annotations
-
 import json
 from contextlib import contextmanager
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -15,23 +14,20 @@ from surrofe2.store.hdf5 import read_seconds
 from surrofe2.store.samples import read_data_set, stored_count
 from surrofe2.store.surrogates import read_surrogate
 from surrofe2.surrogate import training
-from surrofe2.workflow import laws
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.refine import refine_surrogate
 from surrofe2.workflow.train import train_surrogate
-from tests.laws import SoftLaw
+from tests.conftest import RECIPE, changed
 
 MET, NEVER = 1e3, 1e-12
 INTERRUPTIONS = [("train", 6), ("generate", 3)]
 
 
 @pytest.fixture(autouse=True)
-def _few(monkeypatch):
-    """Training begins with 40 samples, takes 160 at most, and is asked every tenth iteration; a
-    soft law stands in for RVEs."""
-    monkeypatch.setattr(laws, "true_law", lambda part, *_: SoftLaw().of(part.cell, part.rve))
-    kept = generate_data_set.__kwdefaults__
-    monkeypatch.setattr(generate_data_set, "__kwdefaults__", {**kept, "chunk": 16})
+def _few(monkeypatch, stand_in):
+    """Training begins with 40 samples, takes 160 at most, and is asked every tenth iteration."""
+    stand_in()
+    monkeypatch.setitem(generate_data_set.__kwdefaults__, "chunk", 16)
     monkeypatch.setattr(recipes, "FIRST_COUNT", 40)
     monkeypatch.setattr(recipes, "MOST_COUNT", 160)
     monkeypatch.setattr(training, "ROUND", 10)
@@ -41,26 +37,14 @@ def _few(monkeypatch):
 @pytest.fixture
 def wanting(changed_recipe):
     """wanting(bound): the small recipe without a number of samples, whose training wants it."""
-
-    def with_bound(bound):
-        changed_recipe("count = 40\n", "")
-        path = changed_recipe(
-            "checkpoint_interval = 20", f"checkpoint_interval = 10\nbound = {bound}"
-        )
-        return load_recipe(path)
-
-    return with_bound
+    return lambda bound: load_recipe(
+        changed_recipe("count = 40\n", "", "interval = 20", f"interval = 10\nbound = {bound}")
+    )
 
 
-def stages():
-    """(a display, names and totals of its stages)."""
-    shown = []
-
-    def stage(what, total, unit):
-        shown.append((what, total))
-        return no_stage(what, total, unit)
-
-    return stage, shown
+def shown(stage):
+    """Names and totals of the stages of a display."""
+    return [call.args[:2] for call in stage.call_args_list]
 
 
 def same(path, other):
@@ -73,30 +57,29 @@ def same(path, other):
 def test_the_first_samples_suffice(wanting):
     recipe = wanting(MET)
     assert len(generate_data_set(recipe).samples.F) == 40
-    stage, shown = stages()
+    stage = Mock(wraps=no_stage)
     trained = train_surrogate(recipe, stage=stage)
-    assert shown == [("train", 40), ("calibrate", 1.0)]
+    assert shown(stage) == [("train", 40), ("calibrate", 1.0)]
     assert stored_count(recipe.data_path()) == (40, True, True)
     assert trained.surrogate.data_fingerprint == read_data_set(recipe.data_path()).fingerprint
 
 
-def test_more_are_taken_until_they_do_not_help(wanting, monkeypatch):
+def test_more_are_taken_until_they_do_not_help(wanting, written, monkeypatch):
     recipe = wanting(NEVER)
     generate_data_set(recipe)
-    stage, shown = stages()
+    stage = Mock(wraps=no_stage)
     monkeypatch.setattr("surrofe2.workflow.train._HELPS", np.inf)
     trained = train_surrogate(recipe, stage=stage)
     told = [("train", 40), ("generate", 80), ("train", 40), ("generate", 160), ("train", 40)]
-    assert shown == [*told, ("calibrate", 1.0)]
+    assert shown(stage) == [*told, ("calibrate", 1.0)]
     samples = read_data_set(recipe.data_path())
     assert len(samples.F) == 160
     assert trained.surrogate.data_fingerprint == samples.fingerprint
     assert trained.surrogate.seconds["data"] == pytest.approx(read_seconds(recipe.data_path()))
     # all of them are what a stated number gives
-    path = recipe.path.with_name("stated.toml")
-    text = recipe.path.read_text(encoding="utf-8").replace("cells.", "stated.")
-    path.write_text(text.replace("seed = 3", "seed = 3\ncount = 160"), encoding="utf-8")
-    stated = load_recipe(path)
+    text = recipe.path.read_text(encoding="utf-8")
+    text = changed(text, "cells.", "stated.", "seed = 3", "seed = 3\ncount = 160")
+    stated = load_recipe(written(text, "stated.toml"))
     generate_data_set(stated)
     assert read_data_set(stated.data_path()).fingerprint == samples.fingerprint
 
@@ -112,14 +95,14 @@ def test_more_that_do_not_help_are_the_last(wanting, monkeypatch):
 def test_what_is_there_is_kept(wanting, invoke):
     recipe = wanting(NEVER)
     for _ in range(2):
-        assert invoke("generate", recipe.path).exit_code == 0
-        assert invoke("train", recipe.path).exit_code == 0
+        invoke("generate", recipe.path)
+        invoke("train", recipe.path)
     there = stored_count(recipe.data_path()).rows
     assert there > 40
     again = invoke("generate", recipe.path)
     assert f"{there} samples (already finished)" in again.stdout
     assert "(already trained)" in invoke("train", recipe.path).stdout
-    assert invoke("generate", recipe.path, "--fresh").exit_code == 0
+    invoke("generate", recipe.path, "--fresh")
     assert stored_count(recipe.data_path()) == (40, True, True)
 
 
@@ -164,18 +147,16 @@ def test_interrupted_it_goes_on_to_the_bit(whole, where, at):
 
 @pytest.mark.parametrize(("command", "stated_first"), [("train", True), ("generate", False)])
 def test_samples_of_a_stated_number_and_of_none_are_not_the_same(
-    wanting, invoke, recipe, command, stated_first
+    wanting, written, invoke, recipe, command, stated_first
 ):
     """Though there are as many."""
-    text = recipe.path.read_text(encoding="utf-8")
     if stated_first:
         generate_data_set(recipe)
         wanting(MET)
     else:
         generate_data_set(wanting(MET))
-        recipe.path.write_text(text, encoding="utf-8")
-    refused = invoke(command, recipe.path)
-    assert refused.exit_code == 1
+        written(RECIPE)
+    refused = invoke(command, recipe.path, code=1)
     assert "cells.h5: samples.count: " in refused.stderr
 
 
@@ -193,9 +174,7 @@ def test_refining_knows_what_its_surrogate_learnt_from(wanting, changed_recipe):
 
 
 def rounds_of(recipe):
-    return json.loads(recipe.path.with_name("refined").joinpath("refine.json").read_text())[
-        "rounds"
-    ]
+    return json.loads((recipe.path.parent / "refined" / "refine.json").read_text())["rounds"]
 
 
 def test_a_bound_that_is_infinite_wants_no_more_samples(wanting, monkeypatch):

@@ -3,8 +3,6 @@
 `SURROFE2_SIGNALS` is how many signals the long tests send to each command; default: 20.
 """
 
-from __future__ import annotations
-
 import os
 import shlex
 import signal
@@ -17,7 +15,6 @@ import numpy as np
 import pytest
 
 from surrofe2.store.run_folder import read_record
-from tests.cli.forks import server
 
 SIGNALS = int(os.environ.get("SURROFE2_SIGNALS", "20"))
 
@@ -39,10 +36,8 @@ SOON = 2.0
 def long_recipe(changed_recipe, invoke):
     """A recipe whose data set is there, and whose commands all take longer than the test."""
     path = changed_recipe("iterations = 40", "iterations = 1000000")
-    assert invoke("generate", path).exit_code == 0
-    text = path.read_text().replace("duration = 4.0", "duration = 100000.0")
-    path.write_text(text + "frames = 2\n")
-    return path
+    invoke("generate", path)
+    return changed_recipe("= 4.0", "= 100000.0", "[macro]", "[macro]\nframes = 2")
 
 
 def of_its_own(arguments, folder):
@@ -108,26 +103,29 @@ def test_a_signal_ends_a_command(long_recipe, tmp_path, command):
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_signals_at_random_instants_end_every_command(
-    long_recipe, tmp_path, command, record_property
+    long_recipe, tmp_path, command, forks, record_property
 ):
     """Each is the command that the one before it named, but every tenth, which begins anew in a
     process of its own."""
+
+    def forked(arguments, folder):
+        return forks("surrofe2.__main__", arguments, folder / "said.txt")
+
     random, times, wrong, arguments = np.random.default_rng(SIGNALS), [], [], None
-    with server() as forked:
-        for k, instant in enumerate(random.uniform(0.0, 5.0, size=SIGNALS)):
-            number = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)[random.integers(3)]
-            begin = forked
-            if arguments is None or k % 10 == 0:
-                begin, folder = of_its_own, tmp_path / str(k)
-                folder.mkdir()
-                arguments = first_arguments(command, long_recipe, folder)
-            try:
-                process = start(arguments, folder, begin)
-                again, took = struck(process, number, instant, folder)
-                arguments = again or arguments
-                times.append(took)
-            except (AssertionError, pytest.fail.Exception) as error:
-                wrong.append((k, int(number), instant, arguments, str(error)))
-                arguments = None
+    for k, instant in enumerate(random.uniform(0.0, 5.0, size=SIGNALS)):
+        number = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)[random.integers(3)]
+        begin = forked
+        if arguments is None or k % 10 == 0:
+            begin, folder = of_its_own, tmp_path / str(k)
+            folder.mkdir()
+            arguments = first_arguments(command, long_recipe, folder)
+        try:
+            process = start(arguments, folder, begin)
+            again, took = struck(process, number, instant, folder)
+            arguments = again or arguments
+            times.append(took)
+        except (AssertionError, pytest.fail.Exception) as error:
+            wrong.append((k, int(number), instant, arguments, str(error)))
+            arguments = None
     record_property("seconds", " ".join(f"{each:.3f}" for each in sorted(times)))
     assert not wrong

@@ -1,36 +1,56 @@
-"""What a short run imports, and what a command says by its exit code."""
-
-from __future__ import annotations
+"""What a process imports, and what a command says by its exit code."""
 
 import shlex
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-IDLE = ("torch", "sklearn", "pydantic", "scipy.stats", "matplotlib", "surrofe2.tissue.dynamics")
-"""What no cached run needs whose answers are all in range."""
-CODE = f"""
-import sys
+from tests.processes import python
+
+COMMAND = """
 from surrofe2.cli import main
 try:
     main()
 except SystemExit as end:
     assert not end.code
-print([name for name in {IDLE} if name in sys.modules])
 """
+READING = ("surrofe2.cli.run", "surrofe2.cli.compare", "surrofe2.cache.cached_law",
+           "surrofe2.store.surrogates")  # fmt: skip
 
 
-def test_a_cached_run_imports_what_it_uses(invoke, changed_recipe, tmp_path):
+def imported(code, heavy, *words):
+    """The heavy libraries that a process has imported after some code."""
+    told = (
+        f"import sys; print('heavy:', *[name for name in {heavy.split()} if name in sys.modules])"
+    )
+    return python("-c", f"{code}\n{told}", *words).stdout.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("code", "heavy"),
+    [
+        (COMMAND, "torch numba skfem numpy scipy h5py matplotlib pydantic"),
+        ("import surrofe2", "torch sklearn skfem scipy.sparse meshio"),
+        (f"import {', '.join(READING)}", "torch sklearn scipy.stats scipy.spatial"),
+        ("import surrofe2.cli.compare", "torch numba skfem"),
+        ("import surrofe2.problem.mesh", "meshio"),
+    ],
+    ids=["help", "the package", "runs, tables and comparisons", "comparisons", "meshes"],
+)
+def test_a_fresh_process_imports_nothing_heavy(code, heavy):
+    assert imported(code, heavy, "--help") == "heavy:"
+
+
+@pytest.mark.usefixtures("trained")
+def test_a_cached_run_imports_what_it_uses(changed_recipe, tmp_path):
+    """Where all its answers are in range."""
     recipe = changed_recipe("duration = 4.0", "duration = 0.5")
-    for command in ("generate", "train"):
-        assert invoke(command, recipe).exit_code == 0
-    words = ["run", recipe, "--law", "cached", "--tolerance", "inf", "--out", tmp_path / "run"]
-    command = [sys.executable, "-c", CODE, *map(str, words)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1] == "[]"
+    words = "run", recipe, "--law", "cached", "--tolerance", "inf", "--out", tmp_path / "run"
+    idle = "torch sklearn pydantic scipy.stats matplotlib surrofe2.tissue.dynamics"
+    assert imported(COMMAND, idle, *words) == "heavy:"
 
 
 WITHOUT_TORCH = """
@@ -52,19 +72,12 @@ main()
 def test_without_torch_runs_go_on_and_training_says_what_it_needs(changed_recipe, tmp_path):
     recipe = changed_recipe("duration = 4.0", "duration = 0.1")
 
-    def done(*words):
-        command = [sys.executable, "-c", WITHOUT_TORCH, *map(str, words)]
-        return subprocess.run(command, capture_output=True, text=True, check=False)
-
-    ran = done("run", recipe, "--law", "rve", "--out", tmp_path / "run")
-    assert (ran.returncode, ran.stderr) == (0, "")
-    for command in ("check", "study"):
-        assert done(command, "--help").returncode == 0
-    told = done("train", recipe)
-    assert told.returncode == 1
-    assert told.stderr == (
-        "error: training needs PyTorch, which is not installed: pip install torch\n"
-    )
+    command = partial(python, "-c", WITHOUT_TORCH)
+    assert command("run", recipe, "--law", "rve", "--out", tmp_path / "run").stderr == ""
+    for name in ("check", "study"):
+        command(name, "--help")
+    told = "error: training needs PyTorch, which is not installed: pip install torch\n"
+    assert command("train", recipe, code=1).stderr == told
 
 
 @pytest.mark.parametrize(
@@ -75,9 +88,7 @@ def test_without_torch_runs_go_on_and_training_says_what_it_needs(changed_recipe
     ],
 )
 def test_the_exit_code_is_that_of_the_command(arguments, code, told):
-    command = [sys.executable, "-m", "surrofe2", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == code
+    done = python("-m", "surrofe2", *arguments, code=code)
     assert told in done.stdout + done.stderr
 
 

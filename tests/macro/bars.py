@@ -1,7 +1,5 @@
 """Small bars: a run, a mesh of elements that are no rectangles, states at random."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -17,6 +15,7 @@ BAR = {
 }  # fmt: skip
 LOAD_CASE = LoadCase(**BAR)
 SETTINGS = MacroSettings(frames=13)
+SQUARE = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0), elements=(2, 2))
 PLATE = {"width": 30.0, "height": 20.0, "watched": (30.0, 10.0), "body_force": (0.3, -0.2)}
 
 
@@ -24,6 +23,13 @@ def with_load(problem, **changes):
     """The bar with another body force."""
     clamp, load = problem.conditions
     return replace(problem, conditions=(clamp, replace(load, **changes)))
+
+
+def run_and_states(problem, law, settings=SETTINGS):
+    """The run and its state after each step."""
+    states = []
+    run = simulate(problem, law, settings, checkpoint=states.append, checkpoint_interval=0.0)
+    return run, states
 
 
 def resumed(problem, law, settings, state):

@@ -1,7 +1,5 @@
 """Meshes of both kinds of elements, none of them regular, and integrals over them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -25,9 +23,8 @@ def plate(kind, rng, elements=(4, 3), size=(WIDTH, HEIGHT), *, distortion=0.15, 
     mesh = rectangle(width, height, elements)
     spacing = np.divide(size, elements)
     nodes = mesh.p.T
-    moved = nodes + _inner(nodes, size) * spacing * rng.uniform(
-        -distortion, distortion, nodes.shape
-    )
+    shift = spacing * rng.uniform(-distortion, distortion, nodes.shape)
+    moved = nodes + _inner(nodes, size) * shift
     if kind == "quads":
         return replace(mesh, doflocs=moved.T)
     mesh = triangles(moved, np.concatenate([mesh.t.T[:, [0, 1, 2]], mesh.t.T[:, [0, 2, 3]]]))

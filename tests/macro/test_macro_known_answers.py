@@ -15,7 +15,7 @@ from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.system import make_system
 from surrofe2.problem import InitialVelocity, Plane, Problem, RigidBody, Symmetry, rectangle
 from tests.laws import DryFriction, Fibres, KelvinVoigt, LinearFirstPiola
-from tests.macro.bars import with_load
+from tests.macro.bars import run_and_states, with_load
 from tests.macro.meshes import HEIGHT, WIDTH, plate
 from tests.numerics import rates
 
@@ -218,14 +218,12 @@ def test_momentum_of_tissue_and_free_body_is_kept(friction, integrator, rng):
         name="plate", shape=Plane(normal=(0.1, -1.0)), on="top", mass=20.0, friction=friction,
         position=(0.5 * WIDTH, HEIGHT + 1.7), velocity=(0.3, -0.8), slip_speed=0.02,
     )  # fmt: skip
-    problem = Problem(
-        mesh=plate("triangles", rng, (3, 2)), conditions=(), bodies=(thrown,), duration=3.0
-    )
-    states = []
+    mesh = plate("triangles", rng, (3, 2))
+    problem = Problem(mesh=mesh, conditions=(), bodies=(thrown,), duration=3.0)
     settings = MacroSettings(
         integrator=integrator, frames=2, record_dissipation=False, newton_tolerance=1e-12
     )
-    run = simulate(problem, law, settings, checkpoint=states.append, checkpoint_interval=0.0)
+    run, states = run_and_states(problem, law, settings)
     assert run.history["penetration plate"].max() > 1e-3
     system = make_system(problem, law.density)
     velocities = [system.spread(each.y, each.t, each.t)[1] for each in states]

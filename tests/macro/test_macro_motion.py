@@ -1,4 +1,7 @@
-"""Prescribed motion and loads with corners: energy, momentum, runs that resume."""
+"""What acts in time: amplitudes, prescribed motion, corners; energy, momentum, runs that resume."""
+
+import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ from surrofe2.problem import (
     Fixed,
     Foundation,
     InitialVelocity,
+    Plane,
     PrescribedMotion,
     Pressure,
     Problem,
@@ -20,10 +24,141 @@ from surrofe2.problem import (
     Traction,
     rectangle,
 )
-from surrofe2.problem.amplitude import ONE, Pulse, Ramp, Sine, Table
+from surrofe2.problem.amplitude import ONE, Amplitude, Constant, Pulse, Ramp, Sine, Table
 from tests.laws import KelvinVoigt
-from tests.macro.bars import assert_same_run, random_state, resumed, state_vector
+from tests.macro.bars import assert_same_run, random_state, resumed, run_and_states, state_vector
 from tests.macro.meshes import HEIGHT, WIDTH, plate, sides_of
+
+AMPLITUDES = {
+    "constant": Constant(value=-0.7),
+    "table": Table(points=((0.5, 0.0), (1.0, 2.0), (3.0, -1.0))),
+    "ramp": Ramp(begin=0.4, end=2.1),
+    "smooth ramp": Ramp(begin=0.4, end=2.1, smooth=True),
+    "sine": Sine(frequency=0.8, phase=30.0, offset=0.2, begin=0.3),
+    "half sine": Pulse(begin=0.2, length=1.7),
+    "triangle": Pulse(begin=0.2, length=1.7, shape="triangle"),
+    "rectangle": Pulse(begin=0.2, length=1.7, shape="rectangle"),
+}
+# What happens at each corner: V: the factor jumps, R: its rate, S: the rate of that.
+JUMPS = {
+    "constant": "",
+    "table": "RRR",
+    "ramp": "RR",
+    "smooth ramp": "--",
+    "sine": "R",
+    "half sine": "RR",
+    "triangle": "RRR",
+    "rectangle": "VV",
+}
+
+
+@pytest.mark.parametrize("name", AMPLITUDES)
+def test_rates_are_those_of_differences_inside_every_piece(name):
+    amplitude, step = AMPLITUDES[name], 1e-5
+    assert isinstance(amplitude, Amplitude)
+    assert list(amplitude.corners()) == sorted(amplitude.corners())
+    for begin, end in pairwise([-1.0, *amplitude.corners(), 5.0]):
+        for t in np.linspace(begin, end, 9)[1:-1]:
+            value, *slopes = amplitude.at(t, t)
+            before, after = (np.array(amplitude.at(t + h, t)) for h in (-step, step))
+            assert ((after - before) / (2.0 * step))[:2] == pytest.approx(slopes, abs=1e-8)
+            assert 0.5 * (after + before)[0] == pytest.approx(value, abs=1e-8)
+
+
+@pytest.mark.parametrize("name", AMPLITUDES)
+def test_a_piece_is_smooth_to_its_ends_and_jumps_behind_them(name):
+    """At a corner `within` says whose value is asked; the other side has what it says."""
+    amplitude = AMPLITUDES[name]
+    found = ""
+    for corner in amplitude.corners():
+        left, right = (amplitude.at(corner, corner + side * 1e-9) for side in (-1.0, 1.0))
+        for side, values in ((-1.0, left), (1.0, right)):
+            near = amplitude.at(corner + side * 1e-7, corner + side * 1e-7)
+            np.testing.assert_allclose(values, near, atol=1e-4)
+        jumps = [abs(b - a) > 1e-9 for a, b in zip(left, right, strict=True)]
+        found += "V" if jumps[0] else "R" if jumps[1] else "S" if jumps[2] else "-"
+    assert found == JUMPS[name]
+
+
+def test_known_values():
+    table = AMPLITUDES["table"]
+    assert [table.at(t, t)[0] for t in (0.0, 0.75, 2.0, 9.0)] == [0.0, 1.0, 0.5, -1.0]
+    smooth = AMPLITUDES["smooth ramp"]
+    assert smooth.at(1.25, 1.25)[0] == pytest.approx(0.5)
+    sine = Sine(frequency=0.25, begin=1.0)
+    assert [sine.at(t, t)[0] for t in (0.0, 2.0, 3.0, 4.0)] == pytest.approx([0.0, 1.0, 0.0, -1.0])
+    for shape in ("half-sine", "triangle", "rectangle"):
+        pulse = Pulse(begin=1.0, length=2.0, shape=shape)
+        assert pulse.at(2.0, 2.0 + 1e-9)[0] == pytest.approx(1.0)
+        assert pulse.at(0.5, 0.5)[0] == pulse.at(3.5, 3.5)[0] == 0.0
+
+
+def test_a_step_that_sees_the_shape():
+    assert AMPLITUDES["sine"].resolved_by == pytest.approx(1.0 / 8.0 / 0.8)
+    assert AMPLITUDES["half sine"].resolved_by == pytest.approx(1.7 / 8.0)
+    for name in ("constant", "table", "ramp", "triangle", "rectangle"):
+        assert AMPLITUDES[name].resolved_by == math.inf
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Table(), r"amplitude\.points: \[\]; it must have at least one"),
+        (lambda: Sine(frequency=0.0), r"amplitude\.frequency: .*must be"),
+        (lambda: Pulse(length=1.0, shape="square"), r"amplitude\.shape: .*must be"),
+        (lambda: Constant(value=math.nan), r"amplitude\.value: .*must be"),
+    ],
+)
+def test_amplitudes_out_of_range_are_one_line(make, message):
+    with pytest.raises(InputError, match=message) as caught:
+        make()
+    assert "\n" not in str(caught.value)
+
+
+SQUARE = rectangle(10.0, 10.0, (2, 2))
+
+
+def ran(*acting):
+    bodies = tuple(each for each in acting if isinstance(each, RigidBody))
+    problem = Problem(
+        mesh=SQUARE,
+        conditions=(Fixed(on="left"), *(each for each in acting if each not in bodies)),
+        bodies=bodies,
+        duration=1.0,
+        output_interval=0.5,
+    )
+    return simulate(problem, KelvinVoigt(), MacroSettings(record_dissipation=False, frames=2))
+
+
+@pytest.mark.parametrize("late", [Ramp(begin=2.0, end=3.0), Pulse(begin=1.0, length=2.0)])
+def test_what_is_zero_during_the_whole_run_is_refused(late):
+    """The same that acts at its end, or is a constant 0, is not."""
+    push = BodyForce(acceleration=(0.1, 0.0), amplitude=late)
+    pull = PrescribedMotion(on="right", displacement=(1.0, None), amplitude=late)
+    plate = RigidBody(
+        name="plate", shape=Plane(normal=(-1.0, 0.0)), on="right", position=(11.0, 0.0),
+        displacement=(-1.0, 0.0), amplitude=late,
+    )  # fmt: skip
+    for acting, name in ((push, "body_force"), (pull, "prescribed_motion right"), (plate, "plate")):
+        with pytest.raises(InputError, match=f"{name}.amplitude: zero during the whole run of 1"):
+            ran(acting)
+    for taken in (Ramp(begin=0.9, end=3.0), Pulse(begin=0.7, length=0.1), Constant(value=0.0)):
+        assert ran(BodyForce(acceleration=(0.1, 0.0), amplitude=taken)).finished
+
+
+@pytest.mark.parametrize("velocity", [(0.3, 0.0), (0.3, -0.1)])
+def test_a_velocity_of_nothing_but_what_is_held_is_refused(velocity):
+    with pytest.raises(InputError, match=r"initial_velocity left.on: left; supports hold or move"):
+        ran(InitialVelocity(on="left", velocity=velocity))
+    pull = PrescribedMotion(on="right", displacement=(1.0, None), amplitude=Ramp(end=1.0))
+    thrown = InitialVelocity(on="right", velocity=velocity)
+    if velocity[1] == 0.0:
+        with pytest.raises(InputError, match=r"initial_velocity right.on: right; supports hold"):
+            ran(pull, thrown)
+    else:
+        assert ran(pull, thrown).finished
+    assert ran(InitialVelocity(on="top", velocity=velocity)).finished
+
 
 LAW = KelvinVoigt()
 JERK = Table(points=((0.0, 0.0), (0.5, 0.0), (1.5, 1.0), (2.2, 0.4)))
@@ -31,12 +166,9 @@ JERK = Table(points=((0.0, 0.0), (0.5, 0.0), (1.5, 1.0), (2.2, 0.4)))
 
 
 def pulled(kind, rng, amplitude=JERK, **settings):
-    conditions = (
-        Fixed(on="left"),
-        PrescribedMotion(on="right", displacement=(1.5, None), amplitude=amplitude),
-    )
+    pull = PrescribedMotion(on="right", displacement=(1.5, None), amplitude=amplitude)
     settings = {"duration": 3.0, "output_interval": 0.1, **settings}
-    return Problem(mesh=plate(kind, rng, (3, 2)), conditions=conditions, **settings)
+    return Problem(mesh=plate(kind, rng, (3, 2)), conditions=(Fixed(on="left"), pull), **settings)
 
 
 @pytest.mark.parametrize("kind", ["quads", "triangles"])
@@ -54,16 +186,13 @@ def test_a_jump_of_velocity_keeps_the_momentum_of_what_is_free(kind, rng):
     impulse = system.inertia(v_after - v_before)
     assert abs(impulse).max() > 1.0
     assert abs(system.pick(impulse)).max() < 1e-13 * abs(impulse).max()
-    gain = 0.5 * (
-        np.vdot(v_after, system.inertia(v_after)) - np.vdot(v_before, system.inertia(v_before))
-    )
-    assert work[-2:] == pytest.approx(gain, rel=1e-12)
+    before, after = (0.5 * np.vdot(v, system.inertia(v)) for v in (v_before, v_after))
+    assert work[-2:] == pytest.approx(after - before, rel=1e-12)
     assert not work[:-2].any()
 
 
 @pytest.mark.parametrize("kind", ["quads", "triangles"])
 def test_energy_balance_with_prescribed_motion(kind, rng):
-    """Work of the supports, jumps included, is what the tissue gains and dissipates."""
     settings = MacroSettings(absolute_tolerance=1e-9, relative_tolerance=1e-8, frames=2)
     run = simulate(pulled(kind, rng), LAW, settings)
     energies = run.energies
@@ -72,9 +201,8 @@ def test_energy_balance_with_prescribed_motion(kind, rng):
     assert abs(energies["balance"]).max() < 1e-6 * largest
     right = run.history["mean displacement right x"]
     t = run.curve.t
-    np.testing.assert_allclose(
-        right, 1.5 * np.interp(t, *zip(*JERK.points, strict=True)), atol=1e-12
-    )
+    moved = 1.5 * np.interp(t, *zip(*JERK.points, strict=True))
+    np.testing.assert_allclose(right, moved, atol=1e-12)
     # Between the corners the work is ∫ force · velocity; the jump at 0.5 µs comes as ½ m v².
     force = run.history["force prescribed_motion right x"]
     inner = (t > 0.75) & (t < 1.45)
@@ -119,15 +247,12 @@ def test_motion_that_does_not_begin_at_zero_or_jumps_is_refused(amplitude, messa
 
 def everything(rng):
     """All that acts, each with corners of its own."""
+    kick = Pulse(begin=0.7, length=0.4, shape="rectangle")
     conditions = (
         Fixed(on="left"),
         PrescribedMotion(on="right", displacement=(0.8, None), amplitude=JERK),
         BodyForce(acceleration=(0.2, -0.4), amplitude=Ramp(begin=0.3, end=1.1)),
-        Traction(
-            on="top",
-            traction=(0.5, 0.0),
-            amplitude=Pulse(begin=0.7, length=0.4, shape="rectangle"),
-        ),
+        Traction(on="top", traction=(0.5, 0.0), amplitude=kick),
         Pressure(on="bottom", pressure=1.0, amplitude=Ramp(begin=1.0, end=2.0, smooth=True)),
         Foundation(on="bottom", stiffness=0.5, damping=0.1),
     )
@@ -147,9 +272,8 @@ def everything(rng):
 @pytest.mark.parametrize("integrator", ["explicit", "implicit"])
 def test_run_resumes_to_the_bit_across_corners(integrator, rng):
     """From a state in a piece, from one at a corner, and from one behind it."""
-    problem, states = everything(rng), []
-    settings = MacroSettings(integrator=integrator, frames=5)
-    whole = simulate(problem, LAW, settings, checkpoint=states.append, checkpoint_interval=0.0)
+    problem, settings = everything(rng), MacroSettings(integrator=integrator, frames=5)
+    whole, states = run_and_states(problem, LAW, settings)
     t = np.array([state.t for state in states])
     corners = problem.corners()[1:-1]
     assert np.isin(corners, t).all(), "every corner is the end of a step"
@@ -178,12 +302,8 @@ def test_balance_closes_with_everything_that_acts_at_the_default_tolerance(integ
 def test_an_initial_velocity_of_all_leaves_what_is_held_at_rest_without_a_blow():
     """Kinetic energy at t = 0 is that of the free nodes' velocity, and no work was done."""
     mesh = rectangle(30.0, 20.0, (3, 2))
-    thrown = Problem(
-        mesh=mesh,
-        conditions=(Fixed(on="left"), InitialVelocity(velocity=(0.0, 0.3))),
-        duration=1.0,
-    )
-    run = simulate(thrown, KelvinVoigt())
+    conditions = Fixed(on="left"), InitialVelocity(velocity=(0.0, 0.3))
+    run = simulate(Problem(mesh=mesh, conditions=conditions, duration=1.0), KelvinVoigt())
     held = mesh.p.T[:, 0] == 0.0
     assert not run.frames.velocity[0, held].any()
     np.testing.assert_array_equal(run.frames.velocity[0, ~held], [[0.0, 0.3]] * (~held).sum())

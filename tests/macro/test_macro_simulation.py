@@ -18,7 +18,7 @@ from surrofe2.macro.elements import (
 )
 from surrofe2.macro.history import POINTS_EVERY
 from tests.laws import KelvinVoigt, failing
-from tests.macro.bars import BAR, LOAD_CASE, SETTINGS, assert_same_run, resumed
+from tests.macro.bars import BAR, LOAD_CASE, SETTINGS, assert_same_run, resumed, run_and_states
 
 
 class Stop(KeyboardInterrupt):
@@ -60,10 +60,7 @@ def test_interrupt_within_the_law_leaves_the_last_whole_step():
 
 
 def test_checkpoints_come_with_every_step_when_asked_and_seldom_by_default():
-    often, seldom = [], []
-    run = simulate(
-        LOAD_CASE, KelvinVoigt(), SETTINGS, checkpoint=often.append, checkpoint_interval=0.0
-    )
+    seldom, (run, often) = [], run_and_states(LOAD_CASE, KelvinVoigt())
     simulate(LOAD_CASE, KelvinVoigt(), SETTINGS, checkpoint=seldom.append)
     assert len(often) == run.counts["steps"]
     assert seldom == []
@@ -82,16 +79,14 @@ def test_checkpoints_come_with_every_step_when_asked_and_seldom_by_default():
     ],
 )
 def test_checkpoint_of_another_run_is_refused(change, name):
-    states = []
-    simulate(LOAD_CASE, KelvinVoigt(), SETTINGS, checkpoint=states.append, checkpoint_interval=0.0)
+    _, states = run_and_states(LOAD_CASE, KelvinVoigt())
     with pytest.raises(MismatchError, match=f"resume: {name}: not that"):
         simulate(LoadCase(**BAR | change), KelvinVoigt(), SETTINGS, resume=states[-2])
 
 
 def test_points_of_frames_have_the_mean_that_their_elements_have():
-    problem = LOAD_CASE
-    frames = simulate(problem, KelvinVoigt(), SETTINGS).frames
-    space, at = make_discretisation(problem.mesh), np.isin(frames.t, frames.point_t)
+    frames = simulate(LOAD_CASE, KelvinVoigt(), SETTINGS).frames
+    space, at = make_discretisation(LOAD_CASE.mesh), np.isin(frames.t, frames.point_t)
     assert frames.point_t.tolist() == [*frames.t[:-1:POINTS_EVERY], frames.t[-1]]
     assert frames.point_source.shape == (len(frames.point_t), 0)
     motion = zip(frames.displacement[at], frames.velocity[at], strict=True)
@@ -150,10 +145,7 @@ def test_dissipation_of_elements_is_that_of_the_tissue():
     sample and by the rate there since, at the end to rounding; none of a run that does not record
     it."""
     often = replace(LOAD_CASE, output_interval=0.02)
-    settings, states = replace(SETTINGS, largest_step=0.02), []
-    run = simulate(
-        often, KelvinVoigt(), settings, checkpoint=states.append, checkpoint_interval=0.0
-    )
+    run, states = run_and_states(often, KelvinVoigt(), replace(SETTINGS, largest_step=0.02))
     found = run.frames.dissipated
     assert found.shape == (run.frames.t.size, len(run.elements))
     assert not found[0].any()

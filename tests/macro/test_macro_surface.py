@@ -26,7 +26,7 @@ from surrofe2.problem import (
 )
 from surrofe2.problem.mesh import element_nodes
 from tests.laws import KelvinVoigt, LinearFirstPiola, Skin
-from tests.macro.bars import assert_same_run, resumed
+from tests.macro.bars import SETTINGS, assert_same_run, resumed, run_and_states
 from tests.macro.meshes import HEIGHT, KINDS, WIDTH, plate, sides_of, triangles
 from tests.macro.test_macro_tangents import assert_slopes
 
@@ -179,15 +179,15 @@ def test_rest_under_load_and_its_resumption():
 
 
 def test_a_run_goes_on_to_the_bit():
-    problem, states = clamped(Surface(law=SKIN)), []
-    whole = simulate(problem, LAW, checkpoint=states.append, checkpoint_interval=0.0)
+    problem = clamped(Surface(law=SKIN))
+    whole, states = run_and_states(problem, LAW)
     middle = states[len(states) // 2]
-    again = resumed(problem, LAW, MacroSettings(), middle)
+    again = resumed(problem, LAW, SETTINGS, middle)
     assert_same_run(again, whole)
     assert np.array_equal(again.rest, whole.rest)
     for other in (None, Surface(law=SKIN, on=("top",))):
         with pytest.raises(MismatchError, match=r"surface: not that of the checkpoint"):
-            simulate(replace(problem, surface=other), LAW, resume=middle)
+            simulate(replace(problem, surface=other), LAW, SETTINGS, resume=middle)
 
 
 def test_a_rectangle_under_constant_tension_shrinks():
@@ -237,9 +237,8 @@ def test_modes_of_a_thin_strip():
     square = (abs(both.eigenvalues[0]) / abs(bare.eigenvalues[0])) ** 2
     assert square == pytest.approx(stiffer / heavier, rel=1e-6)
     # δ = ω² η/2E of Kelvin–Voigt: here η is 2 η_s/h and E the stiffened modulus.
-    assert -2.0 * both.eigenvalues[0].real / abs(both.eigenvalues[0]) ** 2 == pytest.approx(
-        2.0 * 3.0 / (2.0 * 50.0 * height * stiffer), rel=1e-6
-    )
+    delta = -2.0 * both.eigenvalues[0].real / abs(both.eigenvalues[0]) ** 2
+    assert delta == pytest.approx(2.0 * 3.0 / (2.0 * 50.0 * height * stiffer), rel=1e-6)
 
 
 def test_mass_excess_bears_the_body_force():
@@ -254,12 +253,8 @@ def test_mass_excess_bears_the_body_force():
     whole = 0.08 * WIDTH * HEIGHT + 0.05 * WIDTH
     np.testing.assert_allclose(weights, [whole, 0.5 * whole], rtol=1e-12)
     assert 0.5 * system.mass.sum() == pytest.approx(whole)
-    thrown = Problem(
-        mesh=mesh, conditions=(pull := BodyForce(acceleration=(0.5, 0.0)),), surface=surface,
-        duration=2.0, output_interval=0.5,
-    )  # fmt: skip
-    assert pull.on is None
-    run = simulate(replace(thrown, conditions=(pull, Fixed(on="left", components="y"))), LAW)
+    frame = BodyForce(acceleration=(0.5, 0.0)), Fixed(on="left", components="y")
+    run = simulate(Problem(mesh=mesh, conditions=frame, surface=surface, duration=2.0), LAW)
     np.testing.assert_allclose(run.curve.displacement[-1], [1.0, 0.0], atol=1e-6)
 
 

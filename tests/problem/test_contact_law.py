@@ -1,13 +1,12 @@
 """The law of contact: the same numbers from kernels as from arrays, its slopes, its far ends."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from surrofe2.base.compilation import kernel
 from surrofe2.problem import Circle, Corner, Plane, contact_law
 from surrofe2.tissue.external_forces import _drag
+from tests.numerics import slope_along
 
 LAW = (3000.0, 0.01, 4.0)
 PLANE = Plane(normal=(3.0, -4.0)).outline
@@ -55,9 +54,23 @@ def test_pressure_is_the_slope_of_what_is_stored_and_never_pulls():
         assert np.isfinite(found).all()
         assert (found[0] >= 0.0).all()
     d = np.linspace(1e-4, 0.03, 50)
-    ahead, behind = (contact_law.stored(d + step, *LAW[:2]) for step in (1e-7, -1e-7))
-    spring = contact_law.pressure(d, 0.0 * d, LAW)[0]
-    np.testing.assert_allclose((ahead - behind) / 2e-7, spring, rtol=1e-6)
+    slope = slope_along(lambda d: contact_law.stored(d, *LAW[:2]), d, 1.0, 1e-7)
+    np.testing.assert_allclose(slope, contact_law.pressure(d, 0.0 * d, LAW)[0], rtol=1e-6)
+
+
+def test_the_dashpot_never_drives():
+    """Below the smoothing and at speeds far above k δ/c, too."""
+    depth, closing = np.meshgrid(np.geomspace(1e-6, 10.0, 60), np.linspace(-9.0, 9.0, 37))
+    stiffness, smoothing, damping = law = 50.0, 0.1, 30.0
+    pressure, _, by_closing = contact_law.pressure(depth, closing, law)
+    spring, *_ = contact_law.pressure(depth, 0.0 * closing, law)
+    assert by_closing.min() > 0.0
+    assert ((pressure - spring) * closing).min() >= 0.0
+    far = depth > smoothing
+    straight = stiffness * (depth[far] - 0.5 * smoothing)
+    np.testing.assert_allclose(spring[far], straight, rtol=1e-12)
+    closes = far & (closing > 0.0)
+    np.testing.assert_allclose((pressure - spring)[closes], damping * closing[closes], rtol=1e-9)
 
 
 @pytest.mark.parametrize("yielding", [0.0, 1e-6, 1.0, 1e6])

@@ -20,11 +20,6 @@ class State(RunState):
     mark: "State | None" = None
 
 
-@pytest.fixture
-def rng():
-    return np.random.default_rng(5)
-
-
 def grown(rows, times):
     journal = Journal.of({"rows": np.empty((0, 2)), "frames.t": np.empty(0)})
     for row, t in zip(rows, times, strict=True):
@@ -60,12 +55,8 @@ def test_state_comes_back_from_its_arrays_with_its_mark(rng):
     state = State(2.5, grown(rows, range(3)), {"steps": 3}, mark)
     arrays = state.to_arrays()
     back = State.from_arrays(arrays)
-    assert (back.t, back.counts, back.mark.t, back.mark.counts) == (
-        2.5,
-        {"steps": 3},
-        1.0,
-        {"steps": 2},
-    )
+    found = [(each.t, each.counts) for each in (back, back.mark)]
+    assert found == [(2.5, {"steps": 3}), (1.0, {"steps": 2})]
     np.testing.assert_array_equal(back.journal["rows"], rows)
     np.testing.assert_array_equal(back.mark.journal["rows"], rows[:2])
     for name in ("t", "rows", "frames.t"):
@@ -77,7 +68,7 @@ class Recorded:
     may_be_kept = True
 
     def __init__(self):
-        self.steps = []
+        self.steps, self.told, self.states = [], [], []
 
     def checkpoint(self):
         return tuple(self.steps)
@@ -93,20 +84,18 @@ class Recorded:
             yield float(t)
 
 
-def carried_out(recorded, fault=None):
-    told, states = [], []
-    found = carry_out(
-        recorded.to(4, fault), recorded, recorded.run, 4.0, interval=0.0,
-        progress=lambda t, duration: told.append((t, duration)), checkpoint=states.append,
+def carried_out(recorded, fault=None, interval=0.0):
+    return carry_out(
+        recorded.to(4, fault), recorded, recorded.run, 4.0, interval=interval,
+        progress=lambda *told: recorded.told.append(told), checkpoint=recorded.states.append,
     )  # fmt: skip
-    return found, told, states
 
 
 def test_loop_reports_and_checkpoints_every_step():
-    found, told, states = carried_out(Recorded())
-    assert found == (True, (1, 2, 3, 4))
-    assert told == [(float(t), 4.0) for t in range(1, 5)]
-    assert states == [(1,), (1, 2), (1, 2, 3), (1, 2, 3, 4)]
+    recorded = Recorded()
+    assert carried_out(recorded) == (True, (1, 2, 3, 4))
+    assert recorded.told == [(float(t), 4.0) for t in range(1, 5)]
+    assert recorded.states == [(1,), (1, 2), (1, 2, 3), (1, 2, 3, 4)]
 
 
 def test_failure_gives_the_run_up_to_there():
@@ -117,14 +106,11 @@ def test_failure_gives_the_run_up_to_there():
 
 @pytest.mark.parametrize("may_be_kept", [True, False])
 def test_interrupt_leaves_a_checkpoint_where_it_may_be_kept(may_be_kept):
-    recorded, states = Recorded(), []
+    recorded = Recorded()
     recorded.may_be_kept = may_be_kept
     with pytest.raises(KeyboardInterrupt):
-        carry_out(
-            recorded.to(4, KeyboardInterrupt()), recorded, recorded.run, 4.0, progress=None,
-            checkpoint=states.append, interval=60.0,
-        )  # fmt: skip
-    assert states == ([(1, 2)] if may_be_kept else [])
+        carried_out(recorded, KeyboardInterrupt(), 60.0)
+    assert recorded.states == ([(1, 2)] if may_be_kept else [])
 
 
 @pytest.mark.parametrize("interval", [-1.0, float("nan")])

@@ -1,7 +1,5 @@
 """What a person sees of results in a notebook, and hands on to other libraries."""
 
-from __future__ import annotations
-
 import re
 import sys
 from dataclasses import replace
@@ -30,9 +28,8 @@ from tests.laws import CELL, SoftLaw, lattice_samples
 
 @pytest.fixture(scope="module")
 def surrogate():
-    return train(
-        lattice_samples(100), TrainingSettings(hidden=(4,), baseline_degree=1, iterations=9)
-    )
+    settings = TrainingSettings(hidden=(4,), baseline_degree=1, iterations=9)
+    return train(lattice_samples(100), settings)
 
 
 @pytest.fixture(scope="module")
@@ -76,9 +73,8 @@ class Library(SimpleNamespace):
     """Stands in for one that takes arrays: keeps what each kind is given."""
 
     def __init__(self, *kinds):
-        super().__init__(
-            **dict.fromkeys(kinds, lambda *a, **k: SimpleNamespace(a=a, k=k, attrs={}))
-        )
+        for kind in kinds:
+            setattr(self, kind, lambda *a, **k: SimpleNamespace(a=a, k=k, attrs={}))
 
 
 def test_a_run_for_pandas(run, stored, monkeypatch):

@@ -1,0 +1,163 @@
+"""The pages: plain words, links that lead somewhere, and a site that is complete and shows what
+commands, notebooks and the README's example print.
+"""
+
+import contextlib
+import importlib.util
+import io
+import json
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+import surrofe2
+from tests.conftest import ROOT
+from tests.processes import python
+
+DOCS = ROOT / "docs"
+PAGES = [
+    *sorted(ROOT.glob("*.md")),
+    *(ROOT / name for name in ("data/README.md", "training/README.md")),
+    *sorted(DOCS.rglob("*.md")),
+    *sorted((ROOT / "examples").glob("*.md")),
+]
+IN_PLAIN_WORDS = [
+    *(page for page in PAGES if page.parent != ROOT or page.stem == "README"),
+    *sorted((ROOT / "surrofe2" / "cli").glob("*.py")),  # help stands there
+]
+INSTEAD = {
+    r"\bin the place of\b": "instead of",
+    r"\banew\b": "again",
+    r"\bdear(er)?\b": "expensive, more expensive",
+    r"\btrue RVEs?\b": "RVE",
+    r"\btrue (FE²|runs?|stress(es)?|one)\b": "full FE², full run, RVE stress",
+    r"\bgoes on\b": "resumes, continues",
+    r"\bmended\b": "fixed",
+    r"\bis told\b": "is reported",
+    r"\b(with|in|by|gives|ends) (a|one) sentence\b": "an error message",
+    r"\b(cells|particles) an RVE\b": "per RVE",
+    r"\b(elements|moduli|springs) a side\b": "per side",
+}
+"""Words that pages do without; CONTRIBUTING.md has the list."""
+
+
+def relative(page):
+    return str(page.relative_to(ROOT))
+
+
+def without_code(page):
+    return re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+
+
+@pytest.mark.parametrize("page", IN_PLAIN_WORDS, ids=relative)
+def test_pages_are_in_plain_words(page):
+    text = " ".join(without_code(page).split())
+    for pattern, better in INSTEAD.items():
+        found = re.search(f".{{0,30}}{pattern}", text)
+        assert not found, f"{found[0]!r}: write {better!r}"
+
+
+def test_the_example_prints_what_the_readme_says():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    code, said = re.search(r"```python\n(.*?)```\s+```\n(.*?)```", text, re.DOTALL).groups()
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exec(compile(code, "README.md", "exec"), {})
+    assert printed.getvalue() == said
+
+
+def anchor(heading: str) -> str:
+    """What GitHub makes of a heading."""
+    kept = re.sub(r"[^\w\- ]", "", heading.strip().lower())
+    return kept.replace(" ", "-")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=relative)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)\s]+)\)", without_code(page)):
+        if target.startswith("http"):
+            continue
+        name, _, place = target.partition("#")
+        there = (page.parent / name) if name else page
+        assert there.exists(), f"{page.name}: {target}"
+        if place:
+            headings = re.findall(r"^#+ (.*)$", there.read_text(encoding="utf-8"), re.MULTILINE)
+            assert place in [anchor(heading) for heading in headings], f"{page.name}: {target}"
+
+
+@pytest.mark.parametrize(
+    "script", sorted(ROOT.glob("examples/slurm/*.sh")), ids=lambda path: path.stem
+)
+def test_a_script_for_slurm_is_whole_and_on_the_page(script):
+    subprocess.run(["bash", "-n", script], check=True)
+    page = (ROOT / "docs" / "scaling.md").read_text(encoding="utf-8")
+    assert f"{{literalinclude}} ../examples/slurm/{script.name}\n" in page
+
+
+def module_of(path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module  # its dataclasses look there
+    spec.loader.exec_module(module)
+    return module
+
+
+record = module_of(DOCS / "record.py")
+
+
+@pytest.mark.slow
+def test_it_builds_without_a_warning(tmp_path):
+    """-W makes a page that is not as recorded an error, too."""
+    build = ("-m", "sphinx", "-q", "-W", "--keep-going", "-c", "docs", "-d", tmp_path / "trees")
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    python(*build, ".", tmp_path / "site", cwd=ROOT, env=env, timeout=600)
+    theory = (tmp_path / "site/docs/theory.html").read_text(encoding="utf-8")
+    text = (DOCS / "theory.md").read_text(encoding="utf-8")
+    for number in {"1", "57b", "66", *re.findall(r"\((A\d+)\)", text)}:  # as the paper has them
+        assert f'id="equation-{number.lower()}"' in theory
+    assert 'href="#equation-a7"' in theory
+    assert (tmp_path / "site/_static/mathjax/tex-chtml.js").stat().st_size > 1e6
+    for page in (tmp_path / "site/docs").rglob("*.html"):
+        loaded = re.findall(r'(?:src|href)="(https?://[^"]+\.(?:js|css))"', page.read_text("utf-8"))
+        assert not loaded, page  # it works offline
+
+
+def test_every_public_name_is_on_one_page_of_the_reference():
+    pages = [page.read_text(encoding="utf-8") for page in (DOCS / "reference/api").glob("*.md")]
+    told = re.findall(r"^\.\. auto(?:class|function):: (\w+)", "\n".join(pages), re.MULTILINE)
+    assert sorted(told) == sorted(surrofe2.__all__)
+
+
+def test_every_example_is_in_the_gallery():
+    text = (DOCS / "gallery.md").read_text(encoding="utf-8")
+    linked = set(re.findall(r":link: \.\./examples/(\S+)", text))
+    assert linked == {page.stem for page in (ROOT / "examples").glob("*.md")} - {"README"}
+
+
+@pytest.mark.parametrize("book", record.notebooks(), ids=lambda path: path.stem)
+def test_notebooks_show_what_their_code_printed(book):
+    read = json.loads(book.read_text(encoding="utf-8"))
+    assert read["metadata"]["digest"] == record.digest_of_notebook(read["cells"]), (
+        f"python docs/record.py {book.name}"
+    )
+    assert any(cell.get("outputs") for cell in read["cells"])
+
+
+def words(text: str) -> list[str]:
+    """First words of lines that begin at the margin, without the figures: those are the machine's,
+    and so are widths of tables and sentences on what pays.
+    """
+    lines = [line for line in text.splitlines() if line[:1].strip()]
+    return [re.sub(r"[\d.,e+−-]+", "#", line.split()[0]) for line in lines]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", record.pages(), ids=lambda path: path.stem)
+def test_commands_print_what_pages_say(page, tmp_path):
+    kept = json.loads(record.store_of(page).read_text(encoding="utf-8"))["said"]
+    now = record.record(page, tmp_path)
+    assert now.keys() == kept.keys()
+    assert [*map(words, now.values())] == [words(kept[code]) for code in now]
