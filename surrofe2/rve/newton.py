@@ -134,15 +134,11 @@ def settle(residual, before, stop, count, source, target, iterations):
 
 
 @kernel
-def correct(lu, f, step, limited, iterations, F, z, topology):
-    """z ← z − F⁻¹ J⁻¹ f in lanes under way, by no more than LONGEST_STEP if `limited`."""
+def correct(lu, f, step, iterations, F, z, topology):
+    """z ← z − F⁻¹ J⁻¹ f in lanes under way."""
     set_residual(f, step)
     solve(lu, step, topology)
-    if limited:
-        limit_step(step)
-    for k in range(TILE):
-        if iterations[k] != 0:
-            step[:, k] = 0.0
+    hold(step, iterations)
     move(step, F, z)
 
 
@@ -152,6 +148,14 @@ def set_residual(f, step):
     for i in range(1, step.shape[0] // 2 + 1):
         store(-load(f, 0, i), step, 2 * i - 2)
         store(-load(f, 1, i), step, 2 * i - 1)
+
+
+@kernel
+def hold(step, iterations):
+    """No step in lanes that are done."""
+    for k in range(TILE):
+        if iterations[k] != 0:
+            step[:, k] = 0.0
 
 
 @kernel
@@ -231,7 +235,11 @@ def newton_loop(work, matrices, drive, is_affine, topology, c, stop, answer):
             break
         set_jacobian(work, drive, topology, c, matrix, matrices.no_columns)
         factorise(matrix, topology, stop.seeks)
-        correct(matrix, work.f, matrices.step, True, iterations, drive.F, work.z, topology)
+        set_residual(work.f, matrices.step)
+        solve(matrix, matrices.step, topology)
+        limit_step(matrices.step)
+        hold(matrices.step, iterations)
+        move(matrices.step, drive.F, work.z)
         if stop.seeks:
             give_up(work.z, stop.start, count, before, bound, iterations)
 
@@ -245,7 +253,7 @@ def chord_loop(work, drive, is_affine, lu, topology, c, stop, answer):
         evaluate(work, drive, is_affine, topology, c, sigma, residual)
         if settle(residual, before, stop, count, sigma, answer.stress, iterations) == 0:
             break
-        correct(lu, work.f, step, False, iterations, drive.F, work.z, topology)
+        correct(lu, work.f, step, iterations, drive.F, work.z, topology)
 
 
 @parallel_kernel

@@ -89,12 +89,15 @@ class Factors:
 
     def repeated(self, tiles: int) -> Factors:
         """The first tile's factors for `tiles` tiles."""
-        return Factors.of(self.blocks[:1] * tiles)
+        return Factors(self.blocks[:1] * tiles, np.repeat(self.address[:1], tiles))
 
     def renewed(self, wanted: Any) -> Factors:
         """These with new, uninitialised blocks for the tiles that `wanted` (tiles,) marks."""
-        pairs = zip(self.blocks, wanted, strict=True)
-        return Factors.of([np.empty_like(block) if new else block for block, new in pairs])
+        blocks, address = list(self.blocks), self.address.copy()
+        for tile in wanted.nonzero()[0].tolist():
+            blocks[tile] = np.empty_like(blocks[tile])
+            address[tile] = blocks[tile].__array_interface__["data"][0]
+        return Factors(tuple(blocks), address)
 
     def take(self, index: Index) -> Factors:
         """The factors of the points `index` alone; the last tile filled up as by `pack`."""

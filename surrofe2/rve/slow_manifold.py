@@ -157,8 +157,8 @@ def _find_velocities(work, y, drive, lu, topology, c, stop, relaxed, count):
             residual[0, k] = max(residual[0, k], residual_rate[0, k] / RATE_TOLERANCE)
         if settle(residual, before, stop, evaluation, work.z, relaxed, count) == 0:
             return
-        correct(lu, work.f, step, False, settled, F, work.z, topology)
-        correct(lu, f_rate, step, False, count, F, y, topology)
+        correct(lu, work.f, step, settled, F, work.z, topology)
+        correct(lu, f_rate, step, count, F, y, topology)
 
 
 @parallel_kernel
