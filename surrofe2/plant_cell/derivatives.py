@@ -30,12 +30,14 @@ from surrofe2.base.simd import TILE, load, spread, store
 from surrofe2.plant_cell.forces import (
     add_pair,
     central_law,
-    contact_bend,
     difference,
-    fluid_coefficients,
     fluid_specific_volume,
-    fluid_volume_slopes,
     pair_at,
+)
+from surrofe2.plant_cell.pair_laws import (
+    contact_bend,
+    fluid_coefficients,
+    fluid_volume_slopes,
     spline_bend,
     tension,
 )

@@ -41,14 +41,9 @@ from surrofe2.base.simd import (
     tiles_for,
     unpack,
 )
-from surrofe2.plant_cell.forces import (
-    Constants,
-    elastic_energy,
-    fold_images,
-    local_forces,
-    make_workspace,
-)
+from surrofe2.plant_cell.forces import elastic_energy, fold_images, local_forces, make_workspace
 from surrofe2.plant_cell.neighbours import Near, Topology
+from surrofe2.plant_cell.pair_laws import Constants
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

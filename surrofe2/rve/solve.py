@@ -11,8 +11,8 @@ from surrofe2.base.compilation import one_blas_thread
 from surrofe2.base.simd import TILE, pack, put_points, take_points, unpack
 from surrofe2.base.tensors import rotation, transpose
 from surrofe2.law.stress_law import Array, Status, Tangents
-from surrofe2.plant_cell.forces import Constants
 from surrofe2.plant_cell.neighbours import Near, Topology
+from surrofe2.plant_cell.pair_laws import Constants
 from surrofe2.rve.constrained_runs import Stepping, iterate
 from surrofe2.rve.continuation import Continuation
 from surrofe2.rve.newton import SKIP, SOLVE, chord, newton

@@ -26,8 +26,8 @@ from surrofe2.plant_cell.arrangement import (
     make_arrangement,
     start_positions,
 )
-from surrofe2.plant_cell.forces import Constants, make_constants
 from surrofe2.plant_cell.neighbours import Near, Neighbours, Topology, make_neighbours
+from surrofe2.plant_cell.pair_laws import Constants, make_constants
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve.constrained_runs import Stepping, iterate
 from surrofe2.rve.newton import SOLVE, newton, renew

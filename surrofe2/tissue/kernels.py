@@ -25,12 +25,14 @@ from surrofe2.base.simd import TILE, load, spread, store, where_less
 from surrofe2.plant_cell.forces import (
     add_fluid_forces,
     add_pair,
-    contact,
-    contact_energy,
     difference,
     fluid_specific_volume,
     norm,
     pair_at,
+)
+from surrofe2.plant_cell.pair_laws import (
+    contact,
+    contact_energy,
     tension,
     wall,
     wall_energy,

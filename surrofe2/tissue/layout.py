@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from surrofe2.base.errors import InputError
 from surrofe2.base.simd import TILE, pack
 from surrofe2.plant_cell.arrangement import ReferenceState
-from surrofe2.plant_cell.forces import Constants, make_constants
+from surrofe2.plant_cell.pair_laws import Constants, make_constants
 from surrofe2.plant_cell.parameters import CellParameters
 
 Array = NDArray[np.float64]

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from surrofe2.base.compilation import pair_law, parallel_kernel
 from surrofe2.base.errors import SimulationError
 from surrofe2.base.simd import TILE, load, pack, tiles_for, unpack
-from surrofe2.plant_cell.forces import Constants
+from surrofe2.plant_cell.pair_laws import Constants
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.tissue.layout import Tissue, shares, wall_grid
 

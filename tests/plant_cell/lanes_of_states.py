@@ -7,8 +7,9 @@ import numpy as np
 from surrofe2.base.simd import TILE
 from surrofe2.plant_cell import derivatives, forces
 from surrofe2.plant_cell.arrangement import start_positions
-from surrofe2.plant_cell.forces import Workspace, make_constants
+from surrofe2.plant_cell.forces import Workspace
 from surrofe2.plant_cell.neighbours import make_neighbours
+from surrofe2.plant_cell.pair_laws import make_constants
 from surrofe2.plant_cell.parameters import CellParameters
 from tests.plant_cell.twin import Twin
 

@@ -8,7 +8,7 @@ from scipy.integrate import quad
 from surrofe2.base.simd import TILE, load, pack, store, unpack
 from surrofe2.plant_cell import forces
 from surrofe2.plant_cell.derivatives import add_stiffness_rates
-from surrofe2.plant_cell.forces import spline, spline_curvature, spline_slope
+from surrofe2.plant_cell.pair_laws import spline, spline_curvature, spline_slope
 from tests.numerics import assert_near, differences, slope_along
 from tests.plant_cell.lanes_of_states import Patch
 
