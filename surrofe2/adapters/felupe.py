@@ -15,12 +15,10 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags
 from surrofe2.base.errors import SimulationError
 from surrofe2.law.stress_law import StressLaw, StressResponse, describe, require_tangents
-
-Array = NDArray[np.float64]
 
 
 class _Answer(NamedTuple):
@@ -54,7 +52,7 @@ class FelupeMaterial:
     def __init__(self, law: StressLaw) -> None:
         require_tangents(law, "law")
         self.law, self.dt = law, np.inf
-        self.left_bifurcation: NDArray[np.bool_] | None = None
+        self.left_bifurcation: Flags | None = None
         self.x: list[Array] = [np.eye(2), np.zeros(4)]
         self._state: Any = None
         self._last: _Answer | None = None
@@ -104,7 +102,7 @@ class FelupeMaterial:
         self._report(response.left_bifurcation)
         return self._last
 
-    def _report(self, left: NDArray[np.bool_] | None) -> None:
+    def _report(self, left: Flags | None) -> None:
         if left is None:
             return
         known = np.zeros_like(left) if self.left_bifurcation is None else self.left_bifurcation

@@ -27,6 +27,7 @@ from micro_manager import MicroSimulationInterface
 from numpy.typing import NDArray
 
 from surrofe2.adapters.felupe import require_stress
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import (
     StressLaw,
@@ -39,8 +40,6 @@ from surrofe2.recipe.recipe import Recipe, load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow.laws import choose_law, true_law
-
-Array = NDArray[np.float64]
 
 RECIPE, POINTS = "SURROFE2_RECIPE", "SURROFE2_POINTS"
 _ROWS = (1, 2)

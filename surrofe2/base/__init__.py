@@ -3,6 +3,7 @@
 In reading order:
 
     public_names     what packages offer, loaded on request
+    arrays           what annotations call arrays
     units            µm, µs, ng and what follows from them
     errors           what is raised, one sentence each
     settings         bounds of settings, stated once at the field

@@ -10,15 +10,13 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import InputError
 from surrofe2.base.interruption import held
 from surrofe2.base.settings import check_settings, setting
 from surrofe2.base.tensors import INPUTS, transpose, unrotated
 from surrofe2.base.units import RATE
-
-Array = NDArray[np.float64]
 
 NEAREST = 0.03
 """Of the size of a sample: how near to rest it is drawn, at most."""
@@ -100,7 +98,7 @@ def training_points(
     return np.eye(2) + share * (F - np.eye(2)), share * F_dot
 
 
-def contains(range: SamplingRange, F: Array, F_dot: Array) -> NDArray[np.bool_]:
+def contains(range: SamplingRange, F: Array, F_dot: Array) -> Flags:
     """(n,) whether U and RᵀḞ of each point are within the range; False where anything is NaN."""
     F, F_dot = np.asarray(F, dtype=np.float64), np.asarray(F_dot, dtype=np.float64)
     (lower, upper), slack = range.ends, SLACK * np.array([1.0, 1.0, 1.0, *[range.rate] * 4])
@@ -120,9 +118,7 @@ def _quantities(F: Array, F_dot: Array) -> Array:
     return np.concatenate([U.reshape(-1, 4)[:, [0, 3, 1]], A.reshape(-1, 4)], axis=1)
 
 
-def farthest_out(
-    range: SamplingRange, F: Array, F_dot: Array
-) -> tuple[NDArray[np.int64], Array, Array]:
+def farthest_out(range: SamplingRange, F: Array, F_dot: Array) -> tuple[Index, Array, Array]:
     """Which of `QUANTITIES` is farthest beyond its bound, by its half width, at n finite points.
 
     Returns:

@@ -29,6 +29,7 @@ from numba.core.typing.templates import ConcreteTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, models, register_model
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Index
 from surrofe2.base.compilation import FAST, compiled
 
 TILE = 8
@@ -54,14 +55,12 @@ def unpack(tiles: NDArray[Any], points: int) -> NDArray[Any]:
     return np.ascontiguousarray(lanes.reshape(-1, *lanes.shape[2:])[:points])
 
 
-def take_points(tiles: NDArray[Any], index: NDArray[np.intp]) -> NDArray[Any]:
+def take_points(tiles: NDArray[Any], index: Index) -> NDArray[Any]:
     """The points `index` of packed `tiles`, packed."""
     return pack(tiles[index // TILE, ..., index % TILE])
 
 
-def put_points(
-    tiles: NDArray[Any], index: NDArray[np.intp], part: NDArray[Any], row: NDArray[np.intp]
-) -> None:
+def put_points(tiles: NDArray[Any], index: Index, part: NDArray[Any], row: Index) -> None:
     """Overwrite the points `index` of packed `tiles` by the points `row` of packed `part`."""
     tiles[index // TILE, ..., index % TILE] = part[row // TILE, ..., row % TILE]
 

@@ -9,9 +9,8 @@ and a product of inputs has the sign of one component, its parity.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from surrofe2.base.arrays import Array, Index
 
 SUM, DIFFERENCE, SHEAR, SPIN = 0, 1, 2, 3
 COMPONENTS = ("sum", "difference", "shear", "spin")
@@ -32,7 +31,7 @@ def parity(product: tuple[int, ...]) -> int:
     return int(np.flatnonzero((signs == COMPONENT_SIGNS.T).all(axis=1))[0])
 
 
-def canonical_image(x: Array) -> NDArray[np.intp]:
+def canonical_image(x: Array) -> Index:
     """(n,) the image of each state (n, 7) whose difference and shear of U are at least 0."""
     turned = x[:, DIFFERENCE] < 0.0
     shear = np.where(turned, -x[:, SHEAR], x[:, SHEAR])

@@ -16,11 +16,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError, shortened
-
-Array = NDArray[np.float64]
 
 INPUTS = 7
 """Length of x."""

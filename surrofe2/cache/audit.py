@@ -15,15 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.simd import TILE
 from surrofe2.base.tensors import stress_error
-from surrofe2.cache.branches import Indices, are_unique
+from surrofe2.cache.branches import are_unique
 from surrofe2.cache.protocols import Fallback, Surrogate
 from surrofe2.cache.trust import AUDITS, wrong_at_most
 from surrofe2.law.stress_law import StressResponse, state_arrays, state_of
 from surrofe2.run.journal import part_of, within
-
-Array = NDArray[np.float64]
 
 BATCH = 16
 """Audits that wait for each other: RVEs are solved several at once for little more than one."""
@@ -59,9 +58,7 @@ class ErrorRecord:
     bins: list[int] = field(default_factory=lambda: [0] * (len(_EDGES) + 1))
     worst: Mapping[str, Any] | None = None
 
-    def add(
-        self, asked: Question, truth: StressResponse, local: Array
-    ) -> tuple[Array, NDArray[np.bool_]]:
+    def add(self, asked: Question, truth: StressResponse, local: Array) -> tuple[Array, Flags]:
         """Record what was asked and the truth, with (k,) local tolerances, shares of the whole:
         errors (k,), NaN where there is no truth, and which of them are violations."""
         error = stress_error(asked.stress, truth.stress) / local
@@ -134,8 +131,8 @@ class Question(NamedTuple):
     """Answers of the cache to be audited: accepted `step`s before, `points`, what was asked and
     answered (k, 2, 2), risk, and the `draw` u by which they were chosen."""
 
-    step: NDArray[np.int64]
-    points: Indices
+    step: Index
+    points: Index
     F: Array
     F_dot: Array
     stress: Array
@@ -162,7 +159,7 @@ class Finding(NamedTuple):
     asked: Question
     truth: StressResponse
     error: Array
-    broken: NDArray[np.bool_]
+    broken: Flags
 
 
 class Audit:
@@ -187,12 +184,12 @@ class Audit:
         self._random = np.random.default_rng(seed)
         self._waiting = self._spare = NO_QUESTION
         self._below = 1.0  # u of answers that may still be among the remembered
-        self._last: tuple[Indices, Array, Any] | None = None
+        self._last: tuple[Index, Array, Any] | None = None
 
     def choose(
         self,
         step: int,
-        points: Indices,
+        points: Index,
         F: Array,
         F_dot: Array,
         stress: Array,

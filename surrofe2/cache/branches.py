@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.tensors import to_inputs
 from surrofe2.cache.protocols import Fallback, Surrogate
 from surrofe2.cache.trust import RETURN, STAY
 from surrofe2.law.stress_law import Status, state_arrays, state_of
 from surrofe2.run.journal import part_of, within
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 NOT_TRUSTED = np.int8(Status.NOT_TRUSTED)
 
@@ -30,14 +28,14 @@ class PointSet:
         state: the fallback's state for the k points in this order, or None.
     """
 
-    points: Indices
+    points: Index
     why: NDArray[np.int8]
     state: Any = None
 
     def __len__(self) -> int:
         return len(self.points)
 
-    def only(self, chosen: NDArray[np.bool_]) -> PointSet:
+    def only(self, chosen: Flags) -> PointSet:
         places = chosen.nonzero()[0]
         if len(places) in (0, len(self)):
             return self if len(places) else NO_POINTS
@@ -103,7 +101,7 @@ class CachedState:
             before=(F, F_dot),
         )
 
-    def free(self) -> NDArray[np.bool_]:
+    def free(self) -> Flags:
         """(n,) the points that the surrogate may answer."""
         free = np.ones(self.count, dtype=bool)
         free[self.on_fallback.points] = False
@@ -147,7 +145,7 @@ def choose_branches(
     state: CachedState,
     limit: float,
     reach: Array,
-) -> tuple[NDArray[np.int8], Array, NDArray[np.int8], NDArray[np.bool_]]:
+) -> tuple[NDArray[np.int8], Array, NDArray[np.int8], Flags]:
     """Which points must leave the surrogate for the next step, and which may return to it.
 
     Returns:
@@ -202,6 +200,6 @@ def extrapolate(F: Array, F_dot: Array, before: tuple[Array, Array] | None) -> t
     )
 
 
-def are_unique(state: Any, count: int) -> NDArray[np.bool_]:
+def are_unique(state: Any, count: int) -> Flags:
     """(count,) False where, by the fallback's state, the stress is one of several."""
     return np.ones(count, dtype=np.bool_) if state is None else ~np.asarray(state.left_points)

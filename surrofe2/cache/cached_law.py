@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags
 from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import QUANTITIES, farthest_out
 from surrofe2.base.tensors import to_inputs
@@ -41,8 +42,6 @@ from surrofe2.law.stress_law import (
 )
 from surrofe2.run.journal import part_of, within
 from surrofe2.run.views import Facts, Viewed
-
-Array = NDArray[np.float64]
 
 FALLBACK, AUDIT = 0, 1
 """Why an RVE answered, see `OnTrueAnswer`."""
@@ -373,7 +372,7 @@ class CachedLaw(Viewed):
         self._keep(F[at], F_dot[at], answer, FALLBACK, np.ones(len(at), dtype=np.bool_))
 
     def _keep(
-        self, F: Array, F_dot: Array, answer: StressResponse, why: int, is_news: NDArray[np.bool_]
+        self, F: Array, F_dot: Array, answer: StressResponse, why: int, is_news: Flags
     ) -> None:
         """Give RVE answers to whoever keeps them, and what is news to the table."""
         unique, status = are_unique(answer.state, len(F)), answer.status

@@ -8,12 +8,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import MismatchError
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.law.stress_law import ResumableLaw, Tangents
 from surrofe2.plant_cell.parameters import CellParameters
-
-Array = NDArray[np.float64]
 
 MOST_SPREAD = 2.0
 """Of trained surrogates the ratio is within 1 ± 0.01."""
@@ -37,7 +36,7 @@ class Surrogate(Protocol):
         """How its RVE was initialised."""
 
     @property
-    def density(self) -> float | NDArray[np.float64]:
+    def density(self) -> float | Array:
         """Mass per reference area, ng/µm²."""
 
     @property

@@ -20,11 +20,8 @@ from typing import Any
 
 import numpy as np
 import scipy  # scipy.special is loaded where a window has more violations than `VIOLATIONS`
-from numpy.typing import NDArray
 
 from surrofe2.base.tensors import INPUTS
-
-Array = NDArray[np.float64]
 
 WRONG, CONFIDENCE = 0.02, 0.95
 """W and C: a window of which 2 % of the answers are wrong stands with a probability of at most 5 %,

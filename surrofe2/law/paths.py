@@ -11,14 +11,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Index
 from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.base.tensors import cofactor
 from surrofe2.law.stress_law import StressLaw, StressResponse, describe, require_tangents
 
-Array = NDArray[np.float64]
-Entries = tuple[NDArray[np.int64], ...]
+Entries = tuple[Index, ...]
 Motion = Callable[[float], tuple[Array, Array]]
 """(F, Ḟ) (2, 2) at a time in µs; entries that are free are not looked at."""
 

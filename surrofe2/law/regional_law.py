@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Index
 from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import (
     AuditedLaw,
@@ -22,9 +23,6 @@ from surrofe2.law.stress_law import (
 )
 from surrofe2.run.journal import part_of, within
 from surrofe2.run.views import Facts, Viewed
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 class RegionalLaw(Viewed):

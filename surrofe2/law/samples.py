@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.run.views import Facts, Viewed
-
-Array = NDArray[np.float64]
 
 TANGENTS = ("P_by_F", "P_by_F_dot")
 
@@ -51,7 +50,7 @@ class StressSamples(Viewed):
     rest_length: float | None = None
     P_by_F: Array | None = None
     P_by_F_dot: Array | None = None
-    left_bifurcation: NDArray[np.bool_] | None = None
+    left_bifurcation: Flags | None = None
 
     def __post_init__(self) -> None:
         if (self.P_by_F is None) != (self.P_by_F_dot is None):
@@ -107,7 +106,7 @@ class StressSamples(Viewed):
             kept &= ~self.left_bifurcation
         return replace(self, left_bifurcation=None).at(kept)
 
-    def at(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> StressSamples:
+    def at(self, chosen: Flags | Index) -> StressSamples:
         """Those of the samples with these numbers, or where True."""
         arrays: dict[str, Any] = {k: array[chosen] for k, array in self._float_arrays.items()}
         left = None if self.left_bifurcation is None else self.left_bifurcation[chosen]

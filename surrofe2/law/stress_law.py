@@ -15,11 +15,9 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import InputError
 from surrofe2.base.tensors import cofactor
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 class Status(IntEnum):
@@ -137,7 +135,7 @@ class StressResponse:
     effort: Mapping[str, int] = field(default_factory=dict)
     tangents: Tangents | None = None
     switched: NDArray[np.int8] | None = None
-    left_bifurcation: NDArray[np.bool_] | None = None
+    left_bifurcation: Flags | None = None
     reasons: Mapping[int, str] = field(default_factory=dict)
     sources: Callable[[], Sources] | None = None
 

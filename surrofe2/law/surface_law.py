@@ -11,9 +11,8 @@ from __future__ import annotations
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from surrofe2.base.arrays import Array, Flags
 
 
 class SurfaceResponse(NamedTuple):
@@ -31,7 +30,7 @@ class SurfaceResponse(NamedTuple):
     rate_tangent: Array | None = None
 
     @property
-    def valid(self) -> NDArray[np.bool_]:
+    def valid(self) -> Flags:
         """(n,) whether there is an answer."""
         return ~np.isnan(self.tension)
 

@@ -25,15 +25,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse
 import skfem
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Index
 from surrofe2.base.compilation import kernel
 from surrofe2.base.errors import InputError
 from surrofe2.base.tensors import cofactor, det
 from surrofe2.problem.mesh import element_nodes, region, region_numbers
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 Matrix = Any
 """Of scipy.sparse."""
 

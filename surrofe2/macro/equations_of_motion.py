@@ -12,6 +12,7 @@ import numpy as np
 import scipy  # scipy.sparse is loaded where a matrix is factorised
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.compilation import clock
 from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import (
@@ -34,8 +35,6 @@ from surrofe2.macro.elements import (
 )
 from surrofe2.macro.forces import Slopes
 from surrofe2.macro.system import System
-
-Array = NDArray[np.float64]
 
 
 class Evaluation(NamedTuple):

@@ -18,8 +18,8 @@ from typing import Any, Protocol
 import numpy as np
 import scipy.sparse
 import skfem
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Index
 from surrofe2.macro.elements import (
     Matrix,
     for_components,
@@ -40,8 +40,6 @@ from surrofe2.problem.mesh import boundary, element_nodes, region
 from surrofe2.problem.problem import Problem, label
 from surrofe2.problem.rigid_bodies import RigidBody, Shape, check_outside
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 Slopes = tuple[Matrix, Matrix]
 
 

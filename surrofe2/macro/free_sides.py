@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse  # scipy.spatial is loaded where sides are free
 import skfem
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Index
 from surrofe2.base.errors import InputError
 from surrofe2.law.surface_law import SurfaceLaw, SurfaceResponse
 from surrofe2.macro.elements import (
@@ -29,9 +29,6 @@ from surrofe2.macro.forces import Slopes
 from surrofe2.problem.conditions import FREE, Surface
 from surrofe2.problem.mesh import boundary, facet_nodes, region, region_numbers
 from surrofe2.problem.problem import SURFACE, Problem
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 _ALONG = 1.0
 """Degrees off the rows of plant cells up to which a side runs along them."""

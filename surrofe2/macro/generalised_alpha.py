@@ -16,8 +16,8 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 import scipy  # scipy.sparse is loaded where a step is implicit
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.law.stress_law import require_tangents
 from surrofe2.macro.equations_of_motion import (
     EquationsOfMotion,
@@ -27,8 +27,6 @@ from surrofe2.macro.equations_of_motion import (
 )
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.time_stepping import StepControl, StepResult
-
-Array = NDArray[np.float64]
 
 MAX_ITERATIONS = 12
 _ACCUMULATION = 25.0

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.compilation import clock, cpu_clock, kernel
 from surrofe2.law.stress_law import AuditedLaw, Sources
 from surrofe2.macro.elements import (
@@ -21,8 +21,6 @@ from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.system import System
 from surrofe2.macro.time_stepping import Stepper, StepResult
 from surrofe2.run.journal import Journal, RunState, frame_series
-
-Array = NDArray[np.float64]
 
 NO_EXTREMES = np.broadcast_to([[[[np.inf]]], [[[-np.inf]]]], (2, 4, 2, 2))
 """Of no point yet."""

@@ -10,10 +10,10 @@ from scipy.linalg import eig
 from scipy.sparse import block_diag, bmat, csc_matrix, identity
 from scipy.sparse.linalg import eigs
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.macro.rest import Rest
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 DENSE_LIMIT = 400

@@ -15,8 +15,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 import skfem
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.law.stress_law import StressLaw, require_tangents
 from surrofe2.macro.elements import Matrix, displacement_basis
@@ -35,8 +35,6 @@ from surrofe2.macro.system import System, system_of
 from surrofe2.problem.problem import Problem
 from surrofe2.run.journal import Journal, RunState, frame_series
 from surrofe2.run.loop import carry_out
-
-Array = NDArray[np.float64]
 
 MAX_HALVINGS = 10
 MAX_ITERATIONS = 20

@@ -10,8 +10,8 @@ from typing import Any
 import numba
 import numpy as np
 import skfem
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Index
 from surrofe2.base.compilation import clock, one_blas_thread
 from surrofe2.base.errors import MismatchError, SimulationError
 from surrofe2.base.units import LENGTH, NONE, RATE, STRESS, TIME, VELOCITY
@@ -28,8 +28,6 @@ from surrofe2.problem.problem import Problem
 from surrofe2.run.journal import curves_of, history_of, named_columns
 from surrofe2.run.loop import carry_out
 from surrofe2.run.views import Facts, ViewedRun, course
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -69,7 +67,7 @@ class MacroRun(ViewedRun):
         problem, law, settings: as `simulate` was given them."""
 
     nodes: Array
-    elements: NDArray[np.int64]
+    elements: Index
     rest: Array
     frames: Frames
     met: MetRange

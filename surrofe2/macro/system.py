@@ -16,8 +16,8 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 import skfem
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Index
 from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import StressLaw
 from surrofe2.macro.elements import Discretisation, Matrix, make_discretisation, n_points_of
@@ -33,9 +33,6 @@ from surrofe2.problem.problem import (
     supports_of,
     without_overlap,
 )
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 T = TypeVar("T", Contact, SurfaceForce)
 

@@ -17,13 +17,11 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import SimulationError
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, NoStress, Switched
 from surrofe2.macro.settings import MacroSettings
-
-Array = NDArray[np.float64]
 
 MAX_HALVINGS = 10
 NO_MEMORY: Array = np.empty(0)

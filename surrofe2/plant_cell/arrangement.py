@@ -26,11 +26,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tessellation import Edge, Shift, Tessellation, centroid, edge_of, squares
 
-Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Wall = tuple[int, Shift]
 """A wall particle and the lattice shift of its image."""

@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.compilation import kernel, pair_law
 from surrofe2.base.simd import TILE, load, spread, store
 
@@ -152,10 +153,10 @@ class Matrices(NamedTuple):
     slopes by F and Ḟ. step: (2n − 2, TILE).
     """
 
-    matrix: NDArray[np.float64]
-    columns: NDArray[np.float64]
-    no_columns: NDArray[np.float64]
-    step: NDArray[np.float64]
+    matrix: Array
+    columns: Array
+    no_columns: Array
+    step: Array
 
 
 @kernel

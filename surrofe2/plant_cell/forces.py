@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.compilation import kernel, pair_law
 from surrofe2.base.simd import TILE, inverse_root, load, spread, store
 from surrofe2.plant_cell.pair_laws import (
@@ -27,9 +27,6 @@ from surrofe2.plant_cell.pair_laws import (
     within,
 )
 
-Reals = NDArray[np.float64]
-
-
 # Pairs and their sums
 
 
@@ -39,12 +36,12 @@ class Workspace(NamedTuple):
     slope: (pairs, TILE) W′/|r| of fluid pairs; volume: (fluid, TILE) 1/ρ.
     """
 
-    z: Reals
-    x: Reals
-    v: Reals
-    f: Reals
-    slope: Reals
-    volume: Reals
+    z: Array
+    x: Array
+    v: Array
+    f: Array
+    slope: Array
+    volume: Array
 
 
 @kernel

@@ -18,16 +18,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.compilation import kernel
 from surrofe2.base.simd import TILE, any_less, load, put_points, store, take_points, where_less
 from surrofe2.plant_cell.arrangement import Arrangement, make_arrangement
 from surrofe2.plant_cell.block_matrices import dense_pattern, factorisation_work, make_pattern
 from surrofe2.plant_cell.parameters import CellParameters
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Ints = NDArray[np.int32]
-Index = NDArray[np.intp]
 
 SKIN = 0.2
 """How much farther than the cut-off contacts are listed, in cut-offs."""
@@ -332,7 +330,7 @@ def _contacts(
     return every, np.append(has_block, np.ones(len(every) - len(pairs), dtype=np.bool_))
 
 
-def _wall_pairs(position: Array, lattice: Array, reach: float) -> NDArray[np.int64]:
+def _wall_pairs(position: Array, lattice: Array, reach: float) -> Index:
     """(k, 4) pairs of wall particles within reach, each once."""
     height = abs(np.linalg.det(lattice)) / np.linalg.norm(lattice, axis=0)[::-1]
     extent = np.ptp(np.linalg.solve(lattice, position.T), axis=1)
@@ -354,7 +352,7 @@ def _all_pairs(rim: Ints) -> Ints:
     return np.column_stack([rim[p, 0], rim[q, 0], rim[q, 1:] - rim[p, 1:]])
 
 
-def _keys(pairs: NDArray[np.integer]) -> NDArray[np.int64]:
+def _keys(pairs: NDArray[np.integer]) -> Index:
     """One number for each pair (k, 4), the same whichever of the two comes first."""
     i, j, a, b = pairs.T.astype(np.int64)
     turned = (i > j) | ((i == j) & ((a < 0) | ((a == 0) & (b < 0))))
@@ -364,7 +362,7 @@ def _keys(pairs: NDArray[np.integer]) -> NDArray[np.int64]:
     return ((i << 32) | j) * _SHIFTS**2 + (a + _SHIFTS // 2) * _SHIFTS + b + _SHIFTS // 2
 
 
-def _is_outer(arrangement: Arrangement, pairs: Ints) -> NDArray[np.bool_]:
+def _is_outer(arrangement: Arrangement, pairs: Ints) -> Flags:
     """(k,) whether both particles of pairs (k, 4) lie along one outer wall."""
     of = np.pad(arrangement.outer, (0, arrangement.particles - arrangement.walls))
     i, j = of[pairs[:, :2]].T

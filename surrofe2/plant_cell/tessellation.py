@@ -14,9 +14,9 @@ from math import isqrt
 
 import numpy as np
 import scipy  # scipy.spatial is loaded where irregular cells need it
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from surrofe2.base.arrays import Array
+
 Shift = tuple[int, int]
 Corner = tuple[int, Shift]
 Edge = tuple[int, int, Shift]

@@ -11,9 +11,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from surrofe2.base.arrays import Index
 from surrofe2.base.errors import InputError, quoted
 from surrofe2.base.settings import build_kind, check_settings, check_value, setting
 from surrofe2.base.units import ACCELERATION, LENGTH
@@ -175,7 +173,7 @@ class Surface:
 
     law: SurfaceLaw | Mapping[str, SurfaceLaw]
     on: tuple[str, ...] | Literal["free"] = FREE
-    regions: Mapping[str, NDArray[np.int64]] | None = None
+    regions: Mapping[str, Index] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "on", checked_sides(self.on))

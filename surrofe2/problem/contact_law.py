@@ -14,11 +14,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numba.extending import overload, register_jitable
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.compilation import OPTIONS
 
-Real = TypeVar("Real", float, NDArray[np.float64])
+Real = TypeVar("Real", float, Array)
 formula = register_jitable(**OPTIONS)
 """Kernels may call it, too."""
 TINY = float(np.finfo(float).tiny)

@@ -20,12 +20,10 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import InputError, quoted
 from surrofe2.base.settings import build_only, check_settings, check_value, setting, with_kind
 from surrofe2.base.units import LENGTH
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 MOST_ELEMENTS = 10_000_000
 _ELEMENTS = skfem.ElementQuad1, skfem.ElementTriP1, skfem.ElementTriP2
@@ -37,7 +35,7 @@ class Part(ABC):
     __slots__ = ()
 
     @abstractmethod
-    def holds(self, points: Array) -> NDArray[np.bool_]:
+    def holds(self, points: Array) -> Flags:
         """(n,) whether each of the points (n, 2) is in it."""
 
     @staticmethod
@@ -57,7 +55,7 @@ class Box(Part):
     low: tuple[float, float]
     high: tuple[float, float]
 
-    def holds(self, points: Array) -> NDArray[np.bool_]:
+    def holds(self, points: Array) -> Flags:
         low, high = np.array(self.low), np.array(self.high)
         width = high - low
         slack = 1e-9 * np.max(width[np.isfinite(width)], initial=1.0)  # for rounding
@@ -87,7 +85,7 @@ class HalfPlane(Part):
         if not any(self.normal):
             raise InputError("half_plane.normal", f"{list(self.normal)}; it must not be zero")
 
-    def holds(self, points: Array) -> NDArray[np.bool_]:
+    def holds(self, points: Array) -> Flags:
         slack = 1e-9 * abs(points).max(initial=1.0)
         normal = np.array(self.normal) / np.linalg.norm(self.normal)
         return (points - np.array(self.through)) @ normal >= -slack
@@ -103,7 +101,7 @@ class Disc(Part):
     def __post_init__(self) -> None:
         check_settings(self, "circle")
 
-    def holds(self, points: Array) -> NDArray[np.bool_]:
+    def holds(self, points: Array) -> Flags:
         distance = np.linalg.norm(points - np.array(self.centre), axis=1)
         return distance <= self.radius * (1.0 + 1e-9)
 

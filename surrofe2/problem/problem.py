@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import skfem
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import InputError
 from surrofe2.problem.amplitude import ONE, Amplitude, Constant, Proportional
 from surrofe2.problem.conditions import (
@@ -37,8 +37,6 @@ from surrofe2.problem.mesh import (
 )
 from surrofe2.problem.rigid_bodies import RigidBody
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 Point = tuple[float, float]
 
 MOST_ROWS = 1_000_000
@@ -167,7 +165,7 @@ class Problem:
         places = self.places()
         return [name for name in self.mesh.boundaries or {} if name in places]
 
-    def cells_inside(self, name: str, cells: tuple[int, int], side: float) -> NDArray[np.bool_]:
+    def cells_inside(self, name: str, cells: tuple[int, int], side: float) -> Flags:
         """(n, m) which square plant cells of a `side` in µm have their middle in a region.
 
         Raises:

@@ -13,8 +13,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.compilation import kernel
 from surrofe2.base.errors import InputError, quoted
 from surrofe2.base.settings import (
@@ -30,7 +30,6 @@ from surrofe2.base.units import ACCELERATION, LENGTH, MASS, NONE
 from surrofe2.problem.amplitude import IN_TIME, ONE, Amplitude
 from surrofe2.problem.contact_law import gap
 
-Array = NDArray[np.float64]
 Outline = tuple[float, float, float, float, float, float]
 
 

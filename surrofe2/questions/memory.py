@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError
 from surrofe2.base.units import number
 from surrofe2.plant_cell.parameters import CellParameters
@@ -22,7 +22,6 @@ from surrofe2.run.charts import Curve, Panel
 from surrofe2.rve import RveLaw
 from surrofe2.rve.micro_integration import integrate_rve
 
-Array = NDArray[np.float64]
 Path = Callable[[float], tuple[Array, Array]]
 """(F, Ḟ) at a time in µs."""
 

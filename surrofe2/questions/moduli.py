@@ -17,16 +17,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
 from surrofe2.rve.particles import look_into
-
-Array = NDArray[np.float64]
 
 MODULI: Mapping[str, Callable[[Array], float]] = {
     "C11": lambda C: C[0, 0],

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Index
 from surrofe2.law.stress_law import Status
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.study import Study
@@ -20,8 +20,6 @@ from surrofe2.report.tables import Quantity, Table
 from surrofe2.run.charts import Curve, Panel
 from surrofe2.rve import RveLaw
 from surrofe2.rve.continuation import seek
-
-Array = NDArray[np.float64]
 
 CATEGORIES = (
     "stable",
@@ -94,7 +92,7 @@ def stability(
     )
 
 
-def categories(cell: CellParameters, F: Array) -> NDArray[np.int_]:
+def categories(cell: CellParameters, F: Array) -> Index:
     """Index into `CATEGORIES` (m,) of the elastic equilibrium at each F (m, 2, 2)."""
     answer = RveLaw(cell, initialisation="elastic").respond(F, np.zeros_like(F))
     category = np.full(len(F), FAILED)

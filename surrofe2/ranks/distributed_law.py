@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import InputError
 from surrofe2.base.simd import TILE, tiles_for
 from surrofe2.law.stress_law import (
@@ -21,8 +22,6 @@ from surrofe2.law.stress_law import (
 from surrofe2.ranks.driver import Driver, Worker, driver_at_work
 from surrofe2.rve.rve_law import RveLaw
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 LEAST = 16
 """Tiles of a rank: fewer RVEs are solved sooner than they are sent, as those of an audit are."""
 PIECE = 4096
@@ -41,7 +40,7 @@ class RankState:
         number: by which ranks know it, as long as this object lives.
     """
 
-    def __init__(self, law: DistributedLaw, owner: Index, left: NDArray[np.bool_]) -> None:
+    def __init__(self, law: DistributedLaw, owner: Index, left: Flags) -> None:
         self.law, self.owner, self.left_points = law, owner, left
         self.number = next(law.driver.numbers)
 
@@ -74,9 +73,7 @@ class RankState:
         number[index], row[index] = part.number, part.rows()
         return self._joined(owner, left, number, row)
 
-    def _joined(
-        self, owner: Index, left: NDArray[np.bool_], number: Index, row: Index
-    ) -> RankState:
+    def _joined(self, owner: Index, left: Flags, number: Index, row: Index) -> RankState:
         """The state whose points are these rows of the states of these numbers, on their ranks."""
         after = RankState(self.law, owner, left)
         places = ((after.number, number[own], row[own]) for own in after.shares())

@@ -24,8 +24,8 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 import skfem
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Flags, Index
 from surrofe2.base.errors import FileError, InputError, quoted, shortened
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.base.settings import (
@@ -55,7 +55,6 @@ from surrofe2.surrogate.settings import CalibrationSettings, TrainingSettings
 from surrofe2.tissue.settings import TissueSettings
 
 T = TypeVar("T")
-Index = NDArray[np.int64]
 
 
 def _without(kind: type[T], key: str) -> Callable[[str, Any], T]:
@@ -355,7 +354,7 @@ def kinds_of_cells(
     known, side = problem.mesh.subdomains or {}, next(iter(types.values())).cell.cell_side
     kind = np.full(counts, -1)
 
-    def at(where: NDArray[np.bool_]) -> str:
+    def at(where: Flags) -> str:
         x, y = side * (np.argwhere(where)[0] + 0.5)
         return f"({x:g}, {y:g}) µm"
 

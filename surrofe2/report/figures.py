@@ -13,14 +13,12 @@ from matplotlib.collections import Collection, LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape
 from surrofe2.run.charts import VERMILION
 from surrofe2.rve.particles import Particles
 from surrofe2.store.fields import StoredFields
-
-Array = NDArray[np.float64]
 
 MARGIN = 0.08
 """Room about a tissue with bodies, as a fraction of its size."""

@@ -21,8 +21,8 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.base.units import number
 from surrofe2.law.stress_law import SURROGATE, TABLE, Status
@@ -47,7 +47,6 @@ from surrofe2.store.fields import DISPLACEMENT_NAME, FIELDS, SOURCE_NAME, Stored
 from surrofe2.store.run_folder import EVENTS, StoredRun, read_run
 from surrofe2.store.store import check_replaceable, flat, read_bytes, write_text
 
-Array = NDArray[np.float64]
 RunFields = tuple[StoredRun, StoredFields | None]
 """A run and its fields, None where its folder has none."""
 

@@ -12,13 +12,13 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from surrofe2.base.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 # The palette of Okabe and Ito, told apart by readers of every colour vision.
 BLUE, SKY, GREEN = "#0072B2", "#56B4E9", "#009E73"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError
 
 
@@ -14,8 +14,8 @@ from surrofe2.base.errors import InputError
 class DisplacementCurve:
     """t: (m,) µs, increasing; displacement: (m, 2) µm."""
 
-    t: NDArray[np.float64]
-    displacement: NDArray[np.float64]
+    t: Array
+    displacement: Array
 
     def __post_init__(self) -> None:
         if self.t.ndim != 1 or self.displacement.shape != (self.t.size, 2):

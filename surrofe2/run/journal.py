@@ -9,10 +9,9 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError
 from surrofe2.run.displacement_curve import DisplacementCurve
-
-Array = NDArray[np.float64]
 
 _HISTORY = ("mean displacement", "force", "position", "penetration")
 

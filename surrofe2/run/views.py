@@ -11,14 +11,13 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError
 from surrofe2.base.units import ENERGY, FORCE, LENGTH
 from surrofe2.run.charts import Curve, Panel, draw_panels, encoded
 from surrofe2.run.displacement_curve import DisplacementCurve
 
-Array = NDArray[np.float64]
 Facts = Mapping[str, object]
 
 

@@ -27,8 +27,8 @@ from typing import NamedTuple
 import numba
 import numpy as np
 import scipy  # scipy.linalg is loaded where an RVE leaves its branch
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, load, pack, spread, store, unpack, where_less
 from surrofe2.base.tensors import rotation, transpose
@@ -44,11 +44,6 @@ from surrofe2.plant_cell.neighbours import Topology
 from surrofe2.rve.newton import ASTRAY, SEEK, SEEK_LIMIT, move, set_elastic_jacobian
 from surrofe2.rve.rve_state import place, place_images
 from surrofe2.rve.unit_cell import Equilibria, UnitCell, relax
-
-Reals = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Index = NDArray[np.intp]
-Counts = NDArray[np.int_]
 
 LONGEST, SHORTEST = 0.05, 0.004
 """Longest step, and the one that is not halved any further: largest change of an entry of F."""
@@ -88,7 +83,7 @@ class Continuation:
         unstable: (m,) whether the last equilibrium met was unstable.
     """
 
-    def __init__(self, unit: UnitCell, tolerance: float, start: Reals, end: Reals, z: Reals):
+    def __init__(self, unit: UnitCell, tolerance: float, start: Array, end: Array, z: Array):
         self.unit, self.tolerance = unit, tolerance
         self.start, self.end = rotation(end) @ transpose(rotation(start)) @ start, end
         self.z, self.done = z.copy(), np.zeros(len(z))
@@ -136,7 +131,7 @@ class Continuation:
             keeps_on[stuck] &= good[stuck]
             active = active[keeps_on]
 
-    def _next(self, active: Index) -> tuple[Reals, Equilibria, Flags]:
+    def _next(self, active: Index) -> tuple[Array, Equilibria, Flags]:
         """The next step of the `active` points, halved as often as a tile has room to try at once.
 
         Returns:
@@ -159,8 +154,8 @@ class Continuation:
         return F[every, taken], trial.take(tries * every + taken), good[every, taken]
 
     def _leave(
-        self, F: Reals, z: Reals, trial: Equilibria, spare: Counts
-    ) -> tuple[Reals, Flags, Counts]:
+        self, F: Array, z: Array, trial: Equilibria, spare: Index
+    ) -> tuple[Array, Flags, Index]:
         """z of points in a stable state, whether there is one, and how many steps down it took.
 
         Down from the unstable equilibrium, or, where none was found or it lies far off, from the
@@ -176,7 +171,7 @@ class Continuation:
         return there, found, tried
 
 
-def seek(unit: UnitCell, F: Reals, z: Reals, tolerance: float) -> Equilibria:
+def seek(unit: UnitCell, F: Array, z: Array, tolerance: float) -> Equilibria:
     """Elastic equilibria near z (m, 2, n) by Newton's method; iterations, however it ends."""
     skin = 2.0 * ASTRAY * np.linalg.norm(F, axis=(1, 2)).max()
     topology = unit.neighbours.near(pack(F), pack(z), skin).topology
@@ -185,12 +180,12 @@ def seek(unit: UnitCell, F: Reals, z: Reals, tolerance: float) -> Equilibria:
     return found._replace(iterations=count)
 
 
-def _jumped(z: Reals, before: Reals) -> Flags:
+def _jumped(z: Array, before: Array) -> Flags:
     jumped: Flags = np.abs(z - before).max(axis=(1, 2)) > JUMP
     return jumped
 
 
-def _paired(topology: Topology, F: Reals, z: Reals) -> Flags:
+def _paired(topology: Topology, F: Array, z: Array) -> Flags:
     """(m,) whether two fluid particles of an RVE at F (m, 2, 2) and z (m, 2, n) have met.
 
     That is SPH's pairing instability. The model's forces between fluid particles vanish with their
@@ -198,7 +193,7 @@ def _paired(topology: Topology, F: Reals, z: Reals) -> Flags:
     """
     i, j = topology.fluid_pairs.T
     apart = F @ (z[:, :, i] - z[:, :, j])
-    nearest: Reals = (apart * apart).sum(axis=1).min(axis=1, initial=np.inf)
+    nearest: Array = (apart * apart).sum(axis=1).min(axis=1, initial=np.inf)
     return nearest < PAIRED**2
 
 
@@ -210,11 +205,11 @@ class Found(NamedTuple):
     nearest: (tiles, 1, TILE) smallest square of a distance of fluid particles, µm².
     """
 
-    energy: Reals
+    energy: Array
     falls: Flags
-    forces: Reals
-    slope: Reals
-    nearest: Reals
+    forces: Array
+    slope: Array
+    nearest: Array
 
 
 @parallel_kernel
@@ -272,8 +267,8 @@ def _go_down_tile(F, z, step, topology, c, found):
 
 
 def descend(
-    unit: UnitCell, F: Reals, z: Reals, most: Counts | int = STEPS
-) -> tuple[Reals, Flags, Counts]:
+    unit: UnitCell, F: Array, z: Array, most: Index | int = STEPS
+) -> tuple[Array, Flags, Index]:
     """From z (m, 2, n) at F (m, 2, 2) down to a minimum of E, in at most so many steps.
 
     Returns:
@@ -317,7 +312,7 @@ def descend(
     return z, found, tried
 
 
-def _step(F: Reals, forces: Reals, values: Reals) -> tuple[Reals, bool]:
+def _step(F: Array, forces: Array, values: Array) -> tuple[Array, bool]:
     """(2n − 2,) Newton's step, or the kick out of a saddle at rest; whether this is a minimum."""
     hessian = values.reshape(len(forces), -1)
     resting = bool(_lengths(forces[None]).mean() < RESTING)
@@ -332,7 +327,7 @@ def _step(F: Reals, forces: Reals, values: Reals) -> tuple[Reals, bool]:
     return step, False
 
 
-def over_saddle(F: Reals, forces: Reals, hessian: Reals, resting: bool) -> Reals:
+def over_saddle(F: Array, forces: Array, hessian: Array, resting: bool) -> Array:
     """H⁻¹ f with the sign of the unstable modes turned, or, `resting`, the kick along these."""
     # The unstable modes alone: all of them take twice as long, and a solution does for the others.
     stiffness, modes = scipy.linalg.eigh(
@@ -351,8 +346,8 @@ def over_saddle(F: Reals, forces: Reals, hessian: Reals, resting: bool) -> Reals
     return step + modes @ (turned * (modes.T @ forces))
 
 
-def _lengths(vectors: Reals) -> Reals:
+def _lengths(vectors: Array) -> Array:
     """(m, n − 1) of vectors (m, 2n − 2)."""
     pairs = vectors.reshape(len(vectors), vectors.shape[1] // 2, 2)
-    lengths: Reals = np.sqrt((pairs * pairs).sum(axis=2))
+    lengths: Array = np.sqrt((pairs * pairs).sum(axis=2))
     return lengths

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.compilation import kernel
 from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.base.simd import TILE, load, store
@@ -21,7 +21,6 @@ from surrofe2.rve.constrained_runs import set_moving_images
 from surrofe2.rve.rve_law import RveLaw
 from surrofe2.rve.rve_state import Drive, cauchy_stress, drive_of, map_affine
 
-Array = NDArray[np.float64]
 Path = Callable[[float], tuple[Array, Array]]
 """t in µs to F and Ḟ, each (2, 2)."""
 

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags
 from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.block_matrices import (
@@ -50,9 +50,6 @@ from surrofe2.rve.rve_state import (
     map_affine,
     set_images,
 )
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 CHORD_LIMIT, NEWTON_LIMIT, SEEK_LIMIT = 10, 40, 16
 CONTRACTION = 0.5

@@ -13,16 +13,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError, SimulationError, quoted
 from surrofe2.base.tensors import cofactor
 from surrofe2.law.paths import StressPath
 from surrofe2.law.stress_law import StressResponse, check_deformation, describe, require_tangents
 from surrofe2.rve.rve_law import RveLaw
 from surrofe2.rve.unit_cell import resettled
-
-Array = NDArray[np.float64]
 
 DASHPOTS = ("viscosity", "wall_damping_ratio", "contact_damping_ratio")
 PARAMETERS = (

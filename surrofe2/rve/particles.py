@@ -13,12 +13,10 @@ import numpy as np
 import scipy  # scipy.sparse is loaded where particles are looked at
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.plant_cell.arrangement import make_arrangement
 from surrofe2.plant_cell.neighbours import Topology
 from surrofe2.rve.unit_cell import UnitCell
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +56,7 @@ class Particles:
     stress: Array
     wall_stress: Array
     fluid_stress: Array
-    is_wall: NDArray[np.bool_]
+    is_wall: Flags
     fluid_cell: Index
     lattice: Array
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Flags, Index
 from surrofe2.base.errors import InputError
 from surrofe2.base.simd import TILE, pack, unpack
 from surrofe2.law.stress_law import Status, StressResponse, check_deformation, describe
@@ -211,9 +212,7 @@ class RveLaw(Viewed):
         response = replace(response, state=state)
         return self._leave(response, np.flatnonzero(lost)) if lost.any() else response
 
-    def _renewed(
-        self, state: RveState, tiles: NDArray[np.bool_]
-    ) -> tuple[RveState, NDArray[np.bool_]]:
+    def _renewed(self, state: RveState, tiles: Flags) -> tuple[RveState, Flags]:
         """The state with new factors of these tiles, and (tiles, TILE) which RVEs are stable."""
         factors, near = state.factors.renewed(tiles), state.near
         if near is None:
@@ -227,7 +226,7 @@ class RveLaw(Viewed):
             stable = renew(drive, state.z, factors, tiles, *law)
         return replace(state, factors=factors, near=near), stable
 
-    def _leave(self, response: StressResponse, index: NDArray[np.intp]) -> StressResponse:
+    def _leave(self, response: StressResponse, index: Index) -> StressResponse:
         """The answer with the points `index` in stable states, where there are any.
 
         They stay where they are if the elastic equilibrium beside them is stable all the same.

@@ -28,6 +28,7 @@ from numba.core import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.compilation import kernel, pair_law, parallel_kernel
 from surrofe2.base.simd import (
     TILE,
@@ -45,9 +46,6 @@ from surrofe2.plant_cell.forces import elastic_energy, fold_images, local_forces
 from surrofe2.plant_cell.neighbours import Near, Topology
 from surrofe2.plant_cell.pair_laws import Constants
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-
 SLOPES = 8
 _BYTES = 4
 _Pointer: Any = types.CPointer  # type: ignore[attr-defined]
@@ -63,7 +61,7 @@ class Factors:
     """
 
     blocks: tuple[NDArray[np.float32], ...]
-    address: NDArray[np.intp]
+    address: Index
 
     @classmethod
     def of(cls, blocks: Sequence[NDArray[np.float32]]) -> Factors:
@@ -170,7 +168,7 @@ class RveState:
     factors: Factors
     near: Near | None
     iterations: NDArray[np.int32]
-    left: NDArray[np.bool_]
+    left: Flags
     fluctuation: Array | None = None
     elastic: Array | None = None
     is_checked: bool = False
@@ -186,7 +184,7 @@ class RveState:
         return np.zeros_like(self.z) if self.fluctuation is None else self.fluctuation
 
     @property
-    def left_points(self) -> NDArray[np.bool_]:
+    def left_points(self) -> Flags:
         """(points,) `left`."""
         return unpack(self.left, self.points)
 
@@ -267,7 +265,7 @@ class Answer(NamedTuple):
     stress: Array
     residual: Array
     iterations: NDArray[np.int32]
-    stable: NDArray[np.bool_]
+    stable: Flags
 
 
 def empty_answer(tiles: int) -> Answer:

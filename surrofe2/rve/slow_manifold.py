@@ -24,8 +24,8 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.block_matrices import (
@@ -74,9 +74,9 @@ RATE_TOLERANCE = 10.0
 class Moving(NamedTuple):
     """Material positions, those of the elastic equilibrium, and v − L x; (tiles, 2, n, TILE)."""
 
-    z: NDArray[np.float64]
-    elastic: NDArray[np.float64]
-    fluctuation: NDArray[np.float64]
+    z: Array
+    elastic: Array
+    fluctuation: Array
 
 
 @kernel

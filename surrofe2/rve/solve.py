@@ -7,10 +7,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.compilation import one_blas_thread
 from surrofe2.base.simd import TILE, pack, put_points, take_points, unpack
 from surrofe2.base.tensors import rotation, transpose
-from surrofe2.law.stress_law import Array, Status, Tangents
+from surrofe2.law.stress_law import Status, Tangents
 from surrofe2.plant_cell.neighbours import Near, Topology
 from surrofe2.plant_cell.pair_laws import Constants
 from surrofe2.rve.constrained_runs import Stepping, iterate
@@ -29,9 +30,6 @@ from surrofe2.rve.settings import RveSettings
 from surrofe2.rve.slow_manifold import Moving, follow, newton_slow, renew_slow
 from surrofe2.rve.tangents import KINDS, affine_tangents, slow_tangents
 from surrofe2.rve.unit_cell import UnitCell
-
-Index = NDArray[np.intp]
-Flags = NDArray[np.bool_]
 
 NEAR = 0.01
 """|F − I| up to which the reference's own factors are tried at a cold start."""

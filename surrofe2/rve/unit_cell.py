@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy  # scipy.optimize and scipy.linalg are loaded where a state has to be settled
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import InputError
 from surrofe2.base.simd import TILE, pack, tiles_for, unpack
 from surrofe2.plant_cell.arrangement import (
@@ -38,9 +38,6 @@ from surrofe2.rve.rve_state import (
     empty_answer,
     stored_energy,
 )
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 STARTS = TILE
 """Starts of irregular plant cells."""
@@ -180,11 +177,11 @@ class Equilibria(NamedTuple):
     z: Array
     stress: Array
     energy: Array
-    iterations: NDArray[np.int_]
+    iterations: Index
     found: Flags
     stable: Flags
 
-    def take(self, index: NDArray[np.intp]) -> Equilibria:
+    def take(self, index: Index) -> Equilibria:
         """Those of the points `index`."""
         return Equilibria._make(values[index] for values in self)
 

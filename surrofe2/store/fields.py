@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import FileError
 from surrofe2.store.hdf5 import Kind, reading, store_array, writing
 from surrofe2.store.store import write_text
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from surrofe2.rve.particles import Particles
     from surrofe2.tissue.simulation import ParticleFrames
 
-Array = NDArray[np.float64]
 Series = Mapping[str, NDArray[Any]]
 """Values over time by name: numbers (m, n), vectors (m, n, 2) or tensors (m, n, 2, 2)."""
 F_NAME, F_DOT_NAME = "deformation_gradient", "deformation_rate_1_per_us"
@@ -82,7 +82,7 @@ def write_particle_fields(
     folder: Path,
     position: Array,
     bonds: NDArray[np.integer],
-    is_wall: NDArray[np.bool_],
+    is_wall: Flags,
     frames: ParticleFrames,
 ) -> None:
     """Write fields.xdmf and fields.h5.
@@ -189,7 +189,7 @@ class StoredFields:
     """
 
     points: Array
-    cells: NDArray[np.int64]
+    cells: Index
     t: Array
     values: dict[str, Array]
 

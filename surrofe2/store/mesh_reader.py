@@ -20,11 +20,10 @@ from typing import Any
 import meshio
 import numpy as np
 import skfem
-from numpy.typing import NDArray
 from skfem.io.meshio import from_meshio
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from surrofe2.base.arrays import Array, Index
+
 Groups = dict[str, tuple[Index, ...]]
 """Cells of each block by the name of a group."""
 

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.compilation import Meter, cache_folder
 from surrofe2.base.errors import FileError, InputError
 from surrofe2.base.sampling import SEQUENCE, SamplingRange
@@ -41,7 +42,6 @@ from surrofe2.store.hdf5 import (
 )
 from surrofe2.store.store import check_replaceable, check_same, file_lock, flat, locked_file
 
-Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]
 
 INTERVAL = 5.0

@@ -10,8 +10,8 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError
 from surrofe2.base.simd import TILE
 from surrofe2.plant_cell.arrangement import ReferenceState, make_slab_arrangement
@@ -21,8 +21,6 @@ from surrofe2.plant_cell.neighbours import FARTHEST, make_neighbours
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve.rve_state import kept_factors
 from surrofe2.rve.unit_cell import UnitCell, equilibria_in, unit_around
-
-Array = NDArray[np.float64]
 
 GAP = FARTHEST + 1.0
 """Cut-offs between the images of a slab."""

@@ -9,8 +9,8 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags
 from surrofe2.base.errors import InputError
 from surrofe2.base.simd import pack, unpack
 from surrofe2.law.stress_law import Status, Tangents
@@ -22,8 +22,6 @@ from surrofe2.rve.rve_state import Drive
 from surrofe2.rve.settings import RveSettings
 from surrofe2.rve.solve import Solved, solve_rves
 from surrofe2.surface.slab import bend, make_slab
-
-Array = NDArray[np.float64]
 
 ROWS = 8
 """Plant cells across a slab; what its sides feel of each other falls to a fifth with each."""
@@ -47,7 +45,7 @@ class SideFree(NamedTuple):
     F_dot: Array
     P: Array
     slopes: Array
-    valid: NDArray[np.bool_]
+    valid: Flags
     follow: Array
 
 
@@ -108,7 +106,7 @@ def _solve_across(
 
 def _respond(
     law: RveLaw, along: Array, across: Array, rate: Array, across_rate: Array
-) -> tuple[Array, Tangents, NDArray[np.bool_]]:
+) -> tuple[Array, Tangents, Flags]:
     """P₁₁ and P₂₂ (n, 2), tangents, and where they are valid; λ₂ may be NaN."""
     known = np.isfinite(across) & (along > 0.0) & (across > 0.0)
     F = diagonal(np.where(known, along, 1.0), np.where(known, across, 1.0))
@@ -137,7 +135,7 @@ class SlabPoint(NamedTuple):
     resultant: Array
     bulk: SideFree
     solution: Solved
-    valid: NDArray[np.bool_]
+    valid: Flags
 
 
 class SlabLaw:

@@ -14,12 +14,11 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebder, chebpts1, chebvander
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError
 from surrofe2.law.surface_law import SurfaceLaw, SurfaceResponse
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.surface.slab_law import SlabLaw
-
-Array = NDArray[np.float64]
 
 TOLERANCE = 1e-4
 """Largest error of the tension over its spread."""

@@ -22,10 +22,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.special import bdtr
 
+from surrofe2.base.arrays import Array, Flags
 from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.base.tensors import INPUTS, stress_error, stress_spread
 from surrofe2.law.samples import StressSamples
@@ -39,8 +39,6 @@ from surrofe2.surrogate.domain import (
 )
 from surrofe2.surrogate.settings import CONFIDENCE, MARGIN
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
-
-Array = NDArray[np.float64]
 
 _LEAST_SCALE = 1e-2  # of the largest error: s soon is above this, on the way out from rest
 _LEAST_AT_REST = 1e-5  # and everywhere above this
@@ -132,7 +130,7 @@ def confidence(count: int, alpha: float) -> float:
     return min(CONFIDENCE, 1.0 - (1.0 - alpha) ** count)
 
 
-def errors_along(law: SurrogateLaw, truth: Truth) -> tuple[Array, NDArray[np.bool_]]:
+def errors_along(law: SurrogateLaw, truth: Truth) -> tuple[Array, Flags]:
     """(error (n,) in µN/µm, whether the surrogate answers (n,)) at the states of paths.
 
     The error is infinite where the surrogate answers and the full model has no stress. States that

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.base.tensors import INPUTS, stress_error
 from surrofe2.law.stress_law import Status, StressLaw, StressResponse
 from surrofe2.surrogate.settings import CORNERS, SMALL
 
-Array = NDArray[np.float64]
 State = tuple[Array, Array]
 
 CHUNK = 512  # histories asked at once: RVEs keep a warm start of each
@@ -44,7 +44,7 @@ class DeformationPaths:
     kind: str
     F: Array
     F_dot: Array
-    owner: NDArray[np.intp]
+    owner: Index
 
     @property
     def count(self) -> int:
@@ -74,12 +74,12 @@ class Truth:
     status: NDArray[np.int8]
 
     @property
-    def reached(self) -> NDArray[np.bool_]:
+    def reached(self) -> Flags:
         """(n,) whether no earlier state of the same history is without a stress; what follows
         says nothing: a run has ended there, or its RVE answers from beyond a bifurcation."""
         lost = self.status.reshape(len(self.paths.F), -1) != 0
         before = np.logical_or.accumulate(lost, axis=0)
-        reached: NDArray[np.bool_] = ~np.concatenate([np.zeros_like(lost[:1]), before[:-1]])
+        reached: Flags = ~np.concatenate([np.zeros_like(lost[:1]), before[:-1]])
         return reached.ravel()
 
 
@@ -199,7 +199,7 @@ def true_stress(
     return Truth(paths, stress.reshape(-1, 2, 2), status.reshape(-1))
 
 
-def _left(answer: StressResponse) -> NDArray[np.bool_]:
+def _left(answer: StressResponse) -> Flags:
     """(n,) whether points are beyond a bifurcation."""
     left = answer.left_bifurcation
     return np.zeros(len(answer.status), dtype=np.bool_) if left is None else left

@@ -25,16 +25,14 @@ from itertools import combinations, combinations_with_replacement
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import half_widths
 from surrofe2.base.square_symmetry import SUM, parity
 from surrofe2.base.tensors import INPUTS, check_arrays, to_inputs
 from surrofe2.law.samples import StressSamples
 from surrofe2.surrogate.products import STRETCH, Product, columns, monomials
-
-Array = NDArray[np.float64]
 
 COMPRESSION, NORM, NEAR, SQUARES = 8, 9, 10, 11
 """Numbers of the inputs that never fall on the way out from rest, see `all_inputs`; the squares are

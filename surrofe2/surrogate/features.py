@@ -19,15 +19,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError, quoted
 from surrofe2.base.sampling import SamplingRange, half_widths
 from surrofe2.base.square_symmetry import parity
 from surrofe2.base.tensors import INPUTS, check_arrays
 from surrofe2.surrogate.products import ONE, STRETCH, Product, monomials
-
-Array = NDArray[np.float64]
 
 SYMMETRIES = ("D4", "none")
 HIGHEST_DEGREE = 5
@@ -70,7 +68,7 @@ class Features(NamedTuple):
     monomials: tuple[tuple[Product, int], ...]
 
 
-def input_scale(range: SamplingRange) -> NDArray[np.float64]:
+def input_scale(range: SamplingRange) -> Array:
     """(7,) what the inputs of a network are divided by; a bound of 0 gives ½."""
     return 0.5 * half_widths(range)
 

@@ -17,6 +17,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Index
 from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.sampling import SLACK, SamplingRange
 from surrofe2.base.simd import (
@@ -61,8 +62,6 @@ from surrofe2.surrogate.products import (
     make_room,
 )
 
-Array = NDArray[np.float64]
-
 MANY = 2000
 """Points from which on more than one core pays."""
 _PART = 16 * BLOCK  # points that a core takes at a time
@@ -92,15 +91,15 @@ class NetworkArrays(NamedTuple):
     input_factor: Array
     output_factor: Array
     at_rest: Array
-    products: NDArray[np.int64]
-    begins: NDArray[np.int64]
-    heads: NDArray[np.int64]
-    group_begins: NDArray[np.int64]
-    rows: NDArray[np.int64]
+    products: Index
+    begins: Index
+    heads: Index
+    group_begins: Index
+    rows: Index
     coefficients: Array
-    kept: NDArray[np.int64]
-    components: NDArray[np.int64]
-    sizes: NDArray[np.int64]
+    kept: Index
+    components: Index
+    sizes: Index
     weights: Array
     biases: Array
 
@@ -152,11 +151,11 @@ class BoundArrays(NamedTuple):
     limits: Array
     factor: Array
     near: Array
-    products: NDArray[np.int64]
-    begins: NDArray[np.int64]
-    heads: NDArray[np.int64]
-    group_begins: NDArray[np.int64]
-    rows: NDArray[np.int64]
+    products: Index
+    begins: Index
+    heads: Index
+    group_begins: Index
+    rows: Index
     coefficients: Array
     at_rest: float
 

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.tensors import INPUTS
 from surrofe2.surrogate.features import BEND, COMPONENTS, NetworkParameters, make_features
 from surrofe2.surrogate.products import STRETCH, Product, columns
@@ -153,7 +153,7 @@ class StressNetwork(torch.nn.Module):
         """(n, m) of the baseline."""
         return products(x, [product for product, _ in self.features.monomials])
 
-    def rest_coefficients(self, slopes: torch.Tensor) -> NDArray[np.float64]:
+    def rest_coefficients(self, slopes: torch.Tensor) -> Array:
         """Coefficients that give the baseline these slopes (4, 7) at rest; NaN: of higher order."""
         P = slopes.numpy()
         entries = self.features.monomials

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import SimulationError
 from surrofe2.base.tensors import (
     det,
@@ -33,8 +33,6 @@ from surrofe2.law.stress_law import (
     describe,
     require_tangents,
 )
-
-Array = NDArray[np.float64]
 
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 _UNIT = from_components(np.eye(4))  # (4, 2, 2): tensors with one component 1

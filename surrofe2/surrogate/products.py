@@ -11,13 +11,12 @@ from itertools import combinations_with_replacement
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Index
 from surrofe2.base.compilation import kernel, pair_law
 from surrofe2.base.simd import TILE, load, spread, store
 from surrofe2.base.tensors import INPUTS
 
-Array = NDArray[np.float64]
 Product = tuple[int, ...]
 """Numbers of the inputs that are multiplied; an empty one is 1."""
 
@@ -71,13 +70,13 @@ class Polynomials(NamedTuple):
         kept: (k,) int64 rows that are read besides.
     """
 
-    products: NDArray[np.int64]
-    begins: NDArray[np.int64]
-    heads: NDArray[np.int64]
-    group_begins: NDArray[np.int64]
-    rows: NDArray[np.int64]
+    products: Index
+    begins: Index
+    heads: Index
+    group_begins: Index
+    rows: Index
     coefficients: Array
-    kept: NDArray[np.int64]
+    kept: Index
 
     @classmethod
     def of(

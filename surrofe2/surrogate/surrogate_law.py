@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.base.sampling import QUANTITIES, SamplingRange, farthest_out, out_of_range
 from surrofe2.base.square_symmetry import COMPONENTS
@@ -32,8 +33,6 @@ from surrofe2.surrogate.lookup import (
 )
 from surrofe2.surrogate.piola import to_cauchy, to_tangents
 from surrofe2.surrogate.settings import TrainingSettings
-
-Array = NDArray[np.float64]
 
 _ROUNDING = 1e-12  # of the largest spread: less is no spread
 _SOLVED = 1e-8  # of the spread of stress: stresses of RVEs are known no more exactly
@@ -139,7 +138,7 @@ class SurrogateLaw(Viewed):
         """Nothing is left to check or to commit."""
         return response
 
-    def in_range(self, F: Array, F_dot: Array) -> NDArray[np.bool_]:
+    def in_range(self, F: Array, F_dot: Array) -> Flags:
         """(n,) whether U and RᵀḞ are where the data are; False where not a number."""
         F, F_dot = (np.ascontiguousarray(tensors, dtype=np.float64) for tensors in (F, F_dot))
         return self.status_and_risk(F, F_dot)[0] == Status.OK

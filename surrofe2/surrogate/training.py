@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Index
 from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.base.tensors import INPUTS, to_inputs
 from surrofe2.law.samples import StressSamples
@@ -30,8 +30,6 @@ from surrofe2.surrogate.network import Shapes, StressNetwork, along
 from surrofe2.surrogate.piola import to_piola, to_slopes
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
-
-Array = NDArray[np.float64]
 
 LEAST_SAMPLES = 20
 ROUND = 100
@@ -232,7 +230,7 @@ class Data:
     slopes: torch.Tensor | None
     rest: torch.Tensor | None
 
-    def at(self, chosen: NDArray[np.int64]) -> Data:
+    def at(self, chosen: Index) -> Data:
         """Those of the samples with these numbers."""
         slopes = None if self.slopes is None else self.slopes[chosen]
         return Data(self.x[chosen], self.target[chosen], slopes, self.rest)

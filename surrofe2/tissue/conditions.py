@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import InputError
 from surrofe2.base.simd import pack
 from surrofe2.problem.amplitude import ONE, Amplitude
@@ -34,8 +34,6 @@ from surrofe2.tissue.external_forces import (
 )
 from surrofe2.tissue.layout import Tissue, shares
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 _LOADS = (BodyForce, Traction, Pressure, Foundation)
 STIFFNESS, SMOOTHING, SLIP = 4.0, 0.002, 1e-3
 """Of contact: by the wall stiffness over a spring's length, eight times what the wall along a
@@ -90,7 +88,7 @@ class Conditions:
         return without_overlap(supports, self.tissue.outline, "particle")
 
     @property
-    def held(self) -> NDArray[np.bool_]:
+    def held(self) -> Flags:
         """(particles, 2) components that supports take."""
         held = np.zeros((self.tissue.particles, 2), dtype=np.bool_)
         for support in self.supports:

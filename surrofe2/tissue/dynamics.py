@@ -6,8 +6,8 @@ from collections import Counter
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags
 from surrofe2.base.errors import SimulationError
 from surrofe2.base.simd import TILE
 from surrofe2.tissue.external_forces import (
@@ -21,8 +21,6 @@ from surrofe2.tissue.external_forces import (
 from surrofe2.tissue.kernels import Particles, Watch, elastic_energy, leap
 from surrofe2.tissue.layout import NOWHERE, Tissue
 from surrofe2.tissue.pair_lists import DAMPING, ELASTIC, WHOLE, Factors, PairLister
-
-Array = NDArray[np.float64]
 
 TILES_PER_THREAD = 4
 """For fewer, another thread is not worth the waiting for each other, twice a step."""
@@ -51,7 +49,7 @@ class TissueDynamics:
         tissue: Tissue,
         *,
         skin: float = 2.0,
-        held: NDArray[np.bool_] | None = None,
+        held: Flags | None = None,
         loads: Array | None = None,
         driven: DrivenParticles = NO_DRIVEN,
     ) -> None:

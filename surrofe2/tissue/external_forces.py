@@ -14,13 +14,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Index
 from surrofe2.base.compilation import kernel
 from surrofe2.problem.contact_law import friction, gap, pressure, stored
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _ITERATIONS = 50
 
@@ -34,8 +31,8 @@ class DrivenParticles(NamedTuple):
         before: (d,) velocity before a step, scratch. work: (1,) done so far, pJ.
     """
 
-    at: Ints
-    motion: Ints
+    at: Index
+    motion: Index
     largest: Array
     mass: Array
     before: Array
@@ -55,8 +52,8 @@ class OutlineForces(NamedTuple):
         total: (loads, 2) forces at the last step, µN. work: (loads,) so far, pJ.
     """
 
-    at: Ints
-    load: Ints
+    at: Index
+    load: Index
     pressure: Array
     offset: Array
     home: Array
@@ -87,8 +84,8 @@ class BodyContacts(NamedTuple):
             of dashpot and friction, µN, and velocity relative to the body.
     """
 
-    starts: Ints
-    at: Ints
+    starts: Index
+    at: Index
     length: Array
     offset: Array
     outline: Array
@@ -101,7 +98,7 @@ class BodyContacts(NamedTuple):
     depth: Array
     per_mass: Array
     pull: Array
-    motion: Ints
+    motion: Index
     largest: Array
     work: Array
     pressed: Array

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, load, spread, store, where_less
 from surrofe2.plant_cell.forces import (
@@ -49,8 +49,6 @@ from surrofe2.tissue.external_forces import (
     move_bodies,
 )
 from surrofe2.tissue.pair_lists import bond_at, contact_at, fluid_at
-
-Array = NDArray[np.float64]
 
 
 class Particles(NamedTuple):

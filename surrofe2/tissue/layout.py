@@ -24,16 +24,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import InputError
 from surrofe2.base.simd import TILE, pack
 from surrofe2.plant_cell.arrangement import ReferenceState
 from surrofe2.plant_cell.pair_laws import Constants, make_constants
 from surrofe2.plant_cell.parameters import CellParameters
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _ALIKE = (
     "cell_side", "wall_springs_per_side", "fluid_particles_per_side", "repulsion_cutoff",
@@ -63,13 +60,13 @@ class Tissue:
     types: tuple[CellParameters, ...]
     references: tuple[ReferenceState, ...]
     constants: tuple[Constants, ...]
-    kind: Ints
-    column_row: Ints
-    place: Ints
+    kind: Index
+    column_row: Index
+    place: Index
     start: Array
     mass: Array
     walls: int
-    address: Ints
+    address: Index
 
     @property
     def cell(self) -> CellParameters:
@@ -92,7 +89,7 @@ class Tissue:
         return len(self.address)
 
     @property
-    def is_wall(self) -> NDArray[np.bool_]:
+    def is_wall(self) -> Flags:
         """(particles,)."""
         return self.address[:, 1] < self.walls
 
@@ -119,7 +116,7 @@ class Tissue:
 
 
 def make_tissue(
-    types: Sequence[CellParameters], references: Sequence[ReferenceState], kind: Ints
+    types: Sequence[CellParameters], references: Sequence[ReferenceState], kind: Index
 ) -> Tissue:
     """A tissue whose plant cell (a, b) is of the type kind[a, b].
 
@@ -187,7 +184,7 @@ def make_tissue(
     )
 
 
-def wall_grid(cell: CellParameters, column_row: Ints) -> Ints:
+def wall_grid(cell: CellParameters, column_row: Index) -> Index:
     """(places, walls, 2) where own wall particles lie on the grid of springs."""
     per_side = cell.wall_springs_per_side
     along = np.arange(1, per_side)
@@ -196,7 +193,7 @@ def wall_grid(cell: CellParameters, column_row: Ints) -> Ints:
     return per_side * column_row[:, None] + own
 
 
-def shares(cell: CellParameters, filled: NDArray[np.bool_], column_row: Ints) -> Array:
+def shares(cell: CellParameters, filled: Flags, column_row: Index) -> Array:
     """(places, own) part of a particle that plant cells `filled` (n, m) have; 0 where none has."""
     present = np.pad(filled.astype(np.float64), 1)
     column, row = column_row.T

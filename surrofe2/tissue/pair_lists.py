@@ -32,15 +32,13 @@ import numpy as np
 import scipy  # scipy.spatial is loaded where a tissue is
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Index
 from surrofe2.base.compilation import pair_law, parallel_kernel
 from surrofe2.base.errors import SimulationError
 from surrofe2.base.simd import TILE, load, pack, tiles_for, unpack
 from surrofe2.plant_cell.pair_laws import Constants
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.tissue.layout import Tissue, shares, wall_grid
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 RINGS = 2
 """Walls of plant cells up to this many columns or rows apart are looked at."""
@@ -60,11 +58,11 @@ class PairKinds(NamedTuple):
         bonds: how many kinds are bonds.
     """
 
-    i: Ints
-    j: Ints
-    shift: Ints
-    shifts: Ints
-    axis: Ints
+    i: Index
+    j: Index
+    shift: Index
+    shifts: Index
+    axis: Index
     bonds: int
 
 
@@ -115,7 +113,7 @@ class PairConstants(NamedTuple):
 
     bonds: Array
     contacts: Array
-    row: Ints
+    row: Index
     fluid: Array
     cutoff: float
 
@@ -171,15 +169,15 @@ class Cells(NamedTuple):
         skin: how far particles of neighbouring cells may move against one another, µm.
     """
 
-    place: Ints
-    next_shifts: Ints
+    place: Index
+    next_shifts: Index
     exists: Array
     per_count: Array
     particles: int
     walls: int
     fluid_pairs: NDArray[np.int32]
     fluid_tiles: int
-    order: Ints
+    order: Index
     skin: float
 
 
@@ -194,12 +192,12 @@ class PairLists(NamedTuple):
         local: local particles of a tile, at most.
     """
 
-    starts: Ints
-    source: Ints
+    starts: Index
+    source: Index
     bonds: NDArray[np.int32]
     contacts: NDArray[np.int32]
-    fold: Ints
-    fold_source: Ints
+    fold: Index
+    fold_source: Index
     local: int
 
 
@@ -312,11 +310,11 @@ class PairLister:
         )
         return lists, self._constants(tile[~is_bond], kind[~is_bond])
 
-    def _starts(self, tile: Ints) -> Ints:
+    def _starts(self, tile: Index) -> Index:
         """(tiles + 1,) where each tile begins among rows whose ascending tiles are given."""
         return np.searchsorted(tile, np.arange(self._tissue.tiles + 1))
 
-    def _constants(self, tile: Ints, kind: Ints) -> PairConstants:
+    def _constants(self, tile: Index, kind: Index) -> PairConstants:
         """For listed contacts, which follow the bonds: the kind of each in its tile, in order."""
         kinds, here = self._kinds, tile[:, None] * TILE + np.arange(TILE)
         there = self.cells.place[tile, kinds.shift[kind]]
@@ -357,7 +355,7 @@ class PairLister:
             )
 
 
-def bonded_particles(tissue: Tissue) -> Ints:
+def bonded_particles(tissue: Tissue) -> Index:
     """(b, 2) numbers of the particles that wall springs join: neighbours on the grid of springs."""
     walls = tissue.outline[tissue.is_wall]
     at = np.rint(walls / tissue.cell.spring_length).astype(np.int64)
@@ -368,7 +366,7 @@ def bonded_particles(tissue: Tissue) -> Ints:
     return pairs[ahead >= 0]
 
 
-def _folded(particle: Ints, felt: Ints, nowhere: int) -> tuple[Ints, Ints]:
+def _folded(particle: Index, felt: Index, nowhere: int) -> tuple[Index, Index]:
     """(tile, own particle) as a number of each fold, ascending, and fold_source of `PairLists`.
 
     Row r of an own particle holds, lane by lane, the r-th image of it that exists; lanes with

@@ -16,16 +16,14 @@ from collections.abc import Callable
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import SimulationError
 from surrofe2.plant_cell.arrangement import ReferenceState
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.tissue.dynamics import TissueDynamics
 from surrofe2.tissue.layout import make_tissue
 from surrofe2.tissue.pair_lists import ELASTIC
-
-Array = NDArray[np.float64]
 
 STRETCH = 50
 """Steps between two estimates of the slowest mode."""

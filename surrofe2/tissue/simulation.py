@@ -19,8 +19,8 @@ from typing import ClassVar
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.compilation import clock
 from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.plant_cell.arrangement import ReferenceState
@@ -46,8 +46,6 @@ from surrofe2.tissue.pair_lists import bonded_particles
 from surrofe2.tissue.relaxation import LONGEST, OF_LIMIT, relax, rounded_step, stable_step
 from surrofe2.tissue.settings import TissueSettings
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 Cells = CellParameters | Sequence[CellParameters]
 References = ReferenceState | Sequence[ReferenceState]
 
@@ -122,8 +120,8 @@ class TissueRun(ViewedRun):
     """
 
     position: Array
-    bonds: NDArray[np.int64]
-    is_wall: NDArray[np.bool_]
+    bonds: Index
+    is_wall: Flags
     frames: ParticleFrames
     wall_time: dict[str, float]
     counts: dict[str, int]

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.compilation import clock, cpu_clock
 from surrofe2.base.errors import FileError, InputError, MismatchError, SimulationError
 from surrofe2.base.sampling import SamplingRange
@@ -33,8 +33,6 @@ from surrofe2.workflow import laws
 from surrofe2.workflow.generate import check_data
 from surrofe2.workflow.laws import law_by_region
 from surrofe2.workflow.train import is_trained
-
-Array = NDArray[np.float64]
 
 MARGIN = 0.2
 SECONDS = 10.0

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import FileError, InputError
 from surrofe2.base.sampling import SamplingRange, training_points
 from surrofe2.base.tensors import stress_error, stress_spread
@@ -41,7 +41,6 @@ from surrofe2.workflow.workers import in_pieces
 
 log = logging.getLogger(__name__)
 
-Array = NDArray[np.float64]
 Part = tuple[Array, Array, StressResponse]
 """F and Ḟ of some samples, and the answer there."""
 

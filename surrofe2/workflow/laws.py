@@ -16,9 +16,9 @@ from typing import Any
 import numba
 import numpy as np
 import skfem
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.compilation import Meter, cache_folder
 from surrofe2.base.errors import FileError, InputError, MismatchError
 from surrofe2.cache import CachedLaw, StressTable, sampled_spread
@@ -48,8 +48,6 @@ from surrofe2.store.tables import (
 from surrofe2.surface.slab_law import SlabLaw, rows_across
 from surrofe2.surface.tabulated import TabulatedSurface, table_within
 from surrofe2.surrogate.piola import QuadraticLaw
-
-Array = NDArray[np.float64]
 
 SURFACE_RANGE = 0.94, 1.04, 0.01
 """Lowest and highest stretch and rate (1/µs) of a surface table where the recipe has no range."""

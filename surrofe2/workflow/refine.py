@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Index
 from surrofe2.base.compilation import Meter
 from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.base.sampling import SamplingRange, neighbours, range_holding, sample
@@ -39,8 +39,6 @@ from surrofe2.workflow import laws
 from surrofe2.workflow.generate import CHUNK
 from surrofe2.workflow.run import HARVEST, of_cell, origin_of, run_study
 from surrofe2.workflow.train import STRESSES, Trained, learn, train_surrogate
-
-Array = NDArray[np.float64]
 
 ROUNDS, SURROGATE = "refine.json", "surrogate.h5"
 _NEW = "new.h5"
@@ -256,7 +254,7 @@ def _row(
 
 def unknown_states(
     harvest: Harvest | None, surrogate: Surrogate, allowed: float
-) -> tuple[NDArray[np.intp], float | None]:
+) -> tuple[Index, float | None]:
     """(rows of the harvest that were not known well enough, 99 % quantile of audited errors).
 
     A point also falls back where the surrogate knows its state but not what the step may come to;

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from surrofe2.base.arrays import Index
 from surrofe2.base.compilation import seconds_compiling
 from surrofe2.base.errors import InputError
 from surrofe2.base.units import time_text
@@ -25,7 +23,7 @@ from surrofe2.workflow.run import new_record
 
 def tissue_of(
     recipe: Recipe,
-) -> tuple[Problem, list[CellParameters], NDArray[np.int64]]:
+) -> tuple[Problem, list[CellParameters], Index]:
     """The problem of a recipe, its plant cells, and which of these each one is (n, m).
 
     Raises:

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Index
 from surrofe2.base.compilation import Meter
 from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.base.sampling import SamplingRange
@@ -66,7 +66,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-Array = NDArray[np.float64]
 FACTOR = (0.25, 1.5)
 """Of an amplitude or a velocity of a run that makes paths, uniform between."""
 PACE = (0.5, 2.0)
@@ -446,7 +445,7 @@ def _met_in_runs(
     `tissue` gives the law of all points by that of the surrogate's."""
     macro = replace(macro, frames=2, record_dissipation=False)
     met: list[State] = []
-    points: NDArray[np.int64] | None = None
+    points: Index | None = None
     system: System | None = None
 
     def note(F: Array, F_dot: Array) -> None:

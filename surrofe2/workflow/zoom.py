@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Index
 from surrofe2.base.errors import FileError, InputError
 from surrofe2.law.stress_law import describe
 from surrofe2.macro.elements import find_element
@@ -31,8 +31,6 @@ from surrofe2.store.fields import (
 from surrofe2.store.run_folder import RunRecord, read_record
 from surrofe2.store.store import locked_folder, write_bytes, write_columns
 from surrofe2.workflow.laws import true_law
-
-Array = NDArray[np.float64]
 
 FIELDS_OF_MOTION = (F_DOT_NAME, F_NAME)
 _AT_ONCE = 512
@@ -132,7 +130,7 @@ def recipes_of(record: RunRecord) -> dict[str, Recipe]:
     }
 
 
-def cell_numbers(motion: StoredFields, recipes: Mapping[str, Recipe]) -> NDArray[np.int64]:
+def cell_numbers(motion: StoredFields, recipes: Mapping[str, Recipe]) -> Index:
     """(e,) number of the recipe of each element's cell."""
     if len(recipes) == 1:
         return np.zeros(len(motion.cells), np.int64)

@@ -21,14 +21,13 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, any_less, load, root, spread, store, where_less
 from surrofe2.base.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, parity
 from surrofe2.base.tensors import INPUTS
 from surrofe2.cache.table.records import OUTPUTS, Records
 from surrofe2.law.stress_law import Status
-
-Array = NDArray[np.float64]
 
 
 def _parity(pair: tuple[int, int]) -> int:
@@ -64,7 +63,7 @@ def look_up(
     images: int,
     records: Any,
     screen: Any,
-) -> tuple[NDArray[np.float64], NDArray[np.int8], NDArray[np.float64]]:
+) -> tuple[Array, NDArray[np.int8], Array]:
     """(stress (n, 2, 2), status (n,), bound (n,)) as `StressTable.lookup` gives them, by the
     tolerance that is asked for and the table's own, and the `make_screen` of all records."""
     count = len(F)

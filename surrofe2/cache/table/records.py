@@ -22,13 +22,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Index
 from surrofe2.base.compilation import kernel
 from surrofe2.base.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
 from surrofe2.base.tensors import INPUTS, from_components, to_components, transpose
-
-Array = NDArray[np.float64]
 
 OUTPUTS = 4
 
@@ -48,7 +46,7 @@ class Records(NamedTuple):
     slope: Array
     curvature: Array
 
-    def take(self, index: NDArray[np.intp]) -> Records:
+    def take(self, index: Index) -> Records:
         return Records(*(part[index] for part in self))
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import SamplingRange, half_widths, sample
 from surrofe2.base.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonical_image
@@ -39,8 +40,6 @@ from surrofe2.cache.table.records import (
     update_ellipsoids,
 )
 from surrofe2.law.stress_law import Tangents
-
-Array = NDArray[np.float64]
 
 SPREAD_SAMPLES = 32
 """By them the spread is known within 0.3 % of that of 512 on all recipes."""
@@ -197,15 +196,15 @@ class StressTable:
         self.restore(Records(*(arrays[name] for name in Records._fields)))
         self.counts = Counter(dict(zip(self.counts, arrays["counts"].tolist(), strict=True)))
 
-    def _cover(self, x: Array, s: Array, records: Records) -> NDArray[np.bool_]:
+    def _cover(self, x: Array, s: Array, records: Records) -> Flags:
         """(m,) which RVE answers these records cover, after they have grown and shrunk by them."""
-        covered: NDArray[np.bool_]
+        covered: Flags
         at = self.images, records, self.tolerance, RULE
         covered, grown, shrunk = update_ellipsoids(x, s, *at)
         self.counts.update(grown=grown, shrunk=shrunk)
         return covered
 
-    def _apart(self, x: Array) -> NDArray[np.intp]:
+    def _apart(self, x: Array) -> Index:
         """Which of these points should become records at once: none in the ellipsoid of another,
         taken to be like that of the latest record; a first record comes alone."""
         if not self.size:
@@ -220,7 +219,7 @@ class StressTable:
             left = left[outside]
         return np.array(chosen, dtype=np.intp)
 
-    def _solved(self, x: Array, R: Array, state: Any, points: NDArray[np.intp]) -> Records:
+    def _solved(self, x: Array, R: Array, state: Any, points: Index) -> Records:
         """Records at canonical images of the points x (m, 7) at R (m, 2, 2).
 
         Eight RVEs each: the point, and a neighbour along every input. Where a neighbour has no
@@ -256,7 +255,7 @@ class StressTable:
             curvature * inner[:, :, None] * inner[:, None],
         )
 
-    def _image(self, x: Array) -> NDArray[np.intp]:
+    def _image(self, x: Array) -> Index:
         """(n,) which image of each state is its canonical one; 0 without symmetry."""
         return canonical_image(x) if self.images > 1 else np.zeros(len(x), dtype=np.intp)
 
