@@ -11,6 +11,7 @@ import json
 import re
 import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -131,7 +132,7 @@ def _base64(content: bytes) -> str:
 
 def _headlines(runs: Sequence[StoredRun], compared: Sequence[ComparedRun]) -> Iterator[str]:
     """What was run, and what came out of it."""
-    yield _paragraph(" ".join(comparison_title(runs).split()))
+    yield _paragraph("; ".join(comparison_title(runs).split("\n")))
     for run in compared:
         faster = run.speed_up["wall_time"]
         yield _paragraph(
@@ -529,7 +530,8 @@ def _chart(panel: Panel, caption: str) -> str:
     named = ", ".join(dict.fromkeys(curve.label for curve in panel.curves if curve.label))
     what = f"{panel.title or panel.y_label} over {panel.x_label}"
     words = f"{what}: {named}" if named else what
-    return _figure(encoded(draw_panels([panel])), words, caption, "svg+xml")
+    alone = replace(panel, height=max(panel.height, 0.8))  # room for the label of its axis
+    return _figure(encoded(draw_panels([alone])), words, caption, "svg+xml")
 
 
 def _grid(figures: Sequence[str]) -> str:

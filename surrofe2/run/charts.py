@@ -119,9 +119,9 @@ def draw_panels(
     axes = figure.subplots(len(heights), columns, squeeze=False, height_ratios=heights)
     for place in axes.flat[len(panels) :]:
         place.axis("off")
-    for place, panel in zip(axes.flat, panels, strict=False):
-        _draw_panel(place, panel)
     width = max(_PANEL_SIZE[0] * columns, 6.4 if title else 0.0)
+    for place, panel in zip(axes.flat, panels, strict=False):
+        _draw_panel(place, panel, int(11 * width / columns))
     legend = _draw_legends(figure, width, columns)
     lines = [part for line in title.split("\n") for part in wrap(line, int(11 * width))]
     figure.set_size_inches(width, sum(heights) + legend + _TITLE_ROW * len(lines))
@@ -144,7 +144,7 @@ def encoded(figure: Figure, form: str = "svg") -> bytes:
     return picture.getvalue()
 
 
-def _draw_panel(axes: Axes, panel: Panel) -> None:
+def _draw_panel(axes: Axes, panel: Panel, letters: int) -> None:
     from matplotlib.ticker import MaxNLocator
 
     others = 0
@@ -166,7 +166,7 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
         axes.plot(curve.x, y, label=curve.label or curve.name, **style)
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
-    axes.set_title(panel.title, fontsize=10)
+    axes.set_title("\n".join(wrap(panel.title, letters)), fontsize=10)
     if not panel.log_x:
         axes.xaxis.set_major_locator(MaxNLocator(6))
     elif any(bool(np.any(np.asarray(curve.x) == 0.0)) for curve in panel.curves):
