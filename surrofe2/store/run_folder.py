@@ -450,10 +450,12 @@ def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:
 
     Raises:
         FileError: not a run folder, or damaged.
-        InputError: the run is not finished; it says what to do.
+        InputError: the run is not finished, and what to do; or it is a rest, without a time.
     """
     folder = Path(folder)
     record = read_record(folder)
+    if "path.csv" in record.files:
+        raise InputError(f"{folder}: a rest, which has no course in time; name folders of runs")
     is_there = not finished and (folder / "curve.csv").exists()
     if record.status != "finished" and not is_there:
         raise InputError(f"{folder}: the run is {record.status}; its command resumes it")

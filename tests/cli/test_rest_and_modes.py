@@ -7,11 +7,12 @@ import h5py
 import numpy as np
 import pytest
 
+from surrofe2.base.errors import InputError
 from surrofe2.cli import console
 from surrofe2.macro import find_modes, find_rest
 from surrofe2.questions import stability
 from surrofe2.rve import RveLaw
-from surrofe2.store.run_folder import read_record
+from surrofe2.store.run_folder import read_record, read_run
 from surrofe2.store.store import locked_file, read_json, write_json
 from tests.cli.conftest import call
 from tests.laws import SquareLaw, failing
@@ -57,6 +58,8 @@ def test_rest_writes_its_load_path_and_fields(recipe, recipe_path, tmp_path):
     whole = forces[:, 1:].reshape(5, -1, 2).sum(axis=1)
     assert abs(whole).max() < 1e-6 * size < 1e-3 * abs(forces[-1, 1:]).sum()
     assert f"watched point at ({table[-1, 1]:.4g}, {table[-1, 2]:.4g}) µm" in done.stdout
+    with pytest.raises(InputError, match=r"rest: a rest, which has no course in time; name"):
+        read_run(out)
     kept = call("rest", recipe_path, "--out", out, "--load-steps", 4)
     assert f"{out}: finished before" in kept.stdout
     assert kept.stdout.splitlines()[-1] == done.stdout.splitlines()[-1]

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from surrofe2.cache.audit import ErrorRecord
+from surrofe2.cache.audit import ErrorRecord, Question
 from surrofe2.cache.cached_law import effort_of
-from surrofe2.law.stress_law import SURROGATE, Status
+from surrofe2.law.stress_law import SURROGATE, Status, StressResponse
 from surrofe2.macro import simulate
 from surrofe2.store.run_folder import write_record
 from surrofe2.workflow.run import write_results
@@ -52,12 +52,22 @@ def made_runs(recipe, folder):
     return [true, cached]
 
 
+def audited(tolerance, errors):
+    """The record of audits with these errors, all at one point and step."""
+    n = len(errors)
+    true, stress = np.tile(np.diag([0.0, 1e3]), (2, n, 1, 1))
+    stress[:, 0, 0] = errors
+    F = np.tile(np.eye(2), (n, 1, 1))
+    step, point = np.full((2, n), [[7], [3]])
+    record = ErrorRecord(tolerance)
+    asked = Question(step, point, F, 0.0 * F, stress, np.full(n, RISK), np.zeros(n))
+    record.add(asked, StressResponse(true, np.zeros(n, dtype=np.int8)), np.ones(n))
+    return record
+
+
 def cache_report():
     """What `CachedLaw.report` would say."""
-    audit = ErrorRecord(0.05)
-    audit.add(np.geomspace(1e-6, WORST, 40))
-    audit.largest = WORST
-    audit.worst = {"error": WORST, "risk": RISK, "step": 7, "point": 3}
+    audit = audited(0.05, np.geomspace(1e-6, WORST, 40))
     why = np.full(6, Status.OUT_OF_RANGE, dtype=np.int8)
     return {
         "tolerance": {"share": 1e-3, "spread": 50.0, "absolute": 0.05},

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from surrofe2.base.errors import InputError
-from surrofe2.cache.audit import ErrorRecord
 from surrofe2.report.comparison import (
     audit_curves,
     compare,
@@ -20,7 +19,7 @@ from surrofe2.report.comparison import (
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.store.run_folder import StoredRun, read_run
 from surrofe2.store.store import plain
-from tests.report.made_runs import made_runs
+from tests.report.made_runs import audited, made_runs
 from tests.run_records import finished_record
 
 
@@ -90,9 +89,7 @@ def test_one_run_is_too_few(make_run):
 
 def test_each_audited_error_is_counted_once():
     errors = 10.0 ** np.random.default_rng(1).uniform(-6.0, 0.0, 1000)
-    record = ErrorRecord(0.1)
-    record.add(errors)
-    curve, tolerance = audit_curves(record.to_dict(), 0, "cached")
+    curve, tolerance = audit_curves(audited(0.1, errors).to_dict(), 0, "cached")
     below = 100.0 * (errors <= curve.x[:, None]).mean(axis=1)
     np.testing.assert_allclose(curve.y, below, atol=1e-9)
     assert (tolerance.x == 0.1).all()
