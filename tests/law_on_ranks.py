@@ -1,7 +1,5 @@
 """`mpiexec -n N python -m tests.law_on_ranks`: a law on ranks against the same law on rank 0."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

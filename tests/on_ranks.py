@@ -4,8 +4,6 @@ A case is a name of `tests.test_going_on`; after `stop:` it is interrupted after
 `go:` it resumes. Few points are shared too.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Figures come from one file; the benchmarks run. How fast anything is, is not asked here."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

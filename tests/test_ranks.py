@@ -1,7 +1,5 @@
 """A run by several MPI ranks is the run by one to 1e-9 of each amplitude, resumed or not."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

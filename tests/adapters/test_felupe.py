@@ -1,7 +1,5 @@
 """A stress law in FElupe: exact slopes; a block at rest as by our finite elements."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 The preCICE library itself, for which there is no wheel, is a stand-in in `stand_in/`.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

@@ -1,7 +1,5 @@
 """A bar, a table of the square law with states to look up, cached laws and what they keep."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """What the fuzz tests share: how many examples, what an answer may be, damage to text and bytes."""
 
-from __future__ import annotations
-
 import time
 from contextlib import contextmanager
 

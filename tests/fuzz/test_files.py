@@ -4,8 +4,6 @@ All HDF5 and JSON files are read by `store.hdf5.reading` and `store.read_json`, 
 digests first; so one file of each stands for them.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import asdict

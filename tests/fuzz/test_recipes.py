@@ -1,7 +1,5 @@
 """Recipes that nobody would write: a problem, or one sentence that names the file."""
 
-from __future__ import annotations
-
 import shutil
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Recipes of any problem: what they give, and the one sentence each wrong one gets."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import pickle

@@ -1,7 +1,5 @@
 """Recipes: what they give, and the one sentence each mistake gets."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

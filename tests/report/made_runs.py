@@ -1,7 +1,5 @@
 """Folders of two runs of one small bar: as by RVEs, and as by a cache that fell back at times."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Differences and speed-ups against figures worked out by hand, and their picture."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Seconds of work add up over calls, and say from when a cache pays."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

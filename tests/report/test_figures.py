@@ -1,7 +1,5 @@
 """Colours with round limits, supports and symmetry read off how a tissue moves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from matplotlib.figure import Figure

@@ -1,7 +1,5 @@
 """The page in a headless Chromium: its script runs without a complaint, and keys work."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The page of runs: what stands in it, what it leaves out, and that it asks nobody for anything."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

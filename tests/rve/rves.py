@@ -1,7 +1,5 @@
 """Laws of RVEs made once, and deformations within their range."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

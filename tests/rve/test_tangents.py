@@ -1,7 +1,5 @@
 """Tangents and gradients by parameters against differences, and the identities that they obey."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Gmsh files (ASCII 4.1) written by hand: a rectangle of quadrilaterals, a notched square."""
 
-from __future__ import annotations
-
 QUADS = """$MeshFormat
 4.1 0 8
 $EndMeshFormat

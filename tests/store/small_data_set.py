@@ -1,7 +1,5 @@
 """A data set of the soft law, written in chunks."""
 
-from __future__ import annotations
-
 from surrofe2.base.sampling import SamplingRange, sample
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.store.samples import DataSetHeader, writing_data_set

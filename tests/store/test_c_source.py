@@ -1,7 +1,5 @@
 """A surrogate in C answers as the surrogate does: stress, status, bound and tangents."""
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Data sets: what they hold, how they survive a kill, what they refuse."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from importlib.metadata import version

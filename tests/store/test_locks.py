@@ -1,7 +1,5 @@
 """One process at a time writes an output; a lock that was left is told from one that is held."""
 
-from __future__ import annotations
-
 import os
 import platform
 import signal

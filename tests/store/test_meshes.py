@@ -1,7 +1,5 @@
 """Mesh files: what they give, and the one sentence each wrong one gets."""
 
-from __future__ import annotations
-
 import sys
 
 import meshio

@@ -1,7 +1,5 @@
 """Run folders: round trips, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tables and harvests in files: what they hold, what they refuse, what a kill leaves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Surrogates of random weights, samples that fail, and twins of what is compiled."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A relaxed plant cell of each preset, once for all tests of the tissue."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Leapfrog steps of a tissue: order, momentum, lists, threads, stable lengths, checkpoints."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Forces of a tissue of one type of plant cell and of two: numpy twin, RVE and identities."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rigid bodies, prescribed motion and loads on a tissue, by identities."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A finite tissue of square cells in plain numpy, written from docs/theory.md."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.plant_cell.twin import resultants, sort_pairs

@@ -1,7 +1,5 @@
 """What is read off curves of known period, decrement and force, and curves that are kept."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
