@@ -73,6 +73,16 @@ def test_a_run_with_a_surface_law(written, tmp_path, made):
     assert again.problem["surface"] == record.problem["surface"]
 
 
+def test_a_kept_table_of_another_plant_cell_is_made_again(written, tmp_path, made):
+    recipe = load_recipe(written(RECIPE + SIDES))
+    surfaces.cell_surface(recipe, 4.0)
+    (kept,) = (tmp_path / "kept" / "surfaces").iterdir()
+    other = table(CellParameters.preset("water"), "constrained-runs")
+    surfaces.write_surface(kept, other, recipe.to_dict())
+    assert surfaces.cell_surface(recipe, 4.0).cell == recipe.cell
+    assert len(made) == 2
+
+
 def test_an_interrupted_run_with_a_surface_law_goes_on(written, tmp_path, made, monkeypatch):
     recipe = load_recipe(written(RECIPE + SIDES))
     run_study(recipe, "rve", tmp_path / "whole")

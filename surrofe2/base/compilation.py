@@ -35,7 +35,7 @@ from typing import Any
 os.environ.setdefault("GOMP_SPINCOUNT", "2000")
 
 # Kernels allocate some 0.3 MB per tile and free it again. glibc would give such memory back to the
-# system each time, and to get it anew, zeroed, costs a cold solve 7 to 20 % of its time.
+# system each time, and to get it again, zeroed, costs a cold solve 7 to 20 % of its time.
 if hasattr(ctypes.CDLL(None), "mallopt"):  # not with another C library
     _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
     ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, 32 << 20)
