@@ -12,6 +12,6 @@ below is a module with `run(bench)`, which records its figures:
     ranks     MPI ranks against threads (on request)
     suites    the quick, slow and nightly tests (on request)
 
-`measured` says what a figure is, `timing` how times are taken, `commands` runs surrofe2. What is
-compared is timed in turns, after compilation.
+`measured` says what a figure is, `pages` writes figures into README and documentation, `timing` how
+times are taken, `commands` runs surrofe2. What is compared is timed in turns, after compilation.
 """

@@ -1,4 +1,4 @@
-"""`python -m benchmarks [TOPIC …]`: measure, and write the figures into docs/measured.json."""
+"""`python -m benchmarks [TOPIC …]`: measure; figures go into docs/measured.json and the pages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from importlib import import_module
 from pathlib import Path
 from time import perf_counter
 
-from benchmarks.measured import MEASURED, Bench, merge, write_tables
+from benchmarks.measured import MEASURED, Bench, merge
+from benchmarks.pages import write_figures
 
 TOPICS = ("runs", "large", "solve", "tissue", "start", "trust")
 ON_REQUEST = ("ranks", "suites")
@@ -19,18 +20,18 @@ BUSY = 0.5
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """0; 1 where a topic failed or a limit was missed. Only `tables` touches pages."""
+    """0; 1 where a topic failed or a limit was missed. Quick runs write nothing."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument(
         "topics", nargs="*", metavar="TOPIC", choices=(*TOPICS, *ON_REQUEST, "tables"),
         help=f"of {', '.join((*TOPICS, *ON_REQUEST))}; default: all but the last "
-        "two; tables: write those of README and CONTRIBUTING from the stored figures",
+        "two; tables: measure nothing, write the stored figures into the pages",
     )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="less of everything, nothing stored")
     parser.add_argument("--out", type=Path, metavar="DIR", default=Path("out/bench").absolute())
     given = parser.parse_args(arguments)
     if given.topics == ["tables"]:
-        write_tables()
+        write_figures()
         return 0
     load = os.getloadavg()[0]
     if load > BUSY:
@@ -48,6 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"  {perf_counter() - begin:.0f} s", flush=True)
         if not bench.quick:
             merge(MEASURED, bench.figures)
+            write_figures()
     missed = [name for name, figure in bench.figures.items() if figure.holds is False]
     if missed:
         print(f"limits missed: {', '.join(missed)}")

@@ -1,10 +1,10 @@
-"""Measured figures by name, and the one file that README and documentation take them from."""
+"""Measured figures by name, and the one file that holds them; `pages` writes them into pages."""
 
 from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -142,82 +142,3 @@ def merge(path: Path, figures: Mapping[str, Figure]) -> None:
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(text, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-
-
-def substitutions(path: Path = MEASURED) -> dict[str, Any]:
-    """Texts by the parts of their names: `bar.printed.speed_up` is {{ bar.printed.speed_up }}."""
-    tree: dict[str, Any] = {}
-    for name, figure in read(path).items():
-        *parents, last = name.split(".")
-        node = tree
-        for parent in parents:
-            node = node.setdefault(parent, {})
-        node[last] = str(figure)
-    return tree
-
-
-README_ROWS = (
-    ("error of the surrogate's stress on unseen samples, RMS, of the spread of stress",
-     "{}.surrogate_rms", "surrofe2 train"),
-    ("largest difference in displacement, cached against full FE²",
-     "{}.displacement_error", "surrofe2 compare"),
-    ("bar of 4 × 4 elements: cached FE² faster than full FE² by", "{}.speed_up", "surrofe2 study"),
-    ("64 × 64 elements, first run with data and training counted", "large.{}.first_run",
-     "surrofe2 study data/large-bar.toml"),
-    ("full FE² faster than the full particle model by", "tissue.{}.full", "make bench"),
-    ("cached FE² faster than the full particle model by", "tissue.{}.cached", "make bench"),
-)  # fmt: skip
-"""What the table of README says, the name of its figure by preset, and how to see it."""
-
-
-def readme_table(path: Path = MEASURED) -> Iterator[str]:
-    """The lines of README's table of accuracy and speed."""
-    figures = read(path)
-    yield "| | `printed` | `water` | command |"
-    yield "|---|---|---|---|"
-    for words, name, command in README_ROWS:
-        named = (name.format(preset) for preset in ("printed", "water"))
-        values = (str(figures.get(each, "–")) for each in named)
-        yield f"| {words} | {' | '.join(values)} | `{command}` |"
-
-
-TESTS = (
-    ("quick", "none", "every behaviour, with few cases"),
-    ("slow", "`slow`", "whole studies, installation, the documentation site, more cases"),
-    ("nightly", "`nightly` (counts as slow, too)",
-     "random kills and faults, fuzzing, 10,000 solves, every benchmark"),
-)  # fmt: skip
-"""Kinds of tests, their marker and what they are."""
-
-
-def contributing_table(path: Path = MEASURED) -> Iterator[str]:
-    """The lines of CONTRIBUTING's table of tests."""
-    figures = read(path)
-    yield "| tests | marker | time on two cores | what they are |"
-    yield "|---|---|---|---|"
-    for name, marker, words in TESTS:
-        yield f"| {name} | {marker} | {figures.get(f'tests.{name}', 'not measured')} | {words} |"
-
-
-TABLES = {"README.md": readme_table, "CONTRIBUTING.md": contributing_table}
-"""Tables of figures on pages that Sphinx's substitutions do not reach, between two comments."""
-
-
-def _parts(page: str) -> tuple[str, str, str]:
-    """Text of a page before its table, the table, and the text behind it."""
-    text = (ROOT / page).read_text(encoding="utf-8")
-    before, mark, rest = text.partition("<!-- measured: python -m benchmarks tables -->\n")
-    table, end, after = rest.partition("\n<!-- end -->")
-    return before + mark, table, end + after
-
-
-def table_of(page: str) -> str:
-    """The table that a page has."""
-    return _parts(page)[1]
-
-
-def write_tables() -> None:
-    """Write the tables of `TABLES` into their pages."""
-    for page, table in TABLES.items():
-        before, _, after = _parts(page)
-        (ROOT / page).write_text(before + "\n".join(table()) + after, encoding="utf-8")

@@ -13,8 +13,6 @@ sys.path.insert(0, str(Path(__file__).parent / "extensions"))
 
 import scripts
 
-from benchmarks.measured import substitutions
-
 project = "surrofe2"
 author = "the surrofe2 developers"
 version = release = metadata.version("surrofe2")
@@ -33,7 +31,6 @@ extensions = [
     "commands",
     "docstrings",
     "equations",
-    "recorded",
 ]
 suppress_warnings = ["mystnb.unknown_mime_type", "config.cache"]
 
@@ -43,10 +40,8 @@ myst_enable_extensions = [
     "deflist",
     "dollarmath",
     "fieldlist",
-    "substitution",
 ]
-myst_substitutions = substitutions()  # measured figures by their names
-myst_fence_as_directive = ["math", "recorded"]
+myst_fence_as_directive = ["math"]
 myst_heading_anchors = 4
 myst_dmath_double_inline = True
 nb_execution_mode = "off"  # notebooks keep what they printed; docs/record.py runs them

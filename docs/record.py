@@ -1,7 +1,24 @@
-"""Runs what pages and notebooks show and keeps what it printed: `python docs/record.py [PAGE …]`.
+"""Runs what pages and notebooks show and writes what it printed: `python docs/record.py [PAGE …]`.
 
-A page's blocks run in order in one folder with copies of data/ and examples/. Notebooks run in
-place. docs/extensions/recorded.py shows the records, docs/conf.py has the notebooks' settings.
+A page has a block of code with its output between two comments:
+
+    <!-- recorded: OPTIONS -->
+    ```sh
+    surrofe2 run RECIPE --law rve --out out/rve
+    ```
+
+    ```text
+    What it printed.
+    ```
+    <!-- end -->
+
+The language is `sh`, `python` or `toml`. Options, separated by semicolons: `file NAME` writes the
+code to a file and runs nothing; `keep PICTURES` copies pictures to docs/recorded; `fails` means
+that an error is what is shown. The blocks of a page run in order in one folder with copies of data/
+and examples/. The last line of the page has a digest of its blocks and of the recipes, scripts and
+meshes that they name: where it differs, the page has to be recorded again, and tests say so.
+
+Notebooks run in place; docs/conf.py has their settings.
 """
 
 import hashlib
@@ -12,22 +29,71 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 
 DOCS = Path(__file__).parent
 ROOT = DOCS.parent
-sys.path.insert(0, str(DOCS / "extensions"))
-
-from recorded import STORE, blocks_of, digest_of, store_of  # noqa: E402 (beside this file)
-
+STORE = DOCS / "recorded"
+BLOCK = re.compile(
+    r"^<!-- recorded(?:: (?P<options>[^\n]*))? -->\n"
+    r"```(?P<language>sh|python|toml)\n(?P<code>.*?)^```\n"
+    r"(?:\n```text\n(?P<output>.*?)\n```\n)?"
+    r"<!-- end -->$",
+    re.MULTILINE | re.DOTALL,
+)
+DIGEST = re.compile(r"\n<!-- recorded from (\w+) -->\n\Z")
+NAMED = re.compile(r"[\w./-]+\.(?:toml|py|msh)")
 WIDTH = "88"
 PROGRESS = re.compile(r"[a-z][\w .]*: +\d+\s?%.*")
 CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
+@dataclass(frozen=True)
+class Block:
+    """A block of code on a page, with its options and what it printed."""
+
+    options: dict[str, str]
+    language: str
+    code: str
+    output: str
+
+
+def blocks_of(text: str) -> list[Block]:
+    """The recorded blocks of a page, in order."""
+    return [_block(match) for match in BLOCK.finditer(text)]
+
+
+def _block(match: re.Match[str]) -> Block:
+    options = {}
+    for option in (match["options"] or "").split(";"):
+        name, _, value = option.strip().partition(" ")
+        if name:
+            options[name] = value
+    return Block(options, match["language"], match["code"], match["output"] or "")
+
+
+def digest_of(text: str) -> str:
+    """A digest of all blocks of a page, and of the files of the project that they name."""
+    hashed = hashlib.sha256()
+    for block in blocks_of(text):
+        stated = [block.options, block.language, block.code]
+        hashed.update(json.dumps(stated, sort_keys=True).encode())
+        for name in sorted(set(NAMED.findall(block.code))):
+            if (ROOT / name).is_file():
+                hashed.update(name.encode() + (ROOT / name).read_bytes())
+    return hashed.hexdigest()[:16]
+
+
+def is_as_recorded(text: str) -> bool:
+    """Whether a page's blocks and the files that they name are those of its record."""
+    digest = DIGEST.search(text)
+    return digest is not None and digest[1] == digest_of(text)
+
+
 def pages() -> list[Path]:
     """All pages with recorded blocks."""
-    return sorted(path for path in DOCS.rglob("*.md") if blocks_of(path))
+    return sorted(path for path in DOCS.rglob("*.md") if blocks_of(path.read_text("utf-8")))
 
 
 def notebooks() -> list[Path]:
@@ -35,23 +101,39 @@ def notebooks() -> list[Path]:
     return sorted((DOCS / "notebooks").glob("*.ipynb"))
 
 
-def record(page: Path, store: Path = STORE) -> dict[str, str]:
-    """Output of every block of a page by its text, written to its record."""
-    said = {}
+def record(page: Path) -> None:
+    """Run the blocks of a page and write what they print into it."""
+    text = page.read_text(encoding="utf-8")
+    outputs = iter(run_blocks(page, STORE))
+
+    def with_output(match: re.Match[str]) -> str:
+        output = next(outputs)
+        code = f"```{match['language']}\n{match['code']}```\n"
+        shown = f"\n```text\n{output}\n```\n" if output else ""
+        options = f": {match['options']}" if match["options"] else ""
+        return f"<!-- recorded{options} -->\n{code}{shown}<!-- end -->"
+
+    text = DIGEST.sub("", BLOCK.sub(with_output, text)).rstrip("\n")
+    page.write_text(f"{text}\n\n<!-- recorded from {digest_of(text)} -->\n", encoding="utf-8")
+
+
+def run_blocks(page: Path, store: Path) -> list[str]:
+    """The output of every block of a page; pictures that it keeps go to `store`."""
+    outputs = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for part in ("data", "examples"):
             shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("*.h5"))
         (folder / "training").mkdir()
         environment = _environment(folder)
-        for block in blocks_of(page):
+        for block in blocks_of(page.read_text(encoding="utf-8")):
             if "file" in block.options:
-                (folder / block.options["file"]).write_text(block.text, encoding="utf-8")
+                (folder / block.options["file"]).write_text(block.code, encoding="utf-8")
+                outputs.append("")
                 continue
-            python = block.options.get("language") == "python"
-            call = [sys.executable, "-c"] if python else ["bash", "-ec"]
+            call = [sys.executable, "-c"] if block.language == "python" else ["bash", "-ec"]
             done = subprocess.run(
-                [*call, block.text],
+                [*call, block.code],
                 cwd=folder,
                 env=environment,
                 stdout=subprocess.PIPE,
@@ -60,19 +142,13 @@ def record(page: Path, store: Path = STORE) -> dict[str, str]:
                 check=False,
             )
             if done.returncode and "fails" not in block.options:
-                sys.exit(f"{page.name}: {block.text}\n{done.stdout}")
-            text = CONTROL.sub("", done.stdout).replace(str(folder), "")
-            lines = [line.rstrip() for line in text.splitlines() if not PROGRESS.fullmatch(line)]
-            said[block.text.strip()] = "\n".join(lines).strip()
+                sys.exit(f"{page.name}: {block.code}\n{done.stdout}")
+            printed = CONTROL.sub("", done.stdout).replace(str(folder), "")
+            lines = [line.rstrip() for line in printed.splitlines() if not PROGRESS.fullmatch(line)]
+            outputs.append("\n".join(lines).strip())
             for picture in block.options.get("keep", "").split():
-                target = store / f"{page.stem}-{Path(picture).name}"
-                target.parent.mkdir(exist_ok=True)
-                shutil.copyfile(folder / picture, target)
-    store.mkdir(exist_ok=True)
-    kept = {"digest": digest_of(page), "said": said}
-    text = json.dumps(kept, indent=1, ensure_ascii=False) + "\n"
-    (store / store_of(page).name).write_text(text, encoding="utf-8")
-    return said
+                shutil.copyfile(folder / picture, store / f"{page.stem}-{Path(picture).name}")
+    return outputs
 
 
 def _environment(folder: Path) -> dict[str, str]:

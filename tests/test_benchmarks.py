@@ -1,40 +1,65 @@
 """Figures come from one file; the benchmarks run. How fast anything is, is not asked here."""
 
-import re
 import subprocess
 import sys
 
 import pytest
 
-from benchmarks.measured import (
-    ROOT,
-    TABLES,
-    Bench,
-    merge,
-    number,
-    read,
-    substitutions,
-    table_of,
-)
+from benchmarks.measured import ROOT, Bench, merge, number, read
+from benchmarks.pages import pages, stale, unmarked, with_figures
 from benchmarks.trust import digest, picture_digest, shown
 
 
-@pytest.mark.parametrize("page", TABLES)
-def test_tables_have_the_measured_figures(page):
-    assert table_of(page) == "\n".join(TABLES[page]()), "run python -m benchmarks tables"
+@pytest.mark.parametrize("page", pages(), ids=lambda page: str(page.relative_to(ROOT)))
+def test_pages_state_figures_as_they_were_measured(page):
+    text = page.read_text(encoding="utf-8")
+    assert not stale(text, read()), "run python -m benchmarks tables"
+    assert not unmarked(text, read()), "name the figure: <!-- NAME -->VALUE<!-- / -->"
 
 
-def test_pages_name_figures_that_were_measured_and_type_none():
-    known = read()
-    ratios = {str(figure) for figure in known.values() if figure.unit == "×"}
-    ratios = {text for text in ratios if "." in text}  # "16 ×" may be of 16 × 16 elements
-    named = set()
-    for page in sorted((ROOT / "docs").rglob("*.md")):
-        text = page.read_text(encoding="utf-8")
-        named.update(re.findall(r"\{\{ ([\w.]+) \}\}", text))
-        assert not [each for each in ratios if f" {each}" in text], page
-    assert named
-    assert not named - set(known)
+@pytest.fixture
+def figures(tmp_path):
+    bench = Bench(False, tmp_path, "python -m benchmarks made")
+    bench.add("bar.speed", 5.004, "×", "a ratio")
+    bench.add("bar.error", 0.0123, "%", "an error")
+    bench.add("bar.solves", 16.0, "", "a count")
+    bench.add("bar.lookup", 0.0912, "µs", "a time")
+    return bench.figures
+
+
+def test_a_marked_figure_is_written_and_a_stale_one_is_named(figures):
+    old = "by <!-- bar.speed -->4.00 ×<!-- / --> and <!-- bar.solves -->16<!-- / -->, not 4.00 ×"
+    assert stale(old, figures) == ["bar.speed: 4.00 × is written, 5.00 ×"]
+    new = with_figures(old, figures)
+    assert (
+        new
+        == "by <!-- bar.speed -->5.00 ×<!-- / --> and <!-- bar.solves -->16<!-- / -->, not 4.00 ×"
+    )
+    assert not stale(new, figures)
+    assert with_figures(new, figures) == new
+
+
+def test_a_figure_that_was_not_measured_is_named(figures):
+    text = "<!-- bar.gone -->1 s<!-- / -->"
+    assert stale(text, figures) == ["bar.gone: 1 s is written, not measured"]
+    with pytest.raises(KeyError, match=r"bar\.gone"):
+        with_figures(text, figures)
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("faster by 5.00 ×.", ["5.00 ×"]),
+        ("faster by 4.99 ×, once", ["4.99 ×"]),
+        ("a lookup takes **0.091 µs**", ["0.091 µs of bar.lookup"]),
+        ("10.091 µs", []),
+        ("16 × 16 elements of 16 × 0.5 µm, 0.012 % of error", []),
+        ("<!-- bar.speed -->5.00 ×<!-- / -->", []),
+        ("```\n5.00 × was printed\n```", []),
+    ],
+)
+def test_a_typed_figure_is_seen(figures, text, names):
+    assert unmarked(text, figures) == names
 
 
 def test_the_picture_of_the_trust_page_is_of_the_stored_figures():
@@ -49,7 +74,7 @@ def test_numbers_are_for_people(value, text):
     assert number(value) == text
 
 
-def test_figures_are_merged_and_told_by_name(tmp_path):
+def test_figures_are_merged_by_name(tmp_path):
     path = tmp_path / "measured.json"
     first, second = (Bench(False, tmp_path, "python -m benchmarks made") for _ in range(2))
     first.add("bar.speed", 5.0, "×", "a ratio", at_least=4.0)
@@ -59,7 +84,7 @@ def test_figures_are_merged_and_told_by_name(tmp_path):
     merge(path, second.figures)
     figures = read(path)
     assert [figures["bar.speed"].holds, figures["bar.error"].holds] == [True, False]
-    assert substitutions(path) == {"bar": {"speed": "6.00 ×", "error": "0.20 %"}}
+    assert [str(figures["bar.speed"]), str(figures["bar.error"])] == ["6.00 ×", "0.20 %"]
     assert figures["bar.speed"].command == "python -m benchmarks made"
     assert figures["bar.speed"].version
     assert figures["bar.speed"].machine

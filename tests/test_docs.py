@@ -110,7 +110,6 @@ record = module_of(DOCS / "record.py")
 
 @pytest.mark.slow
 def test_it_builds_without_a_warning(tmp_path):
-    """-W makes a page that is not as recorded an error, too."""
     build = ("-m", "sphinx", "-q", "-W", "--keep-going", "-c", "docs", "-d", tmp_path / "trees")
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
     python(*build, ".", tmp_path / "site", cwd=ROOT, env=env, timeout=600)
@@ -154,10 +153,28 @@ def words(text: str) -> list[str]:
     return [re.sub(r"[\d.,e+−-]+", "#", line.split()[0]) for line in lines]
 
 
+@pytest.mark.parametrize("page", record.pages(), ids=relative)
+def test_pages_are_recorded_from_the_commands_and_recipes_of_today(page):
+    assert record.is_as_recorded(page.read_text(encoding="utf-8")), (
+        f"python docs/record.py {page.name}"
+    )
+
+
+def test_a_changed_command_or_output_is_written_into_the_page(tmp_path):
+    page = tmp_path / "page.md"
+    block = "<!-- recorded -->\n```python\nprint({})\n```\n{}<!-- end -->\n"
+    page.write_text(block.format(5, "\n```text\n4\n```\n") + "\nWords.\n", encoding="utf-8")
+    assert not record.is_as_recorded(page.read_text(encoding="utf-8"))
+    record.record(page)
+    text = page.read_text(encoding="utf-8")
+    assert text.startswith(block.format(5, "\n```text\n5\n```\n") + "\nWords.\n")
+    assert record.is_as_recorded(text)
+    assert not record.is_as_recorded(text.replace("print(5)", "print(6)"))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("page", record.pages(), ids=lambda path: path.stem)
+@pytest.mark.parametrize("page", record.pages(), ids=relative)
 def test_commands_print_what_pages_say(page, tmp_path):
-    kept = json.loads(record.store_of(page).read_text(encoding="utf-8"))["said"]
-    now = record.record(page, tmp_path)
-    assert now.keys() == kept.keys()
-    assert [*map(words, now.values())] == [words(kept[code]) for code in now]
+    shown = [block.output for block in record.blocks_of(page.read_text(encoding="utf-8"))]
+    now = record.run_blocks(page, tmp_path)
+    assert [*map(words, now)] == [*map(words, shown)]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measured import MEASURED, Bench, merge
+from benchmarks.pages import write_figures
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.base.tensors import stress_error, unrotated
 from surrofe2.cache import CacheSettings
@@ -161,3 +162,4 @@ def publish(setting: Setting, found: Found) -> None:
     bench.add(f"{name}.over_tolerance_climbed", found.climbed, "", climbed)
     bench.add(f"{name}.above", found.above, "", "states above what is allowed", at_most=0.0)
     merge(MEASURED, bench.figures)
+    write_figures()
