@@ -6,6 +6,7 @@ In reading order:
     arrays           what annotations call arrays
     units            µm, µs, ng and what follows from them
     errors           what is raised, one sentence each
+    locks            flock, where the file system has it
     settings         bounds of settings, stated once at the field
     interruption     signals
     compilation      numba's flags, where compiled kernels are kept, threads of BLAS

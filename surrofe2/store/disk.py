@@ -6,18 +6,61 @@ whose folder is brought to the disk too: after a fault the file is the former or
 
 from __future__ import annotations
 
-import fcntl
+import errno
+import logging
 import os
-from io import FileIO
+from io import FileIO, IOBase
 from pathlib import Path
+
+from surrofe2.base import locks
+
+log = logging.getLogger(__name__)
+
+_NOT_SYNCED = (
+    errno.EINVAL, errno.EIO, errno.EOPNOTSUPP, errno.ENOSYS, errno.EACCES, errno.EPERM,
+    errno.EBADF, errno.EISDIR,
+)  # fmt: skip
+"""Errors of opening or synchronising a folder on CIFS, vboxsf, WSL and some FUSE, or one that may
+be written and not read. The files in it are on the disk all the same."""
 
 
 def create(path: Path) -> FileIO:
     """Make a new file, never one that is there or behind a link; locked while it is open."""
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
     file = FileIO(os.open(path, flags, 0o666), "r+b")
-    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    try:
+        lock(file, path)
+    except OSError:
+        file.close()
+        path.unlink()
+        raise
     return file
+
+
+def lock(file: IOBase, path: Path) -> bool:
+    """Lock an open file; False, with one warning of the process, where there are no locks.
+
+    Raises:
+        BlockingIOError: another process holds the lock.
+    """
+    reason = locks.lock(file)
+    if reason:
+        _warn_once(reason, path.parent)
+    return not reason
+
+
+_folders_without_locks = list[Path]()
+
+
+def _warn_once(reason: str, folder: Path) -> None:
+    """Warn of the first folder without locks that this process meets."""
+    if not _folders_without_locks:
+        _folders_without_locks.append(folder)
+        log.warning(
+            "%s: its file system keeps no locks (%s); let one process at a time write there",
+            folder,
+            reason,
+        )
 
 
 def write(file: FileIO, content: bytes | memoryview) -> None:
@@ -30,12 +73,20 @@ def write(file: FileIO, content: bytes | memoryview) -> None:
 
 
 def sync(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
+    """Wait until a file, or the names in a folder, are on the disk.
+
+    A folder that cannot be synchronised is left as it is.
+    """
+    is_folder = path.is_dir()
     try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        if not (is_folder and error.errno in _NOT_SYNCED):
+            raise
 
 
 def move(source: Path, target: Path) -> None:

@@ -6,13 +6,12 @@ the digest stands. Any changed byte is seen.
 One process at a time writes an output. It holds a lock file beside or in it by `flock`, which the
 kernel drops when the process ends, however it ends. What stands in the lock is for people: who
 holds it. A process that ends well removes it, so one that is there without a holder says that the
-last process was killed.
+last process was killed. On a file system without locks work continues after one warning.
 """
 
 from __future__ import annotations
 
 import csv
-import fcntl
 import hashlib
 import io
 import json
@@ -23,7 +22,7 @@ import platform
 import re
 import stat
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import asdict, is_dataclass
 from datetime import datetime
@@ -44,6 +43,8 @@ SEAL = "sha256_of_this_file"
 NO_DIGEST = "0" * 64
 """What stands in a file before it is sealed."""
 _WORD = SEAL.encode()
+_BLOCK = 2**24
+"""Bytes that are read at a time of a file of which little is wanted."""
 _DIGEST = re.compile(rb"(?<=[\"\0])" + _WORD + rb"\W{1,12}([0-9a-f]{64})")
 
 WORD = re.compile(r"[A-Za-z0-9_.+-]{0,64}")
@@ -65,13 +66,17 @@ def reported(path: Path, action: str) -> Iterator[None]:
 
 
 def leftovers(path: Path) -> list[Path]:
-    """Files in which processes that were killed were writing `path`; others still hold theirs."""
-    left = []
+    """Files in which processes that were killed were writing `path`; others still hold theirs.
+
+    Without locks there is no difference between the two, and none is listed.
+    """
+    abandoned = []
     for each in sorted(path.parent.glob(f".{escape(path.name)}.{'[0-9a-f]' * 8}.partial")):
-        with suppress(OSError), each.open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            left.append(each)
-    return left
+        # "r+b", since NFS locks only what is open for writing
+        with suppress(OSError), each.open("r+b") as file:
+            if disk.lock(file, each):
+                abandoned.append(each)
+    return abandoned
 
 
 def write_bytes(path: Path, content: bytes | memoryview) -> None:
@@ -97,27 +102,42 @@ def write_text(path: Path, text: str) -> None:
 
 
 def read_bytes(path: Path, most: int = 2**30, begin: bytes = b"") -> bytes:
-    """What is in a regular file of at most so many bytes, or a FileError.
+    """Read a regular file of at most `most` bytes whole, or raise a FileError.
 
-    Of a device, a pipe or a file that is too large nothing is read, and of one that does not begin
-    with `begin` no more than that.
+    Of a device, a pipe or a file that is too large nothing is read. Of one that does not begin with
+    `begin` only as many bytes are. Memory is taken for the file's own size.
     """
-    with reported(path, "read"):
-        try:  # a pipe without a writer would wait for one, but for O_NONBLOCK
-            descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-        except ValueError:  # a name with a zero in it
-            raise FileError(f"{path}: cannot be read: no such file") from None
-        with io.FileIO(descriptor) as file:
-            found = os.fstat(descriptor)
-            if not stat.S_ISREG(found.st_mode):
-                raise FileError(f"{path}: cannot be read: not a regular file")
-            head = file.read(len(begin)) if begin else begin
-            if head != begin:
-                return head
-            if found.st_size > most:
-                size = f"{found.st_size / 1e9:.3g} GB; it must have at most {most / 1e9:.3g}"
-                raise FileError(f"{path}: cannot be read: {size}")
-            return head + file.read(most)
+    with reported(path, "read"), _opened(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        head = file.read(len(begin))
+        if head != begin:
+            return head
+        if size > most:
+            raise FileError(
+                f"{path}: cannot be read: {size / 1e9:.3g} GB; it must have at most "
+                f"{most / 1e9:.3g}"
+            )
+        file.seek(0)
+        try:
+            # A buffered file reads until it has all: one call of the system gives 2 GiB at most.
+            return file.read(size)
+        except MemoryError:
+            raise FileError(
+                f"{path}: cannot be read: {size / 1e9:.3g} GB; this process has less memory free"
+            ) from None
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[io.BufferedReader]:
+    """A regular file that is open for reading; a FileError at anything else."""
+    try:  # a pipe without a writer would wait for one, but for O_NONBLOCK
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    except ValueError:  # a name with a zero in it
+        raise FileError(f"{path}: cannot be read: no such file") from None
+    with os.fdopen(descriptor, "rb") as file:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise FileError(f"{path}: cannot be read: not a regular file")
+        yield file
 
 
 def read_text(path: Path, most: int = 2**30) -> str:
@@ -156,8 +176,11 @@ def check_seal(path: Path, content: bytes) -> None:
         begin, end = _place(content)
     except ValueError:
         raise FileError(f"{path}: no SHA-256 in it; it is damaged, foreign or older") from None
-    whole = b"".join((content[:begin], NO_DIGEST.encode(), content[end:]))
-    if hashlib.sha256(whole).hexdigest().encode() != content[begin:end]:
+    whole = memoryview(content)  # its parts are no copies, which may be of some GB
+    computed = hashlib.sha256(whole[:begin])
+    computed.update(NO_DIGEST.encode())
+    computed.update(whole[end:])
+    if computed.hexdigest().encode() != content[begin:end]:
         raise FileError(f"{path}: damaged, or changed since it was written: see its SHA-256")
 
 
@@ -174,8 +197,9 @@ def _place(content: bytes) -> tuple[int, int]:
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file's content; its first 16 digits are its fingerprint."""
-    return hashlib.sha256(read_bytes(path)).hexdigest()
+    """SHA-256 of a file's content of any size; its first 16 digits are its fingerprint."""
+    with reported(path, "read"), _opened(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def plain(value: Any) -> Any:
@@ -266,13 +290,24 @@ def check_same(
 def check_replaceable(path: Path, kind: str, *marks: str) -> None:
     """A FileError, before starting over, at a file that is not of this kind or lacks one of these
     texts."""
-    if path.exists():
-        content = read_bytes(path)
-        if content and not all(mark.encode() in content for mark in marks):
-            raise FileError(
-                f"{path}: not a {kind}, so --fresh does not replace it; write elsewhere or remove "
-                "it first"
-            )
+    if path.exists() and path.stat().st_size and _missing(path, marks):
+        raise FileError(
+            f"{path}: not a {kind}, so --fresh does not replace it; write elsewhere or remove it "
+            "first"
+        )
+
+
+def _missing(path: Path, texts: Iterable[str]) -> set[bytes]:
+    """Return those of some texts that are not in a file, which is read block by block."""
+    missing = {text.encode() for text in texts}
+    overlap = max(map(len, missing), default=0)  # a text may lie across two blocks
+    end = b""
+    with reported(path, "read"), _opened(path) as file:
+        while missing and (block := file.read(_BLOCK)):
+            content = end + block
+            missing = {text for text in missing if text not in content}
+            end = content[-overlap:]
+    return missing
 
 
 def keep(
@@ -364,7 +399,7 @@ def _taken(lock: Path, output: Path) -> io.FileIO | None:
     with ExitStack() as closing:
         file = closing.enter_context(io.FileIO(os.open(lock, flags, 0o666), "r+b"))
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            is_locked = disk.lock(file, lock)
         except BlockingIOError:
             holder = _signature(file)
             is_me = holder.startswith(_this_process())
@@ -374,7 +409,8 @@ def _taken(lock: Path, output: Path) -> io.FileIO | None:
         if not (lock.exists() and os.path.samestat(here, lock.stat())):
             return None
         if here.st_size:
-            log.warning("%s: %s was killed; this process resumes", output, _signature(file))
+            state = "was killed" if is_locked else "was killed or is still at work"
+            log.warning("%s: %s %s; this process resumes", output, _signature(file), state)
         now = datetime.now().astimezone().isoformat(timespec="seconds")
         command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])[:100]
         me = f"{_this_process()}since {now} ({command})"

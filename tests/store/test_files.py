@@ -2,6 +2,7 @@ import errno
 import fcntl
 import json
 import os
+import stat
 
 import pytest
 
@@ -42,6 +43,44 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
     assert str(caught.value) == f"{path}: cannot be written: No space left on device"
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("operation", ["open", "fsync"])
+@pytest.mark.parametrize("number", [errno.EINVAL, errno.EIO, errno.ENOTSUP, errno.EACCES])
+def test_a_folder_that_cannot_be_synchronised_takes_files(
+    tmp_path, monkeypatch, operation, number
+):
+    path, usual = tmp_path / "a.txt", getattr(os, operation)
+
+    def refusing(file, *arguments):
+        if _is_folder(file):
+            raise OSError(number, os.strerror(number))
+        return usual(file, *arguments)
+
+    monkeypatch.setattr(os, operation, refusing)
+    write_text(path, "text")
+    monkeypatch.undo()
+    assert path.read_text() == "text"
+    assert [*tmp_path.iterdir()] == [path]
+
+
+def _is_folder(file):
+    """Whether a name or an open file is a folder."""
+    try:
+        return stat.S_ISDIR(os.stat(file).st_mode)
+    except FileNotFoundError:
+        return False
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC])
+def test_a_file_that_cannot_be_synchronised_is_not_written(tmp_path, monkeypatch, number):
+    def full(*_):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(FileError, match=os.strerror(number)):
+        write_text(tmp_path / "a.txt", "text")
+    assert not [*tmp_path.iterdir()]
 
 
 def test_nothing_is_written_through_a_link_or_into_a_file_that_is_there(tmp_path, monkeypatch):

@@ -1,5 +1,7 @@
 """One process at a time writes an output; a lock that was left is told from one that is held."""
 
+import errno
+import fcntl
 import os
 import platform
 import signal
@@ -10,7 +12,8 @@ import time
 import pytest
 
 from surrofe2.base.errors import FileError
-from surrofe2.store.store import file_lock, folder_lock, locked_file, locked_folder
+from surrofe2.store import disk
+from surrofe2.store.store import file_lock, folder_lock, locked_file, locked_folder, write_text
 
 HOLDER = """
 import signal, sys, time
@@ -132,3 +135,55 @@ def test_a_stopped_process_keeps_its_lock(tmp_path, holder):
     with pytest.raises(FileError, match=f"in use by process {holder.pid} "):
         locked_folder(tmp_path / "out").__enter__()
     holder.send_signal(signal.SIGCONT)
+
+
+@pytest.fixture
+def unlockable(monkeypatch):
+    """unlockable(number): every lock is refused by this error from now on."""
+    monkeypatch.setattr(disk, "_folders_without_locks", [])
+
+    def refuse(number):
+        def flock(*_):
+            raise OSError(number, os.strerror(number))
+
+        monkeypatch.setattr(fcntl, "flock", flock)
+
+    return refuse
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, 524])
+def test_a_file_system_without_locks_takes_all_with_one_warning(
+    tmp_path, unlockable, caplog, number
+):
+    out, path = tmp_path / "out", tmp_path / "out" / "a.txt"
+    unlockable(number)
+    with locked_folder(out):
+        write_text(path, "former")
+        write_text(path, "new")
+    assert path.read_text() == "new"
+    assert [*out.iterdir()] == [path]
+    (record,) = caplog.records
+    assert record.getMessage() == (
+        f"{out}: its file system keeps no locks ({os.strerror(number)}); "
+        "let one process at a time write there"
+    )
+
+
+def test_without_locks_nothing_of_another_process_is_removed(tmp_path, unlockable, caplog):
+    """What looks as if a killed process had left it may be of one that is at work."""
+    out = tmp_path / "out"
+    leave_lock(folder_lock(out))
+    partial = out / ".a.txt.01234567.partial"
+    partial.touch()
+    unlockable(errno.ENOLCK)
+    with locked_folder(out):
+        write_text(out / "a.txt", "text")
+    assert partial.exists()
+    assert "was killed or is still at work; this process resumes" in caplog.text
+
+
+def test_a_lock_that_fails_otherwise_leaves_no_partial_file(tmp_path, unlockable):
+    unlockable(errno.EIO)
+    with pytest.raises(FileError, match="cannot be written: Input/output error"):
+        write_text(tmp_path / "a.txt", "text")
+    assert not [*tmp_path.iterdir()]
