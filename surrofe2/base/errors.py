@@ -67,6 +67,20 @@ def shortened(text: str, most: int = LONGEST) -> str:
     return text if len(text) <= most else f"{text[:begin]}…{text[1 + begin - most :]}"
 
 
+def printable(text: str) -> str:
+    """A text with escapes instead of what a terminal obeys or does not show.
+
+    Control characters, escape sequences, marks that change the direction of writing, other
+    invisible characters, line breaks and bytes that are no UTF-8 become \\x1b, \\u202e, \\n and so
+    on.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        sign if sign.isprintable() else sign.encode("unicode_escape").decode() for sign in text
+    )
+
+
 def quoted(value: object) -> str:
     """A value as a sentence quotes it, whatever it is."""
     try:

@@ -17,7 +17,8 @@ import errno
 import gc
 import logging
 import re
-import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -26,7 +27,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
 
-from surrofe2.base.errors import Surrofe2Error, shortened
+from surrofe2.base.errors import Surrofe2Error, printable, shortened
 from surrofe2.base.interruption import begin_work, end_work, exit_code, interruptible
 from surrofe2.cli import console
 
@@ -54,6 +55,9 @@ SHARED = {
     "--traceback": "Show where an error came from, not only its message.",
 }
 """Options of all commands, which the group takes before a command sees them."""
+
+_USAGE_ERROR: Any = typer.BadParameter.__mro__[1]
+"""UsageError, which typer does not export."""
 
 _HELP = """
 FE² for plant tissue, in full or through a learnt stress cache.
@@ -113,12 +117,13 @@ class Commands(TyperGroup):
         shared = [entry for entry in args if entry in SHARED]
         args = [*shared, *(entry for entry in args if entry not in SHARED)]
         ctx.meta["arguments"] = list(args)
-        return super().parse_args(ctx, args)
+        with _printable_usage():
+            return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the chosen command and turn known failures into an exit code."""
         try:
-            with interruptible():
+            with interruptible(), _printable_usage():
                 return super().invoke(ctx)
         except Surrofe2Error as error:
             if ctx.params.get("traceback"):
@@ -131,12 +136,22 @@ class Commands(TyperGroup):
         except console.InterruptedWork as work:
             kept, has_begun = work.args
             words = [each for each in ctx.meta["arguments"] if each != "--fresh" or not has_begun]
-            again = shlex.join(["surrofe2", *words])
+            again = console.command_line(words)
             message, code = f"interrupted: {kept}; resume with: {again}", exit_code()
         except KeyboardInterrupt:
             message, code = "interrupted: nothing was changed", exit_code()
         console.print_warning(message)
         raise typer.Exit(code)
+
+
+@contextmanager
+def _printable_usage() -> Iterator[None]:
+    """Escape what arguments hold in the message of an error of usage, which typer prints."""
+    try:
+        yield
+    except _USAGE_ERROR as error:
+        error.message = printable(error.message)
+        raise
 
 
 def _as_help(docstring: str | None) -> str:

@@ -6,6 +6,8 @@ import errno
 import io
 import logging
 import os
+import re
+import shlex
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,11 +18,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.box import SIMPLE_HEAD
+from rich.cells import cell_len
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table as ShownTable
 from rich.text import Text
 
+from surrofe2.base.errors import printable
 from surrofe2.base.interruption import interruptible
 from surrofe2.base.units import time_text
 from surrofe2.run.loop import Report, Stage
@@ -82,7 +86,8 @@ def folder_of(out: Path | None, recipe: Path) -> Path:
     return out or Path("out") / f"{_now['command']}-{recipe.stem}"
 
 
-# Output
+# Output. Names and texts of files may hold anything: `printable` escapes what a terminal would
+# obey, and rich gets them as Text, in which brackets and colons are no markup.
 
 
 _now: dict[str, Any] = {"command": "", "quiet": False, "began": time.perf_counter()}
@@ -105,14 +110,39 @@ class PrintHandler(logging.Handler):
 
 def print_warning(message: str) -> None:
     """A warning or an error: one red line on stderr, never wrapped, its brackets as they are."""
-    line = " ".join(message.split())
-    Console(stderr=True).print(Text(line, style="red"), soft_wrap=True)
+    line = re.sub(r"\s*[\r\n]\s*", " ", message.strip())  # messages of libraries have several
+    _console("stderr").print(Text(printable(line), style="red"), soft_wrap=True)
 
 
 def print_line(message: str) -> None:
     """One line on stdout."""
     if not _now["quiet"]:
-        typer.echo(message)
+        typer.echo(printable(message))
+
+
+def command_line(words: Iterable[str]) -> str:
+    """A call of surrofe2 as a shell takes it, also where a word has what no terminal shows."""
+    return " ".join(["surrofe2", *map(_shell_word, words)])
+
+
+def _shell_word(word: str) -> str:
+    if word.isprintable():
+        return shlex.quote(word)
+    signs = []
+    for sign in word:
+        if sign in "\\'":
+            signs.append(f"\\{sign}")
+        elif sign.isprintable():
+            signs.append(sign)
+        else:
+            signs += [f"\\x{byte:02x}" for byte in os.fsencode(sign)]
+    return f"$'{''.join(signs)}'"
+
+
+def _console(name: Literal["stdout", "stderr"]) -> Console:
+    """A console of rich, whose own colours and movements of the cursor reach the terminal."""
+    stream = getattr(sys, name)
+    return Console(file=getattr(stream, "rich_proxied_file", stream), stderr=name == "stderr")
 
 
 def show_notes(notes: Iterable[tuple[str, bool]]) -> None:
@@ -136,10 +166,13 @@ def show_table(title: str, table: Table[Any]) -> None:
     """A table on stdout; where it is wider than the terminal, in parts with the same names."""
     if _now["quiet"]:
         return
-    console, names = Console(), [*range(table.names)]
-    columns, rows = table.for_people()
-    heads = [max(map(len, column.split())) for column in columns]
-    widths = [1 + max([head, *(len(row[k]) for row in rows)]) for k, head in enumerate(heads)]
+    console = _console("stdout")
+    names = [*range(table.names)]
+    headings, texts = table.for_people()
+    columns = [printable(heading) for heading in headings]
+    rows = [[printable(text) for text in row] for row in texts]
+    heads = [max(map(cell_len, column.split())) for column in columns]
+    widths = [1 + max([head, *(cell_len(row[k]) for row in rows)]) for k, head in enumerate(heads)]
     parts: list[list[int]] = [names]
     for k in range(table.names, len(columns)):
         if parts[-1] != names and sum(widths[j] for j in (*parts[-1], k)) >= console.width:
@@ -148,17 +181,17 @@ def show_table(title: str, table: Table[Any]) -> None:
     for part in parts:
         fits = sum(widths[k] for k in part) < console.width
         more = "" if part is parts[0] else ", continued"
-        console.print(Text(f"{title}{more}", style="italic"))
+        console.print(Text(f"{printable(title)}{more}", style="italic"))
         drawn = ShownTable(box=SIMPLE_HEAD, padding=0)
         for k in part:
             drawn.add_column(
-                columns[k],
+                Text(columns[k]),
                 justify="right" if k else "left",
                 width=widths[k] - 1 if fits else None,
                 min_width=heads[k],
             )
         for row in rows:
-            drawn.add_row(*(row[k] for k in part))
+            drawn.add_row(*(Text(row[k]) for k in part))
         console.print(drawn)
 
 
@@ -175,16 +208,52 @@ class _Noting(io.FileIO):
             return len(content)
 
 
+class _Escaping(io.TextIOWrapper):
+    """A stream that escapes what `printable` does, but for line breaks and tabs.
+
+    So tracebacks and messages of other libraries quote names safely, too.
+    """
+
+    def write(self, text: str) -> int:
+        super().write("".join(map(self._escaped, re.split(r"([\n\t])", text))))
+        return len(text)
+
+    @staticmethod
+    def _escaped(part: str) -> str:
+        return part if part in ("\n", "\t") else printable(part)
+
+    @property
+    def rich_proxied_file(self) -> _Styled:
+        """Where consoles of rich write: by this name they look for what is behind a stream."""
+        return _Styled(self)
+
+
+class _Styled:
+    """The same stream for texts that rich has styled by escape sequences."""
+
+    def __init__(self, stream: _Escaping) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        return io.TextIOWrapper.write(self._stream, text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
 _raw: dict[str, _Noting] = {}
 
 
 def note_errors() -> None:
-    """From now on stdout and stderr never fail; what a terminal has no sign for becomes "?"."""
+    """From now on stdout and stderr never fail and obey nothing that names hold.
+
+    What a terminal has no sign for becomes "?".
+    """
     for name, stream in (("stdout", sys.stdout), ("stderr", sys.stderr)):
         if isinstance(stream, io.TextIOWrapper):
             stream.flush()
             _raw[name] = _Noting(stream.fileno(), "w", closefd=False)
-            noted = io.TextIOWrapper(
+            noted = _Escaping(
                 io.BufferedWriter(_raw[name]),  # type: ignore[type-var]
                 encoding=stream.encoding,
                 errors="replace",
@@ -228,13 +297,13 @@ def stages() -> Iterator[Stage]:
     In a terminal bars on stderr, with their times; elsewhere a plain line now and then, see
     `SELDOM`.
     """
-    console = Console(stderr=True)
+    console = _console("stderr")
     bar_width = 20 if console.width >= 100 else 10
     display = Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=bar_width),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TextColumn("{task.fields[status]}"),
+        TextColumn("{task.percentage:>3.0f} %", markup=False),
+        TextColumn("{task.fields[status]}", markup=False),
         console=console,
         transient=True,
         redirect_stdout=sys.stdout.isatty(),  # what is piped elsewhere goes there
@@ -248,6 +317,7 @@ def stages() -> Iterator[Stage]:
 def _stage(display: Progress, taken: int, what: str, total: float, unit: str) -> Iterator[Report]:
     """A bar of a display, where so many characters are taken, or lines where it is disabled; work
     whose total is 1 is reported in percent."""
+    what = printable(what)
     began = last = time.perf_counter()
     first: tuple[float, float] | None = None  # what was done before counts for no rate
     task = display.add_task(what, total=total, status="")
@@ -261,10 +331,11 @@ def _stage(display: Progress, taken: int, what: str, total: float, unit: str) ->
         if elapsed >= _SETTLED and more > 0.0:
             parts = [f"{time_text(max((total - done) * elapsed / more, 0.0))} left"]
             parts += [f"{_short(more / elapsed)} {unit}/s"] * bool(far)
-        parts += [note] * bool(note)
+        if note:
+            parts.append(printable(note))
         if not display.disable:
             parts = far + parts
-            while len(", ".join(parts)) > display.console.width - taken - len(what) and parts:
+            while len(", ".join(parts)) > display.console.width - taken - cell_len(what) and parts:
                 parts.pop()
             display.update(task, completed=done, status=", ".join(parts))
         elif not _now["quiet"] and moment - last >= SELDOM:

@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from surrofe2.base.errors import printable
 from surrofe2.base.units import time_text
 from surrofe2.cli import console
 from surrofe2.ranks.driver import (
@@ -145,7 +146,9 @@ def all_ranks(threads: int | None, what: str) -> Iterator[int | None]:
         return
     threads = threads or own_threads()
     use_threads(threads)
-    with watched(what, sys.argv[1:]) if is_first() else nullcontext():
+    again = console.command_line(each for each in sys.argv[1:] if each != "--fresh")
+    message = f"error: a rank died; {what}; any number of ranks resumes with: {again}"
+    with watched(printable(message)) if is_first() else nullcontext():
         comm = world()
         atexit.register(leave)  # when all is said: a launcher may not listen any longer
         if comm.rank:

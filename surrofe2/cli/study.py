@@ -104,7 +104,9 @@ def check(
     for cell, met in run.met.items():
         low, high = met.stretch
         try:
-            console.print_line(checking.range_section(checking.proposed_range(met, margin), cell))
+            section = checking.range_section(checking.proposed_range(met, margin), cell)
+            for line in section.splitlines():
+                console.print_line(line)
         except InputError as error:
             console.print_warning(str(error))
         console.print_line(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -23,7 +22,7 @@ from surrofe2.rve.rve_state import RveState
 _SIZES = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE")
 _RANKS = ("PMI_RANK", "OMPI_COMM_WORLD_RANK", "MV2_COMM_WORLD_RANK", "PMIX_RANK")
 _LOCAL_SIZES = ("MPI_LOCALNRANKS", "OMPI_COMM_WORLD_LOCAL_SIZE", "MV2_COMM_WORLD_LOCAL_SIZE")
-_WATCH = 'read done || echo "$0" >&2'
+_WATCH = """read done || printf '%s\\n' "$0" >&2"""
 """Prints its message where its input ends without a line, whoever had the other end."""
 _Task = tuple[Callable[..., Any], tuple[Any, ...] | None, list[int]]
 """work(worker, *arguments) of one rank, no arguments where it has nothing to do, and the states to
@@ -78,19 +77,14 @@ def own_threads() -> int:
 
 
 @contextmanager
-def watched(what: str, arguments: Sequence[str]) -> Iterator[None]:
+def watched(message: str) -> Iterator[None]:
     """Print a message even where this process is killed in the block.
 
     A launcher that loses one rank kills the others. A shell waits beside this process and prints
     where it ended without a word.
-
-    Args:
-        what: is kept; arguments: of the command that resumes.
     """
-    again = shlex.join(["surrofe2", *(each for each in arguments if each != "--fresh")])
-    sentence = f"error: a rank died; {what}; any number of ranks resumes with: {again}"
     watcher = subprocess.Popen(
-        ["/bin/sh", "-c", _WATCH, sentence], stdin=subprocess.PIPE, start_new_session=True
+        ["/bin/sh", "-c", _WATCH, message], stdin=subprocess.PIPE, start_new_session=True
     )
     try:
         yield

@@ -84,7 +84,7 @@ def test_progress_in_a_terminal_says_what_how_far_rate_and_time_left(monkeypatch
     for width in (60, 80, 120):
         file = io.StringIO()
         terminal = Console(file=file, force_terminal=True, width=width, no_color=True)
-        monkeypatch.setattr(shown, "Console", lambda stderr, terminal=terminal: terminal)
+        monkeypatch.setattr(shown, "Console", lambda terminal=terminal, **_: terminal)
         moments = itertools.count(0.0, 0.6)
         monkeypatch.setattr(shown.time, "perf_counter", lambda moments=moments: next(moments))
         shown.begin("generate", quiet=False)
