@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext
-from functools import partial
 from time import monotonic
 from typing import Any, Protocol, TypeVar
 
@@ -37,7 +36,8 @@ class CheckpointClock:
         return monotonic() >= self._due
 
     def write(self, checkpoint: Callable[[], None]) -> None:
-        """Let a checkpoint be written; how long that takes decides when the next one is due."""
+        """Let a checkpoint be taken and written, both by the call; how long that takes decides
+        when the next one is due."""
         began = monotonic()
         checkpoint()
         now = monotonic()
@@ -83,7 +83,8 @@ def carry_out(
                 if progress is not None:
                     progress(t, duration)
                 if checkpoint is not None and due.is_due():
-                    due.write(partial(checkpoint, recorder.checkpoint()))
+                    # The copy of the state takes time as well, so it is made within.
+                    due.write(lambda: checkpoint(recorder.checkpoint()))
     except SimulationError as error:
         raise SimulationError(str(error), partial=results(False)) from error
     except KeyboardInterrupt:

@@ -17,7 +17,7 @@ from scipy.interpolate import PchipInterpolator
 from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.base.tensors import INPUTS, stress_error
-from surrofe2.law.stress_law import Status, StressLaw, StressResponse
+from surrofe2.law.stress_law import LearningLaw, Status, StressLaw, StressResponse
 from surrofe2.surrogate.settings import CORNERS, SMALL
 
 State = tuple[Array, Array]
@@ -124,8 +124,11 @@ def random_walks(range: SamplingRange, count: int, length: int, seed: int) -> De
 
 
 class WatchedLaw:
-    """A stress law that calls `note` with F and F_dot (n, 2, 2) at the end of every accepted
-    step."""
+    """A stress law that calls `note` with F and F_dot (n, 2, 2) at the end of every accepted step.
+
+    An end to which the law objects is not noted, nor one to which another law of the same tissue
+    does: it is a `LearningLaw`.
+    """
 
     def __init__(self, law: StressLaw, note: Callable[[Array, Array], None]) -> None:
         self.law, self.density, self.has_tangents = law, law.density, law.has_tangents
@@ -137,8 +140,21 @@ class WatchedLaw:
         return self.law.respond(F, F_dot, state, tangents=tangents)
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
-        self.note(F, F_dot)
+        checked = self.check(F, F_dot, response)
+        return checked if checked.status.any() else self.commit(F, F_dot, checked)
+
+    def check(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
+        """What the law makes of the end of a step, which is not accepted yet."""
+        if isinstance(self.law, LearningLaw):
+            return self.law.check(F, F_dot, response)
         return self.law.accept(F, F_dot, response)
+
+    def commit(self, F: Array, F_dot: Array, checked: StressResponse) -> StressResponse:
+        """Note the end of a step, to which nobody objects."""
+        self.note(F, F_dot)
+        if isinstance(self.law, LearningLaw):
+            return self.law.commit(F, F_dot, checked)
+        return checked
 
 
 def run_paths(runs: Sequence[Sequence[State]], length: int) -> DeformationPaths:

@@ -8,7 +8,7 @@ import pytest
 
 from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.run.journal import Journal, RunState
-from surrofe2.run.loop import CheckpointClock, carry_out
+from surrofe2.run.loop import SHARE, CheckpointClock, carry_out
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,3 +117,26 @@ def test_interrupt_leaves_a_checkpoint_where_it_may_be_kept(may_be_kept):
 def test_interval_must_be_a_number_of_at_least_zero(interval):
     with pytest.raises(InputError, match=r"checkpoint_interval: .* at least 0"):
         CheckpointClock(interval)
+
+
+def test_the_time_to_copy_a_state_counts_among_that_of_its_checkpoint(monkeypatch):
+    """A copy takes 1 s and a step 1 s: checkpoints are 5 % of the run only if the copy counts."""
+    now = [0.0]
+    monkeypatch.setattr("surrofe2.run.loop.monotonic", lambda: now[0])
+
+    class Slow(Recorded):
+        def checkpoint(self):
+            now[0] += 1.0
+            return super().checkpoint()
+
+    recorded = Slow()
+
+    def steps():
+        for t in range(1, 201):
+            now[0] += 1.0
+            recorded.steps.append(t)
+            yield float(t)
+
+    carry_out(steps(), recorded, recorded.run, 200.0, interval=0.5, progress=None,
+              checkpoint=recorded.states.append)  # fmt: skip
+    assert 200 * SHARE / (1.0 - SHARE) - 1.0 <= len(recorded.states) <= 1 + 200 * SHARE

@@ -8,6 +8,7 @@ import pytest
 from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import SamplingRange, contains, sample
 from surrofe2.base.tensors import stress_error, stress_spread, unrotated
+from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.law.stress_law import Status
 from surrofe2.store.store import plain
 from surrofe2.store.surrogates import read_surrogate, write_surrogate
@@ -23,12 +24,13 @@ from surrofe2.surrogate.deformation_paths import (
     CHUNK,
     DeformationPaths,
     Truth,
+    WatchedLaw,
     random_walks,
     run_paths,
     true_stress,
 )
 from surrofe2.surrogate.settings import MARGIN, CalibrationSettings
-from tests.laws import RANGE, SoftLaw, lattice_stress
+from tests.laws import RANGE, KelvinVoigt, SoftLaw, failing, lattice_stress
 
 ALPHA = 0.01
 
@@ -371,3 +373,23 @@ def test_beyond_a_bifurcation_there_is_no_one_stress_but_back_on_the_branch_ther
     assert np.array_equal(found.status == Status.UNSTABLE, lost)
     F, F_dot = walks.states
     assert np.array_equal(found.stress[~lost], SoftLaw().respond(F, F_dot).stress[~lost])
+
+
+@pytest.mark.parametrize("is_regional", [False, True])
+def test_only_ends_of_steps_that_nobody_rejects_are_noted(is_regional):
+    """Neither the law that is watched, nor that of another region, rejects what is noted."""
+    noted, rejects = [], lambda F, F_dot: F[:, 0, 0] > 1.05
+    watched = WatchedLaw(
+        KelvinVoigt() if is_regional else failing(KelvinVoigt(), refuses=rejects),
+        lambda F, F_dot: noted.append(F.copy()),
+    )
+    law = watched
+    if is_regional:
+        other = failing(KelvinVoigt(), refuses=rejects)
+        law = RegionalLaw({"a": watched, "b": other}, {"a": np.arange(2), "b": np.arange(2, 4)})
+    for stretch in (1.01, 1.1, 1.04):
+        F = np.tile(np.diag([stretch, 1.0]), (4, 1, 1))
+        accepted = law.accept(F, 0.0 * F, law.respond(F, 0.0 * F))
+        assert accepted.status.any() == (stretch > 1.05)
+    assert [F[0, 0, 0] for F in noted] == [1.01, 1.04]
+    assert {len(F) for F in noted} == {2 if is_regional else 4}
