@@ -57,7 +57,8 @@ class Surrogate(Protocol):
 
     def with_tolerance(self, tolerance: float, relative: float) -> Surrogate:
         """The same, whose risks are by this tolerance; shares of the spread, and of the local
-        stress. An infinite tolerance leaves no risk."""
+        stress. An infinite tolerance leaves no risk. The surrogate itself stays as it is; one that
+        learns shares what it learns with the other, but not the tolerance."""
 
     def local_tolerance(self, F: Array, F_dot: Array) -> Array:
         """(n,) what an error may be, as a share of the tolerance, at most 1."""

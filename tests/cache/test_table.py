@@ -7,7 +7,7 @@ from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import half_widths, sample
 from surrofe2.base.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
 from surrofe2.base.tensors import from_inputs, stress_error, to_components, to_inputs, transpose
-from surrofe2.cache import CachedLaw, sampled_spread
+from surrofe2.cache import CachedLaw, CacheSettings, sampled_spread
 from surrofe2.cache.branches import RETURN
 from surrofe2.cache.table.records import (
     RULE,
@@ -358,3 +358,25 @@ def test_no_first_ellipsoid_reaches_farther_than_the_range():
     reach = np.sqrt(table.tolerance / np.diag(table.records.curvature[0]))
     assert (reach <= half_widths(RANGE) * (1.0 + 1e-12)).all()
     assert (reach > 0.99 * half_widths(RANGE)).any()
+
+
+def test_laws_that_share_a_table_have_tolerances_of_their_own_and_learn_for_each_other():
+    table = make()
+    strict, lax = (
+        CachedLaw(table, SquareLaw(), CacheSettings(tolerance=tolerance, audit=0.0))
+        for tolerance in (1e-3, 0.1)
+    )
+    assert table is not strict.table is not lax.table
+    F, F_dot = states(20)
+    lax.accept(F, F_dot, lax.respond(F, F_dot))
+    assert strict.table.size == lax.table.size == table.size > 0
+    assert strict.table.counts == lax.table.counts == table.counts
+    near = F + 1e-3
+    risks = [law.table.lookup(near, F_dot)[2] for law in (strict, lax)]
+    known = np.isfinite(risks[0])
+    assert known.sum() > 10
+    np.testing.assert_allclose(risks[0][known], 100.0 * risks[1][known], rtol=1e-12)
+    # Records that come from a checkpoint are those of all of them, too.
+    strict.table.from_arrays(make().to_arrays())
+    assert strict.table.size == lax.table.size == table.size == 0
+    assert lax.table.lookup(near, F_dot)[1].all()

@@ -10,6 +10,8 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Mapping
+from copy import copy
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -54,10 +56,30 @@ _GROUP = 1 + INPUTS
 _log = logging.getLogger("surrofe2.cache")
 
 
+def _no_counts() -> Counter[str]:
+    return Counter(added=0, grown=0, shrunk=0, table_rve_solves=0)
+
+
+@dataclass(slots=True)
+class _Knowledge:
+    """What a table has learnt, whoever looks it up by whatever tolerance.
+
+    Attributes:
+        records: the RVE answers with their ellipsoids.
+        screen: of these records, for `look_up`; None: it is made when next needed.
+        counts: see `StressTable`.
+    """
+
+    records: Records = NO_RECORDS
+    screen: Array | None = None
+    counts: Counter[str] = field(default_factory=_no_counts)
+
+
 class StressTable:
     """σ(F, Ḟ) from linear models about RVE answers, each within its ellipsoid of accuracy.
 
-    `lookup` is pure; the table changes in `learn` alone.
+    `lookup` is pure; the table changes in `learn` alone. Tables by `with_tolerance` share what is
+    learnt, and each has the tolerance of its risks to itself.
 
     Args:
         law: that of the RVEs, whose `respond(…, tangents=True)` gives records.
@@ -77,7 +99,6 @@ class StressTable:
     """
 
     has_tangents, is_calibrated = False, True
-    _records: Records
 
     def __init__(
         self,
@@ -101,25 +122,34 @@ class StressTable:
         self.range = range
         self.stress_spread, self._allowed = float(spread), 1.0
         self.most_records, self.seconds = most_records, 0.0
-        self.counts = Counter(added=0, grown=0, shrunk=0, table_rve_solves=0)
         self._reach = half_widths(range)
-        self._screen: Array | None = None
+        self._known = _Knowledge()
         self.restore(NO_RECORDS)
 
     @property
     def size(self) -> int:
         """How many records it has."""
-        return len(self._records.centre)
+        return len(self._known.records.centre)
 
     @property
     def records(self) -> Records:
         """What the table knows now, a copy."""
-        return Records(*(part.copy() for part in self._records))
+        return Records(*(part.copy() for part in self._known.records))
+
+    @property
+    def counts(self) -> Counter[str]:
+        return self._known.counts
 
     def with_tolerance(self, tolerance: float, relative: float) -> StressTable:
-        """Itself, with risks by this share of the spread; it is grown for its own tolerance."""
-        self._allowed = tolerance * self.stress_spread
-        return self
+        """A table of the same records, whose risks are by this share of the spread.
+
+        The records, their ellipsoids and the counts are shared, so that what one table learns all
+        of them know: they are grown for `tolerance` of the table alone. The tolerance by which
+        risks count is not shared.
+        """
+        table = copy(self)
+        table._allowed = tolerance * self.stress_spread
+        return table
 
     def local_tolerance(self, F: Array, F_dot: Array) -> Array:
         return np.ones(len(F))
@@ -137,11 +167,12 @@ class StressTable:
 
         F, F_dot: contiguous float64 (n, 2, 2).
         """
-        if self._screen is None:
-            self._screen = make_screen(self._records)
+        known = self._known
+        if known.screen is None:
+            known.screen = make_screen(known.records)
         tolerances = float(limit) * self._allowed, self.tolerance
         stress, status, risk = look_up(
-            F, F_dot, tolerances, self.images, self._records, self._screen
+            F, F_dot, tolerances, self.images, known.records, known.screen
         )
         np.divide(risk, self._allowed, out=risk, where=np.isfinite(risk))
         return stress, status, risk
@@ -158,17 +189,18 @@ class StressTable:
     def learn(self, F: Array, F_dot: Array, stress: Array, state: Any = None) -> None:
         """Take RVE answers (m, 2, 2) in: grow or shrink ellipsoids, and add records where none
         holds; `state` is the law's warm start at these points, or None."""
-        self._screen = None
+        known = self._known
+        known.screen = None
         x, R = to_inputs(F, F_dot)
         s = to_components(transpose(R) @ stress @ R)
-        left = np.flatnonzero(~self._cover(x, s, self._records))
+        left = np.flatnonzero(~self._cover(x, s, known.records))
         while len(left) and self.size < self.most_records:
             chosen = left[self._apart(x[left])][: self.most_records - self.size]
             new = self._solved(x[chosen], R[chosen], state, chosen)
             left = np.setdiff1d(left, chosen, assume_unique=True)
             left = left[~self._cover(x[left], s[left], new)]
-            both = zip(self._records, new, strict=True)
-            self._records = Records(*(np.concatenate(pair) for pair in both))
+            both = zip(known.records, new, strict=True)
+            known.records = Records(*(np.concatenate(pair) for pair in both))
             self.counts["added"] += len(new.centre)
             if self.size >= self.most_records:
                 _log.warning(
@@ -187,14 +219,16 @@ class StressTable:
 
     def restore(self, records: Records) -> None:
         """Know these records and no others."""
-        self._records, self._screen = Records(*(part.copy() for part in records)), None
+        self._known.records = Records(*(part.copy() for part in records))
+        self._known.screen = None
 
     def to_arrays(self) -> dict[str, NDArray]:
         return {**self.records._asdict(), "counts": np.array(list(self.counts.values()))}
 
     def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
         self.restore(Records(*(arrays[name] for name in Records._fields)))
-        self.counts = Counter(dict(zip(self.counts, arrays["counts"].tolist(), strict=True)))
+        counts = dict(zip(self.counts, arrays["counts"].tolist(), strict=True))
+        self._known.counts = Counter(counts)
 
     def _cover(self, x: Array, s: Array, records: Records) -> Flags:
         """(m,) which RVE answers these records cover, after they have grown and shrunk by them."""
@@ -209,7 +243,7 @@ class StressTable:
         taken to be like that of the latest record; a first record comes alone."""
         if not self.size:
             return np.zeros(1, dtype=np.intp)
-        curvature, x = self._records.curvature[-1], x * INPUT_SIGNS[self._image(x)]
+        curvature, x = self._known.records.curvature[-1], x * INPUT_SIGNS[self._image(x)]
         chosen, left = [], np.arange(len(x))
         while len(left):
             chosen.append(left[0])
