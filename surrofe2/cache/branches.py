@@ -78,27 +78,28 @@ class CachedState:
     before: tuple[Array, Array] | None = None
 
     def to_arrays(self, fallback: Fallback) -> dict[str, NDArray]:
-        """Of a state that was accepted, which carries no risk."""
-        assert self.before is not None
+        """Arrays of a state that was accepted, which carries no risk, or of one to begin cold from,
+        which knows no accepted step either."""
         return {
+            "count": np.array(self.count),
             "limit": np.array(self.limit),
             "reach": self.reach,
             "points": self.on_fallback.points,
             "why": self.on_fallback.why,
-            "before": np.stack(self.before),
+            **({} if self.before is None else {"before": np.stack(self.before)}),
             **within("fallback", state_arrays(fallback, self.on_fallback.state)),
         }
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray], fallback: Fallback) -> CachedState:
         """The state whose `to_arrays` gave `arrays`, with the warm start of this fallback."""
-        state, (F, F_dot) = state_of(fallback, part_of(arrays, "fallback")), arrays["before"]
+        state = state_of(fallback, part_of(arrays, "fallback"))
         return cls(
-            count=len(F),
+            count=int(arrays["count"]),
             on_fallback=PointSet(arrays["points"].astype(np.intp), arrays["why"], state),
             limit=float(arrays["limit"]),
             reach=arrays["reach"],
-            before=(F, F_dot),
+            before=tuple(arrays["before"]) if "before" in arrays else None,
         )
 
     def free(self) -> Flags:

@@ -131,7 +131,8 @@ class CachedLaw(Viewed):
         self._trust = Trust()
         self._window = Window(0.0, 0, self._trust.limit)
         self._decisions: list[dict[str, Any]] = []
-        self._marked: CachedState | None = None
+        self._marked: CachedState | None = None  # also of a run that resumed cold at its mark
+        self._points = 0  # of the last step
         if not surrogate.is_calibrated and np.isfinite(allowed):
             self._trust.warn(
                 0,
@@ -178,7 +179,7 @@ class CachedLaw(Viewed):
         """On windows of steps, in order: which stand and which were rolled back, and why."""
         return [dict(each) for each in self._decisions]
 
-    def mark(self, t: float, state: CachedState) -> None:
+    def mark(self, t: float, state: CachedState | None) -> None:
         """What was kept up to t stands; what follows may be rolled back to here. Where a window
         ends before it is full, the next one carries on its audits, so that the plan holds for each.
         """
@@ -206,10 +207,10 @@ class CachedLaw(Viewed):
         return False if window.failed else (True if is_over else None)
 
     def roll_back(self, t: float) -> CachedState:
-        """The state at the mark, with the trust of now: if these answers failed, with less."""
+        """The state at the mark, with the trust of now: if these answers failed, with less. Where
+        the run resumed cold at the mark, no point is on the fallback yet."""
         window, before = self._window, self._window.before
         assert before is not None
-        assert self._marked is not None
         self._decide(t, "rolled back")
         self._counts, self._left_range = Counter(before["counts"]), deepcopy(before["left_range"])
         self._audit.go_back(window.step, before["record"])
@@ -217,7 +218,10 @@ class CachedLaw(Viewed):
             before["carried"] = []  # under another factor it says nothing
         at = window.begin, window.step, self._trust.limit
         self._window = Window(*at, before, list(before["carried"]))
-        return replace(self._marked, limit=self._trust.limit, reach=np.array(self._trust.reach))
+        limit, reach = self._trust.limit, np.array(self._trust.reach)
+        if self._marked is None:
+            return CachedState(self._points, NO_POINTS, limit, reach)
+        return replace(self._marked, limit=limit, reach=reach)
 
     def _counted(self) -> dict[str, Any]:
         """A copy of what is counted of kept steps, plain values."""
@@ -258,7 +262,9 @@ class CachedLaw(Viewed):
             self.table.from_arrays(part_of(arrays, "table"))
         marked = part_of(arrays, "marked")
         self._marked = CachedState.from_arrays(marked, self.fallback) if marked else None
-        return CachedState.from_arrays(part_of(arrays, "state"), self.fallback)
+        state = CachedState.from_arrays(part_of(arrays, "state"), self.fallback)
+        self._points = state.count
+        return state
 
     def respond(
         self, F: Array, F_dot: Array, state: CachedState | None = None, *, tangents: bool = False
@@ -341,6 +347,7 @@ class CachedLaw(Viewed):
     def commit(self, F: Array, F_dot: Array, checked: StressResponse) -> StressResponse:
         """Count, audit and learn, and choose the branches of the next step."""
         counts, state = self._counts, checked.state
+        self._points = state.count
         known, hits = state.on_fallback, state.free().nonzero()[0]
         counts.update(effort_of(state.count, known.why), steps=1, in_domain=len(hits))
         if len(known):

@@ -113,7 +113,8 @@ class RegionalLaw(Viewed):
         return len(self._audited) == len(self.laws) and all(law.is_audited for law in self._audited)
 
     def mark(self, t: float, state: Any) -> None:
-        for law, part in zip(self._audited, state, strict=True):
+        states = (None,) * len(self._audited) if state is None else state
+        for law, part in zip(self._audited, states, strict=True):
             law.mark(t, part)
 
     def verdict(self, *, final: bool = False) -> bool | None:

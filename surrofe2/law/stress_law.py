@@ -280,7 +280,8 @@ class AuditedLaw(StressLaw, Protocol):
         """Whether it ever gives a verdict."""
 
     def mark(self, t: float, state: Any) -> None:
-        """What was kept up to t stands; `state` is what was committed there."""
+        """What was kept up to t stands; `state` is what was committed there, None where the run
+        resumes cold from there."""
 
     def verdict(self, *, final: bool = False) -> bool | None:
         """Whether the steps since the mark stand; None: not known yet, unless `final`."""

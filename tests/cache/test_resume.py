@@ -1,11 +1,16 @@
 """A cached run that is interrupted and resumes equals one that was not, to the bit."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from surrofe2 import LoadCase
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.cache import CachedLaw, CacheSettings, StressTable
+from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.macro import MacroSettings, simulate
+from surrofe2.run.displacement_curve import difference
 from tests.cache.tables import cached, keeping, resumed, rising
 from tests.folders import assert_equal
 from tests.laws import Truth, failing, shear_error
@@ -49,6 +54,40 @@ def interrupted(make, steps):
     with pytest.raises(KeyboardInterrupt):
         simulate(LOAD_CASE, law, SETTINGS, progress=stop, **checkpoints)
     return kept[-1]
+
+
+@pytest.mark.parametrize("is_regional", [False, True])
+@pytest.mark.parametrize("stop", [1, 12])
+def test_a_run_resumes_cold_and_rolls_back_to_where_it_did(is_regional, stop):
+    """Nothing but the macro state is kept: the law begins anew, and finds the fault again."""
+    points = {"left": np.arange(0, 10), "right": np.arange(10, 20)}
+
+    def make():
+        if is_regional:
+            return RegionalLaw({name: untrustworthy() for name in points}, points)
+        return untrustworthy()
+
+    kept, left = [], [stop]
+
+    def interrupt(t, duration):
+        left[0] -= 1
+        if left[0] == 0:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        simulate(LOAD_CASE, make(), SETTINGS, progress=interrupt, checkpoint=kept.append,
+                 checkpoint_interval=1e9)  # fmt: skip
+    state, law, states = replace(kept[-1], law_state=None), make(), []
+    run = simulate(LOAD_CASE, law, SETTINGS, resume=state, checkpoint_interval=0.0,
+                   checkpoint=keeping(law, states))  # fmt: skip
+    assert run.finished
+    back = [line for line in law.decisions if line["decision"] == "rolled back"]
+    assert back[0]["from_t"] == state.t
+    true = simulate(LOAD_CASE, Truth(), SETTINGS)
+    assert difference(run.curve, true.curve).largest < 2e-3
+    # A checkpoint that was taken right after the law went back to there is whole.
+    first = next(each for each in states if each[0]["t"] == state.t)
+    assert_same_run(resumed(LOAD_CASE, make(), SETTINGS, first), run)
 
 
 def told(law):
