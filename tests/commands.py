@@ -16,6 +16,7 @@ from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store import samples
 from surrofe2.workflow import laws, rest, run, tissue
 from surrofe2.workflow.generate import generate_data_set
+from surrofe2.workflow.rest import rest_study
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.tissue import run_tissue
 from tests.conftest import RECIPE, changed
@@ -69,14 +70,15 @@ COMMANDS = {
     "cached": (CACHED, by("cached")),
     "table": (CACHED, by("table")),
     "implicit": (SHORT + 'integrator = "implicit"\n', by("rve")),
+    "rest": (RECIPE, lambda recipe, folder: rest_study(recipe, folder / "out")),
     "tissue": (TISSUE, lambda recipe, folder: run_tissue(recipe, folder / "out")),
     "refine": (LEAVING, refine),
     "grid": (BRIEF, grid),
 }
 """By name: recipe, and the command on it in a folder."""
 NEED_NO_SURROGATE = ("generate", "train", "train on more and more", "rve", "table", "implicit",
-                     "tissue", "refine", "grid")  # fmt: skip
-NEED_TANGENTS = ("table", "implicit")
+                     "rest", "tissue", "refine", "grid")  # fmt: skip
+NEED_TANGENTS = ("table", "implicit", "rest")
 
 
 @contextmanager

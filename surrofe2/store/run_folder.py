@@ -23,6 +23,7 @@ from surrofe2.base.errors import (
     InputError,
     MismatchError,
     SimulationError,
+    Surrofe2Error,
     quoted,
     shortened,
 )
@@ -238,7 +239,8 @@ class RunFolder:
     ) -> Iterator[RunFolder]:
         """A run that nobody else writes meanwhile; one that an earlier call finished is kept.
 
-        A run that fails or is interrupted leaves what it computed.
+        A run that fails or is interrupted leaves what it computed. Whatever ends the block,
+        run.json says how.
 
         Raises:
             FileError: the folder cannot be written, has files but no run, or is in use.
@@ -270,18 +272,9 @@ class RunFolder:
                         run.resumes = earlier is not None and state.exists()
                         run._begin()
                     yield run
-            except SimulationError as error:
-                partial = run.partial if error.partial is None else error.partial
-                run._end("failed", partial, str(error))
-                raise
-            except FileError as error:
+            except BaseException as error:
                 if not run.is_finished:
-                    with suppress(FileError):  # the disk may be full for this too
-                        run._end("failed", error=str(error))
-                raise
-            except KeyboardInterrupt:
-                if not run.is_finished:
-                    run._end("interrupted", run.partial)
+                    run._end_by(error)
                 raise
 
     def _begin(self) -> None:
@@ -328,6 +321,33 @@ class RunFolder:
         self._end("finished" if getattr(result, "finished", True) else "failed", result)
         self.is_finished = True
         remove(self.folder / CHECKPOINT)
+
+    def _end_by(self, error: BaseException) -> None:
+        """Say which error ended the run, and store what there is of it.
+
+        Raises:
+            FileError: what a failed simulation or an interrupt left could not be stored.
+        """
+        status, partial, message = "failed", self.partial, str(error)
+        if isinstance(error, FileError):
+            partial = None  # the disk may be full for this too
+        elif isinstance(error, SimulationError):
+            partial = self.partial if error.partial is None else error.partial
+        elif not isinstance(error, Exception):
+            status, message = "interrupted", None
+        elif not isinstance(error, Surrofe2Error):
+            message = f"{type(error).__name__}: {error}".rstrip(": ")
+        try:
+            self._end(status, partial, message)
+        except BaseException as second:
+            # There may be no room for results, but the state of the run is true all the same.
+            with suppress(Exception):
+                self._end(status, error=message)
+            # The first error is the one to report, unless what it left is lost by the second.
+            lost = isinstance(error, SimulationError | KeyboardInterrupt)
+            if lost or not isinstance(second, Exception):
+                raise
+            log.debug("%s: its end could not be recorded whole", self.folder, exc_info=second)
 
     def _end(self, status: str, result: Any = None, error: str | None = None) -> None:
         """Store what there is and say how the run ended."""

@@ -94,6 +94,8 @@ def run_study(
     if kind == "table":
         laws.check_tangents(recipe)
     before, problem, harvests = seconds_compiling(), recipe.problem(), dict[str, HarvestWriter]()
+    with recipe.named(InputError):
+        problem.check_course()
     given, chosen = laws.files_by_cell(recipe, tables, "--table"), dict[str, laws.ChosenLaw]()
     for name, part in recipe.parts().items():
         if kind in ("cached", "table"):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2.base.errors import FileError, InputError
+from surrofe2.base.errors import FileError, InputError, MismatchError, SimulationError
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.store.hdf5 import write
 from surrofe2.store.run_folder import (
@@ -110,6 +110,62 @@ def test_a_checkpoint_of_something_else_is_refused(tmp_path, record):
     with pytest.raises(FileError) as caught, RunFolder.open(folder, running, None) as run:
         run.restored(dict)
     assert str(caught.value) == f"{path}: a checkpoint of a training, not of a rve run"
+
+
+ENDS = {
+    "no such entry": (InputError("no such entry"), "failed", "no such entry"),
+    "other settings": (MismatchError("other settings"), "failed", "other settings"),
+    "a fault of the disk": (FileError("a fault of the disk"), "failed", "a fault of the disk"),
+    "no equilibrium": (SimulationError("no equilibrium"), "failed", "no equilibrium"),
+    "no memory": (MemoryError(), "failed", "MemoryError"),
+    "a fault of the program": (KeyError("width"), "failed", "KeyError: 'width'"),
+    "a signal": (KeyboardInterrupt(), "interrupted", None),
+    "the host ends": (SystemExit(1), "interrupted", None),
+}
+
+
+@pytest.mark.parametrize("name", ENDS)
+@pytest.mark.parametrize("is_stored", [True, False], ids=["stored", "no room"])
+def test_whatever_ends_a_run_is_what_its_record_says(tmp_path, record, name, is_stored):
+    """Also where its results cannot be stored: the error is still the one that ended the run, but
+    for what a failed simulation or an interrupt computed, whose loss is reported."""
+    error, status, message = ENDS[name]
+    kept = []
+
+    def store(record, result):
+        if not is_stored:
+            raise MemoryError("no room for results")
+        kept.append(result)
+        return record
+
+    loses = isinstance(error, SimulationError | KeyboardInterrupt) and not is_stored
+    raised = MemoryError if loses else type(error)
+
+    def work():
+        with RunFolder.open(tmp_path / "run", replace(record, status="running"), store) as run:
+            run.partial = "a part"
+            raise error
+
+    with pytest.raises(raised):
+        work()
+    found = read_record(tmp_path / "run")
+    assert (found.status, found.error) == (status, message)
+    assert kept == ["a part"] * (is_stored and not isinstance(error, FileError))
+
+
+def test_an_error_after_the_end_of_a_run_changes_nothing(tmp_path, record):
+    folder, running = tmp_path / "run", replace(record, status="running")
+
+    def work(error):
+        with RunFolder.open(folder, running, lambda record, result: record) as run:
+            if not run.is_finished:
+                run.finish("all of it")
+            raise error
+
+    for error in (InputError("too late"), SimulationError("too late"), KeyboardInterrupt()):
+        with pytest.raises(type(error)):
+            work(error)
+        assert read_record(folder).status == "finished"
 
 
 def test_a_record_in_other_units_or_of_another_schema_is_refused(tmp_path, record):
