@@ -59,7 +59,7 @@ def search_of(cell, count, sizes=SIZES, **training):
 
 
 def main():
-    """Search and print the share of the stress's variance that each size leaves unexplained."""
+    """Search and print the fraction of the stress's variance that each size leaves unexplained."""
     found = search_of(CellParameters.preset("water"), 2048, iterations=300).cv_results_
     print("network, polynomial: 1 − R², seconds a fit")
     for k in np.argsort(-found["mean_test_score"]):

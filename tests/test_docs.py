@@ -2,7 +2,10 @@
 commands, notebooks and the README's example print.
 """
 
+import ast
 import contextlib
+import dataclasses
+import importlib
 import importlib.util
 import io
 import json
@@ -26,8 +29,20 @@ PAGES = [
 ]
 IN_PLAIN_WORDS = [
     *(page for page in PAGES if page.parent != ROOT or page.stem == "README"),
-    *sorted((ROOT / "surrofe2" / "cli").glob("*.py")),  # help stands there
+    *(
+        path
+        for folder in ("data", "examples", "surrofe2/templates")
+        for path in sorted((ROOT / folder).glob("*.toml"))
+    ),
+    *sorted((ROOT / "surrofe2").rglob("*.py")),
+    *(
+        path
+        for folder in ("benchmarks", "docs", "examples", "validation")
+        for path in sorted((ROOT / folder).rglob("*.py"))
+        if path.parent.name != "scripts"  # copies of examples, for the site
+    ),
 ]
+"""Pages, recipes and sources whose words are looked at."""
 INSTEAD = {
     r"\bin the place of\b": "instead of",
     r"\banew\b": "again",
@@ -40,6 +55,9 @@ INSTEAD = {
     r"\b(with|in|by|gives|ends) (a|one) sentence\b": "an error message",
     r"\b(cells|particles) an RVE\b": "per RVE",
     r"\b(elements|moduli|springs) a side\b": "per side",
+    r"\bkept steps?\b": "accepted step",
+    r"\bmade samples?\b": "generated sample",
+    r"\bshare of (the )?(spread|tolerance|samples|stress|answers|duration)\b": "fraction of",
 }
 """Words that pages do without; CONTRIBUTING.md has the list."""
 
@@ -52,12 +70,66 @@ def without_code(page):
     return re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
 
 
-@pytest.mark.parametrize("page", IN_PLAIN_WORDS, ids=relative)
-def test_pages_are_in_plain_words(page):
-    text = " ".join(without_code(page).split())
+def words_for_people(path):
+    """The text of a page without code, the comments of a recipe, all texts of a Python file."""
+    if path.suffix == ".toml":
+        return " ".join(re.findall(r"#\s*(.*)", path.read_text(encoding="utf-8")))
+    if path.suffix == ".py":
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        constants = (node.value for node in ast.walk(tree) if isinstance(node, ast.Constant))
+        return " | ".join(value for value in constants if isinstance(value, str))
+    return re.sub(r"^#+ .*$", r"\g<0>.", without_code(path), flags=re.MULTILINE)
+
+
+def unplain(text):
+    """Words that have a plainer one, each with some text before it and what to write."""
+    text = " ".join(text.split())
+    parts = []
     for pattern, better in INSTEAD.items():
-        found = re.search(f".{{0,30}}{pattern}", text)
-        assert not found, f"{found[0]!r}: write {better!r}"
+        parts += [
+            f"{match[0]!r}: write {better!r}"
+            for match in re.finditer(f".{{0,30}}{pattern}", text, re.IGNORECASE)
+        ]
+    return parts
+
+
+@pytest.mark.parametrize("path", IN_PLAIN_WORDS, ids=relative)
+def test_pages_recipes_and_sources_are_in_plain_words(path):
+    assert not unplain(words_for_people(path))
+
+
+def test_unplain_words_are_seen_in_pages_recipes_and_sources(tmp_path):
+    texts = {
+        "page.md": "Nine cells an RVE.\n\n```\nNine cells an RVE.\n```\n",
+        "recipe.toml": 'cells = 9 # true RVEs are\n# expensive\nname = "anew"\n',
+        "source.py": 'def f():\n    """A share of the\n    spread."""\n    anew = f"{1} is mended"',
+    }
+    seen = {}
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        seen[name] = len(unplain(words_for_people(tmp_path / name)))
+    assert seen == {"page.md": 1, "recipe.toml": 1, "source.py": 2}
+
+
+def settings_with_meanings():
+    """Every field of a settings dataclass of the package that states its meaning."""
+    kinds = set()
+    for path in sorted((ROOT / "surrofe2").rglob("*.py")):
+        if "= setting(" in path.read_text(encoding="utf-8"):
+            name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+            module = importlib.import_module(name)
+            kinds.update(kind for kind in vars(module).values() if dataclasses.is_dataclass(kind))
+    for kind in kinds:
+        if isinstance(kind, type):
+            for item in dataclasses.fields(kind):
+                if item.metadata.get("about"):
+                    yield f"{kind.__name__}.{item.name}", item.metadata["about"]
+
+
+def test_a_meaning_names_the_thing_itself():
+    """A meaning is read beside its key in a table: "stiffness of a wall spring", not "of a …"."""
+    clipped = [name for name, about in settings_with_meanings() if re.match(r"(of|at) ", about)]
+    assert not clipped
 
 
 def test_the_example_prints_what_the_readme_says():

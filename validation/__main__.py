@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, metavar="DIR", default=Path("out/validation"))
     parser.add_argument("--sizes", type=numbers, metavar="N,…", help="plant cells across")
     parser.add_argument(
-        "--meshes", type=numbers, metavar="N,…", help="elements a side; of thin: bars of N × N"
+        "--meshes", type=numbers, metavar="N,…", help="elements per side; of thin: bars of N × N"
     )
     parser.add_argument("--quick", action="store_true", help="less of ablation and worst-answer")
     parser.add_argument("--fresh", action="store_true", help="replace what is there")

@@ -327,7 +327,7 @@ class Setting:
         of: the plant cell.
         out: folder of the study's files; `out`/curves keeps the curves of finished runs.
         sizes: plant cells across; None: as the study has it.
-        meshes: elements a side; None: as the study has it.
+        meshes: elements per side; None: as the study has it.
         quick: less of ablation and worst-answer.
     """
 

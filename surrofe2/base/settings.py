@@ -26,7 +26,7 @@ from surrofe2.base.units import NONE
 T = TypeVar("T")
 
 _LONGEST_LIST = 150
-"""Characters of a list of names in a sentence."""
+"""Characters of a list of names in an error message."""
 REMOVED: dict[str, str] = {
     "training.form": "leave it out; the network always gives the whole stress",
     "training.energy_hidden": "leave it out; the network always gives the whole stress",

@@ -1,9 +1,9 @@
 """Audits: answers of the cache, chosen at random, are compared with RVEs.
 
-Each answer at a kept step draws a number u from [0, 1). It is audited at once where u is below the
-audited fraction. Answers with the next smallest u are remembered, as many as `trust.AUDITS` audits
-are short of, and audited where a run ends with fewer: so a run of any length has at least so many
-audits, and those of a window are a simple random sample of its answers (bottom-k sampling).
+Each answer at an accepted step draws a number u from [0, 1). It is audited at once where u is below
+the audited fraction. Answers with the next smallest u are remembered, as many as `trust.AUDITS`
+audits are short of, and audited where a run ends with fewer: so a run of any length has at least
+so many audits, and those of a window are a simple random sample of its answers (bottom-k sampling).
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class ErrorRecord:
         return bool(is_known and self.stress_squares < solved * self.tolerance**2)
 
     def quantile(self, share: float) -> float:
-        """The error that a share of the solved audits does not exceed, µN/µm."""
+        """The error that a fraction of the solved audits does not exceed, µN/µm."""
         below = np.cumsum(self.bins)
         place = int(np.searchsorted(below, share * below[-1] - 1e-9, side="left"))
         edge = _EDGES[place] if place < len(_EDGES) else np.inf

@@ -116,9 +116,9 @@ class CachedLaw(Viewed):
 
     @property
     def counts(self) -> dict[str, int]:
-        """Points at ends of kept steps since the last reset: `hits`, `fallbacks` and, of these, by
-        reason; `in_domain`, those within the range of the surrogate; `steps`; `switched`, solves by
-        which a point began a step on the fallback."""
+        """Points at ends of accepted steps since the last reset: `hits`, `fallbacks` and, of these,
+        by reason; `in_domain`, those within the range of the surrogate; `steps`; `switched`, solves
+        by which a point began a step on the fallback."""
         return dict(self._counts)
 
     def reset_counts(self) -> None:
@@ -224,7 +224,7 @@ class CachedLaw(Viewed):
         return replace(self._marked, limit=limit, reach=reach)
 
     def _counted(self) -> dict[str, Any]:
-        """A copy of what is counted of kept steps, plain values."""
+        """A copy of what is counted of accepted steps, plain values."""
         record, left_range = asdict(self._audit.record), deepcopy(self._left_range)
         return {"counts": dict(self._counts), "left_range": left_range, "record": record}
 

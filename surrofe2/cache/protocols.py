@@ -61,7 +61,7 @@ class Surrogate(Protocol):
         learns shares what it learns with the other, but not the tolerance."""
 
     def local_tolerance(self, F: Array, F_dot: Array) -> Array:
-        """(n,) what an error may be, as a share of the tolerance, at most 1."""
+        """(n,) what an error may be, as a fraction of the tolerance, at most 1."""
 
     def lookup(
         self, F: Array, F_dot: Array, limit: float = np.inf

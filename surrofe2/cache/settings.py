@@ -32,11 +32,11 @@ class CacheSettings:
     )
     audit: float = setting(
         0.005,
-        "fraction of the cache's answers that RVEs compute, too, of a run at least 320; 0: none",
+        "fraction of the cache's answers that RVEs compute, too; at least 320 per run; 0: none",
         least=0.0,
         most=1.0,
     )
-    seed: int = setting(1, "of the choice of audited answers", least=0)
+    seed: int = setting(1, "seed of the choice of audited answers", least=0)
 
     def __post_init__(self) -> None:
         check_settings(self, "cache")
@@ -50,14 +50,14 @@ class CacheSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableSettings:
-    """Recipe section [table]."""
+    """Adaptive table of RVE stresses (`--law table`)."""
 
     tolerance: float = setting(
-        1e-3, "largest error of a stress, a share of the spread of stress", above=0.0, below=1.0
+        1e-3, "largest error of a stress over the spread of stress", above=0.0, below=1.0
     )
     most_records: int = setting(
         4096,
-        "after so many a table grows its ellipsoids, but takes no new record",
+        "most records; after that a table only grows its ellipsoids",
         least=1,
         most=4096,
     )

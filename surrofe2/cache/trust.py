@@ -71,10 +71,10 @@ def stands(violations: int, audits: int) -> bool:
 
 @dataclass
 class Window:
-    """Kept steps whose audits are judged together; plain values, for checkpoints.
+    """Accepted steps whose audits are judged together; plain values, for checkpoints.
 
     Attributes:
-        begin: µs; step: kept steps before it.
+        begin: µs; step: accepted steps before it.
         limit: that risks are compared with; negative: nothing is trusted.
         before: what a law has to know that goes back to its begin; None where none can.
         audits: of each the point, whether it is a violation, error in µN/µm (NaN where the RVE has
@@ -102,7 +102,7 @@ class Window:
         return stands(len(self.wrong), len(self.audits))
 
     def decision(self, t: float, step: int, limit: float, decision: str) -> dict[str, Any]:
-        """A line of the event log, of a window that ends at t after so many kept steps."""
+        """A line of the event log, of a window that ends at t after so many accepted steps."""
         known = [each for each in self.audits if not np.isnan(each[2])]
         worst = max(known, key=lambda each: each[2], default=[None] * 4)
         return {

@@ -75,8 +75,8 @@ def train(
 ) -> None:
     """Fit a surrogate of the plant-cell stress to the recipe's data set.
 
-    Shows the errors on samples that training never saw and that decided nothing, for each stress
-    component, relative to that component's standard deviation over them. Then calibrates the bound
+    Shows the errors on held-out samples, for each stress component, relative to that component's
+    standard deviation over them. Then calibrates the bound
     of the error at a single point, by RVEs along paths as the recipe's [calibration] has it.
 
     Where the recipe leaves the number of samples out, training is repeated on twice as many until
@@ -105,7 +105,8 @@ def train(
         ]
         title = f"Held-out errors{name and f' of {name}'}, {errors['points']} samples"
         console.show_table(title, Table(quantities, STRESSES))
-        console.print_line(trained.bound)
+        for line in trained.bound.splitlines():
+            console.print_line(line)
         console.done(trained.path, training_summary(trained))
         warning = large_errors(part, trained)
         if warning is not None:

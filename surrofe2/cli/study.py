@@ -28,7 +28,7 @@ from surrofe2.workflow.workers import executor_of
 
 
 def new(
-    name: Annotated[Path, typer.Argument(metavar="NAME", help="Of the recipe, .toml is added.")],
+    name: Annotated[Path, typer.Argument(metavar="NAME", help="Recipe name; .toml is appended.")],
     example: Annotated[
         str, typer.Option(metavar="KIND", help=f"{', '.join(TEMPLATES)}; default: bar.")
     ] = "bar",

@@ -224,7 +224,7 @@ class StressLaw(Protocol):
         """
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
-        """Commit `response`, which was given at (F, F_dot), the end of a kept step.
+        """Commit `response`, which was given at (F, F_dot), the end of an accepted step.
 
         Returns:
             The response by which the next step begins: `response` itself, from most laws. Its
@@ -238,8 +238,8 @@ class StressLaw(Protocol):
 
 @runtime_checkable
 class LearningLaw(StressLaw, Protocol):
-    """A law that a kept step changes beyond its state, as by what it counts or learns. Its `accept`
-    is `commit` of what `check` returns, unless that objects."""
+    """A law that an accepted step changes beyond its state, as by what it counts or learns. Its
+    `accept` is `commit` of what `check` returns, unless that objects."""
 
     def check(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         """`response` with what the law objects to, without a change of the law."""
@@ -270,9 +270,9 @@ class SwitchingLaw(StressLaw, Protocol):
 class AuditedLaw(StressLaw, Protocol):
     """A law that learns only later how wrong its answers were, as a cached law does.
 
-    Whoever steps marks where a window of steps begins, and asks for the verdict after every kept
-    step. A window that stands ends there, and the next one begins; one that does not is made again
-    from its mark, by the state that `roll_back` gives.
+    Whoever steps marks where a window of steps begins, and asks for the verdict after every
+    accepted step. A window that stands ends there, and the next one begins; one that does not
+    is made again from its mark, by the state that `roll_back` gives.
     """
 
     @property

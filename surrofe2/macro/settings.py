@@ -30,7 +30,7 @@ class MacroSettings:
     )
     spectral_radius: float = setting(
         0.9,
-        "implicit: amplification a step of infinitely fast modes, 1: none is damped",
+        "implicit: amplification per step of infinitely fast modes, 1: none is damped",
         least=0.0,
         most=1.0,
     )
@@ -42,7 +42,8 @@ class MacroSettings:
     )
     frames: int = setting(101, "number of times at which whole fields are kept, at most", least=2)
     record_dissipation: bool = setting(
-        True, "ask the law also at rate 0, about every other output time, for dissipation"
+        True,
+        "also evaluate the stress at zero rate, about every other output time, for dissipation",
     )
 
     def __post_init__(self) -> None:

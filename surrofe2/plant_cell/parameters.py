@@ -36,12 +36,16 @@ class CellParameters:
     them: it follows from zero stress at F = I.
     """
 
-    cell_side: float = _constant(25.0, LENGTH, "side of a square of a plant cell's area")
+    cell_side: float = _constant(25.0, LENGTH, "side of a square with a plant cell's area")
     wall_springs_per_side: int = _constant(
         10, NONE, "wall springs on a side", "6: 11 particles a side", least=4
     )
     fluid_particles_per_side: int = _constant(
-        4, NONE, "its square is the fluid particles of a plant cell", "6: 16 SPH particles", least=1
+        4,
+        NONE,
+        "side of the square grid of a plant cell's fluid particles",
+        "6: 16 SPH particles",
+        least=1,
     )
     fluid_particle_mass: float = _constant(
         2.7,
@@ -50,48 +54,48 @@ class CellParameters:
         "6, as printed; water fills 0.27 (preset `water`)",
     )
     wall_particle_mass: float = _constant(0.5, MASS, "mass of a wall particle")
-    wall_stiffness: float = _constant(4000.0, STIFFNESS, "of a wall spring", "6 (eq. 1)")
+    wall_stiffness: float = _constant(4000.0, STIFFNESS, "stiffness of a wall spring", "6 (eq. 1)")
     repulsion_strength: float = _constant(
-        5e5, f"{FORCE} {LENGTH}⁶", "of contacts between walls, and of walls with fluid", "6 (eq. 2)"
+        5e5, f"{FORCE} {LENGTH}⁶", "repulsion of walls by walls and fluid", "6 (eq. 2)"
     )
-    repulsion_cutoff: float = _constant(10.0, LENGTH, "contacts reach so far", "6 (eq. 2)")
+    repulsion_cutoff: float = _constant(10.0, LENGTH, "reach of the repulsion", "6 (eq. 2)")
     smoothing_length: float = _constant(
         5.5, LENGTH, "h of the SPH kernel, whose support is 2 h", "6 (eq. 5)"
     )
     sound_speed: float = _constant(
-        50.0, VELOCITY, "of the fluid", "6 (eq. 9), where it is printed in µm/s"
+        50.0, VELOCITY, "sound speed of the fluid", "6 (eq. 9), where it is printed in µm/s"
     )
     viscosity: float = _constant(
         0.1,
         f"{MASS}/{TIME}",
-        "of the fluid in the plane, dynamic",
+        "dynamic viscosity of the fluid in the plane",
         "6: 1e-2 Pa s times 10 µm (eq. 8)",
         least=0.0,
     )
     wall_damping_ratio: float = _constant(
-        1.0, NONE, "of the wall's dashpots, over critical damping", "6: critical (eq. 1)", least=0.0
+        1.0, NONE, "damping of the walls over critical damping", "6: critical (eq. 1)", least=0.0
     )
     contact_damping_ratio: float = _constant(
         1.0,
         NONE,
-        "of the contacts' dashpots, over critical damping",
+        "damping of contacts over critical damping",
         "2.1: critical (eq. 2)",
         least=0.0,
     )
     outer_wall: float = _constant(
         1.0,
         NONE,
-        "of a tissue's outer walls (stiffness, damping, mass), over half an inner wall",
+        "stiffness, damping and mass of a tissue's outer walls over those of half an inner wall",
         "",
     )
-    tissue_thickness: float = _constant(10.0, LENGTH, "turns 2D stress into MPa")
+    tissue_thickness: float = _constant(10.0, LENGTH, "divides a 2D stress to give MPa")
     arrangement: str = _constant(
-        "square", NONE, "of an RVE's plant cells", "", one_of=tuple(SYMMETRIES)
+        "square", NONE, "shape of an RVE's plant cells", "", one_of=tuple(SYMMETRIES)
     )
     cells: int = _constant(
-        1, NONE, "plant cells of an RVE, of cell_side² µm² on average", "", least=1
+        1, NONE, "plant cells per RVE, each of cell_side² µm² on average", "", least=1
     )
-    arrangement_seed: int = _constant(1, NONE, "of Voronoi plant cells", "", least=0)
+    arrangement_seed: int = _constant(1, NONE, "seed of the points of Voronoi cells", "", least=0)
 
     def __post_init__(self) -> None:
         check_settings(self, "cell")
@@ -204,13 +208,19 @@ class LivingTissue:
     """
 
     cell_size: float = setting(
-        unit=LENGTH, about="side of a square of a plant cell's area", above=0
+        unit=LENGTH, about="side of a square with a plant cell's area", above=0
     )
     turgor: float = setting(unit="MPa", about="pressure that the walls carry at rest", above=0)
-    wall_modulus: float = setting(unit="MPa", about="of a wall stretched by the turgor", above=0)
-    wall_thickness: float = setting(unit=LENGTH, about="of one plant cell's own wall", above=0)
-    sap_viscosity: float = setting(unit="mPa s", about="of the fluid in a plant cell", above=0)
-    density: float = setting(unit="kg/m³", about="of the tissue", above=0)
+    wall_modulus: float = setting(
+        unit="MPa", about="modulus of a wall stretched by the turgor", above=0
+    )
+    wall_thickness: float = setting(
+        unit=LENGTH, about="thickness of one plant cell's own wall", above=0
+    )
+    sap_viscosity: float = setting(
+        unit="mPa s", about="viscosity of the fluid in a plant cell", above=0
+    )
+    density: float = setting(unit="kg/m³", about="density of the tissue", above=0)
 
     def __post_init__(self) -> None:
         check_settings(self, "tissue")

@@ -141,7 +141,7 @@ class Ramp(Amplitude):
 class Sine(Amplitude):
     """offset + sin(2π frequency (t − begin) + phase) from `begin` on, its first value before."""
 
-    frequency: float = setting(about="oscillations in a µs", unit="1/µs", above=0.0)
+    frequency: float = setting(about="oscillations per µs", unit="1/µs", above=0.0)
     phase: float = setting(0.0, "angle at begin", "°")
     offset: float = setting(0.0, "the mean factor")
     begin: float = setting(0.0, "time at which the oscillation begins", TIME)
@@ -168,7 +168,9 @@ class Pulse(Amplitude):
 
     begin: float = setting(0.0, "time at which the factor leaves 0", TIME)
     length: float = setting(about="time until it is 0 again", unit=TIME, above=0.0)
-    shape: Literal["half-sine", "triangle", "rectangle"] = setting("half-sine", "of the pulse")
+    shape: Literal["half-sine", "triangle", "rectangle"] = setting(
+        "half-sine", "shape of the pulse"
+    )
 
     def at(self, t: float, within: float) -> Value:
         s, place = (t - self.begin) / self.length, (within - self.begin) / self.length

@@ -158,7 +158,7 @@ class Foundation(Condition):
 class InitialVelocity(Condition):
     """Velocity at t = 0 of all nodes that are not held."""
 
-    velocity: tuple[float, float] = setting(about="at t = 0", unit=SPEED)
+    velocity: tuple[float, float] = setting(about="velocity at t = 0", unit=SPEED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -96,7 +96,7 @@ class Disc(Part):
     """All points at most `radius` from the centre, µm."""
 
     centre: tuple[float, float] = setting(about="its middle", unit=LENGTH)
-    radius: float = setting(about="of its edge", unit=LENGTH, above=0.0)
+    radius: float = setting(about="radius of its edge", unit=LENGTH, above=0.0)
 
     def __post_init__(self) -> None:
         check_settings(self, "circle")

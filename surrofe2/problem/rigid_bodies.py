@@ -73,7 +73,7 @@ def _unit(where: str, vector: tuple[float, float]) -> tuple[float, float]:
 class Plane(Shape):
     """A half plane behind the body's position; `normal` points out of it."""
 
-    normal: tuple[float, float] = setting(about="out of the body, of any length")
+    normal: tuple[float, float] = setting(about="vector out of the body, of any length")
 
     @property
     def outline(self) -> Outline:
@@ -85,7 +85,7 @@ class Plane(Shape):
 class Circle(Shape):
     """A disc about the body's position."""
 
-    radius: float = setting(about="of the disc", unit=LENGTH, above=0.0)
+    radius: float = setting(about="radius of the disc", unit=LENGTH, above=0.0)
 
     @property
     def outline(self) -> Outline:
@@ -96,9 +96,9 @@ class Circle(Shape):
 class Corner(Shape):
     """A wedge with a rounded tip, which is the body's position; `axis` points into the body."""
 
-    axis: tuple[float, float] = setting(about="from the tip into the body, of any length")
-    angle: float = setting(about="between its sides", unit="°", above=0.0, below=180.0)
-    radius: float = setting(about="of the rounding", unit=LENGTH, above=0.0)
+    axis: tuple[float, float] = setting(about="vector from the tip into the body, of any length")
+    angle: float = setting(about="angle between its sides", unit="°", above=0.0, below=180.0)
+    radius: float = setting(about="radius of the rounding", unit=LENGTH, above=0.0)
 
     @property
     def outline(self) -> Outline:
@@ -122,20 +122,20 @@ class RigidBody:
     name: str = setting("body", "by which results call it")
     shape: Shape
     on: str = setting(about="boundary of the tissue that may touch it")
-    position: tuple[float, float] = setting(about="at t = 0", unit=LENGTH)
+    position: tuple[float, float] = setting(about="position at t = 0", unit=LENGTH)
     displacement: tuple[float, float] = setting((0.0, 0.0), "largest displacement", LENGTH)
     amplitude: Amplitude = setting(ONE, IN_TIME)
     mass: float | None = setting(
-        None, "of a free body, per thickness of the sheet", MASS, above=0.0
+        None, "mass of a free body, per thickness of the sheet", MASS, above=0.0
     )
-    velocity: tuple[float, float] = setting((0.0, 0.0), "of a free body at t = 0", "µm/µs")
+    velocity: tuple[float, float] = setting((0.0, 0.0), "velocity of a free body at t = 0", "µm/µs")
     acceleration: tuple[float, float] = setting(
         (0.0, 0.0), "force per mass on a free body", ACCELERATION
     )
     friction: float = setting(0.0, "Coulomb's coefficient", NONE, least=0.0, most=10.0)
     stiffness: float | None = setting(
-        None, "contact pressure per penetration; left out: 200 moduli of the tissue a side of "
-        "an element", "µN/µm²", above=0.0,
+        None, "contact pressure per penetration; left out: 200 × tissue modulus / element side",
+        "µN/µm²", above=0.0,
     )  # fmt: skip
     smoothing: float | None = setting(
         None, "penetration over which contact sets in; left out: where the pressure is "

@@ -90,7 +90,9 @@ class MeshSettings:
     height: float | None = setting(None, "extent in y", LENGTH, above=0.0)
     elements: tuple[int, int] | None = setting(None, "elements in x and in y", least=1)
     file: str | None = setting(None, "mesh file, relative to the recipe")
-    length_unit: Literal["µm", "um", "mm", "m"] | None = setting(None, "of the file; µm")
+    length_unit: Literal["µm", "um", "mm", "m"] | None = setting(
+        None, "unit of lengths in the file; µm"
+    )
     boundaries: Mapping[str, Part] | None = setting(
         None, "parts of the plane that hold outer sides"
     )
@@ -152,7 +154,9 @@ class TimeSettings:
     output_interval: float | None = setting(
         None, "time between rows of results; a five-hundredth of the duration", TIME, above=0.0
     )
-    frames: int | None = setting(None, "whole fields kept; as macro.frames", least=2)
+    frames: int | None = setting(
+        None, "number of times at which whole fields are kept; as macro.frames", least=2
+    )
 
     def __post_init__(self) -> None:
         check_settings(self, "time")
@@ -213,9 +217,9 @@ class SampleSettings:
         f"number of samples; left out: as many as training.bound needs, {MOST_COUNT} without one",
         least=1,
     )
-    seed: int = setting(1, "of the sequence", least=0)
+    seed: int = setting(1, "seed of the sequence of samples", least=0)
     tangents: bool = setting(False, "whether ∂P/∂F and ∂P/∂Ḟ are sampled with the stress")
-    file: str | None = setting(None, "of the data set, relative to the recipe")
+    file: str | None = setting(None, "file of the data set, relative to the recipe")
 
     def __post_init__(self) -> None:
         check_settings(self, "samples")
@@ -243,10 +247,10 @@ class CellType:
     cell: CellParameters
     regions: tuple[str, ...]
     training_file: str | None
-    range: SamplingRange | None = setting(None, "of (F, Ḟ)")
-    samples: SampleSettings = setting(SampleSettings(), "of the stress in it")
+    range: SamplingRange | None = setting(None, "range of (F, Ḟ)")
+    samples: SampleSettings = setting(SampleSettings(), "samples of the stress in it")
     training: TrainingSettings = setting(
-        TrainingSettings(), "of its surrogate", read=_without(TrainingSettings, "file")
+        TrainingSettings(), "training of its surrogate", read=_without(TrainingSettings, "file")
     )
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
@@ -399,16 +403,18 @@ class Recipe:
     conditions: tuple[Condition, ...] = setting((), "what holds and loads it", read=_conditions)
     bodies: tuple[RigidBody, ...] = setting((), "that it touches", read=_bodies)
     watch: Mapping[str, Point] | None = setting(None, "points by name", LENGTH)
-    time: TimeSettings = setting(TimeSettings(), "of the run")
+    time: TimeSettings = setting(TimeSettings(), "time of the run")
     rve: RveSettings = setting(RveSettings(), "how RVEs are solved")
-    calibration: CalibrationSettings = setting(CalibrationSettings(), "of the error's bound")
-    macro: MacroSettings = setting(
-        MacroSettings(), "of finite elements", read=_without(MacroSettings, "elements")
+    calibration: CalibrationSettings = setting(
+        CalibrationSettings(), "paths that calibrate the error's bound"
     )
-    tissue: TissueSettings = setting(TissueSettings(), "of full tissues")
-    table: TableSettings = setting(TableSettings(), "of RVE answers")
+    macro: MacroSettings = setting(
+        MacroSettings(), "settings of the finite elements", read=_without(MacroSettings, "elements")
+    )
+    tissue: TissueSettings = setting(TissueSettings(), "settings of full tissues")
+    table: TableSettings = setting(TableSettings(), "table of RVE stresses")
     surface: SurfaceSettings | None = setting(None, "free sides with a law of their own")
-    cache: CacheSettings = setting(CacheSettings(), "of RVE answers, by a surrogate")
+    cache: CacheSettings = setting(CacheSettings(), "cache of RVE stresses, by a surrogate")
     part: str | None = None
     is_bar: bool = False
     sha256: str | None = None

@@ -200,7 +200,9 @@ def _fallback(shown: Sequence[RunFields]) -> Iterator[str]:
             hits, fallbacks = cache["accepted"]["hits"], cache["accepted"]["fallbacks"]
             why = fallback_reasons(cache["accepted"])
             share = percent(3)(fallbacks / max(hits + fallbacks, 1))
-            counts = f"{hits:,} answers of kept steps came from the cache, {fallbacks:,} from RVEs"
+            counts = (
+                f"{hits:,} answers of accepted steps came from the cache, {fallbacks:,} from RVEs"
+            )
             yield _paragraph(f"{of}: {counts}{why}, {share}.")
             for event in cache["trust"]["events"]:
                 yield _paragraph(f"{of}, step {event['step']}: {event['finding']}.")

@@ -26,12 +26,17 @@ class RveSettings:
         "constrained-runs", "how the RVE finds its state", one_of=INITIALISATIONS
     )
     solver: str = setting("direct", "how the micro problem is solved", one_of=SOLVERS)
-    tolerance: float = setting(1e-8, "mean particle force, solver direct", FORCE, above=0.0)
+    tolerance: float = setting(
+        1e-8, "mean particle force at which solver direct stops", FORCE, above=0.0
+    )
     stop: float = setting(
-        1.0, "mean particle force, solver iterated (paper: 1.0, section 6.2)", FORCE, above=0.0
+        1.0,
+        "mean particle force at which solver iterated stops (paper: 1.0, section 6.2)",
+        FORCE,
+        above=0.0,
     )
     micro_step: float = setting(1e-4, "Euler step, solver iterated (paper: 1e-4)", TIME, above=0.0)
-    max_iterations: int = setting(1_000_000, "limit of solver iterated", least=1)
+    max_iterations: int = setting(1_000_000, "most iterations, solver iterated", least=1)
 
     def __post_init__(self) -> None:
         check_settings(self, "rve")

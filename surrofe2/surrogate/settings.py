@@ -16,23 +16,27 @@ class TrainingSettings:
         (24, 24), "tanh units in each hidden layer", least=1, most=1024
     )
     tangent_weight: float = setting(
-        0.1, "of the squared error of tangents in the loss, where samples have them", least=0.0
-    )
-    baseline_degree: int = setting(3, "of the polynomial; 0: none", least=0, most=5)
-    held_out: float = setting(
-        0.1, "share of the samples on which errors are measured", above=0.0, below=1.0
-    )
-    iterations: int = setting(1000, "of L-BFGS, at most", least=0, most=1_000_000)
-    bound: float = setting(
-        0.0,
-        "of the error, as a share of the spread of stress, that ends training; 0: none does",
+        0.1,
+        "weight of the squared error of tangents in the loss, where samples have them",
         least=0.0,
     )
-    history: int = setting(100, "pairs of steps and gradients it keeps", least=1, most=10_000)
+    baseline_degree: int = setting(3, "degree of the polynomial; 0: none", least=0, most=5)
+    held_out: float = setting(
+        0.1, "fraction of the samples on which errors are measured", above=0.0, below=1.0
+    )
+    iterations: int = setting(1000, "most iterations of L-BFGS", least=0, most=1_000_000)
+    bound: float = setting(
+        0.0,
+        "bound of the error over the spread of stress at which training ends; 0: none",
+        least=0.0,
+    )
+    history: int = setting(
+        100, "pairs of steps and gradients that L-BFGS keeps", least=1, most=10_000
+    )
     checkpoint_interval: int = setting(
         100, "iterations between two checkpoints", least=1, most=1_000_000
     )
-    seed: int = setting(0, "of initial weights and held-out samples", least=0, most=2**63 - 1)
+    seed: int = setting(0, "seed of initial weights and held-out samples", least=0, most=2**63 - 1)
 
     def __post_init__(self) -> None:
         check_settings(self, "training")
@@ -73,7 +77,7 @@ class CalibrationSettings:
     alpha: float = setting(
         0.01, "probability that a new path breaks the bound, at most", above=0.0, below=1.0
     )
-    seed: int = setting(2, "of the paths", least=0)
+    seed: int = setting(2, "seed of the paths", least=0)
 
     def __post_init__(self) -> None:
         check_settings(self, "calibration")

@@ -55,8 +55,8 @@ class SurrogateLaw(Viewed):
         domain: where in the range samples did not fail; None: all of it.
         calibration: of the bound of the error, valid for these very weights and this range.
         seconds: of its `data`, its `training` and its `calibration`, as far as known.
-        tolerance: (9,) squares of what each scaled input adds to the error allowed, as a share of
-            the tolerance, what is allowed at rest, and the tolerance, µN/µm; None: 1 µN/µm
+        tolerance: (9,) squares of what each scaled input adds to the error allowed, as a fraction
+            of the tolerance, what is allowed at rest, and the tolerance, µN/µm; None: 1 µN/µm
             everywhere.
         arrays, bound_arrays: network, and range, domain and bound, as its kernels read them.
     """
@@ -163,7 +163,7 @@ class SurrogateLaw(Viewed):
         """This law, whose risks are by this tolerance; an infinite one leaves no risk.
 
         Args:
-            tolerance: share of the spread of stress; relative: share of the local stress.
+            tolerance: fraction of the spread of stress; relative: fraction of the local stress.
         """
         at_rest = float(self.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0])
         spread, squares, least = self.stress_spread, np.zeros(INPUTS), 1.0
@@ -174,7 +174,7 @@ class SurrogateLaw(Viewed):
         return replace(self, tolerance=np.array([*squares, least, tolerance * spread]))
 
     def local_tolerance(self, F: Array, F_dot: Array) -> Array:
-        """(n,) what an error may be, as a share of the tolerance, at most 1; see `domain`."""
+        """(n,) what an error may be, as a fraction of the tolerance, at most 1; see `domain`."""
         if self.tolerance is None or self.domain is None:
             return np.ones(len(F))
         x = scaled_inputs(F, F_dot, self.domain.scale)

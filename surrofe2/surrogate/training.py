@@ -40,7 +40,7 @@ _LEAST_SPREAD = 0.1  # a component of less than this share of the largest counts
 _BLOCK = 1024  # samples
 _SMALL = 0.06  # size of a sample by the half widths, below which all count alike
 _LEAST_EIGENVALUE = 1e-13
-_LISTS = ("old_dirs", "old_stps", "ro")  # of the optimiser: one entry a kept step
+_LISTS = ("old_dirs", "old_stps", "ro")  # of the optimiser: one entry an accepted step
 _NUMBERS = ("func_evals", "n_iter", "t", "H_diag", "prev_loss")
 _VECTORS = ("d", "prev_flat_grad")
 
@@ -273,8 +273,8 @@ class Task:
     def loss(self, network: StressNetwork) -> torch.Tensor:
         """Mean square error relative to the spread of each component, with that of slopes.
 
-        Samples count by their size to the power of −2.5, so that the error tends to be a share of
-        the stress and smallest near rest, where a wave has its phase from.
+        Samples count by their size to the power of −2.5, so that the error tends to be a fraction
+        of the stress and smallest near rest, where a wave has its phase from.
         """
         P, slope = network.correction(self.shapes, self.moving)
         squares = self.squares(P - self.target)

@@ -98,7 +98,7 @@ class DryRun:
 
     Attributes:
         points: of quadrature; each of the run's `calls` is for all of them.
-        reached: share of the duration by which `met` is known.
+        reached: fraction of the duration by which `met` is known.
         steps: the last accepted (F, Ḟ), (n, 2, 2) each, of some of a cell's points.
         shares: of a cell among the points.
         omitted: what the time or the size of the mesh did not allow; empty where nothing was.

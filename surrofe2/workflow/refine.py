@@ -53,7 +53,7 @@ class Round:
     """A row of the table of rounds, of one cell; "" is the only one.
 
     Attributes:
-        hits: share of the answers at kept steps that came from the surrogate.
+        hits: fraction of the answers at accepted steps that came from the surrogate.
         unknown: states that the surrogate could not answer, and audited ones over the tolerance.
         samples: valid ones that it was trained on; added: those taken in after the run.
         held_out: largest held-out RMS error of a stress component, relative to its spread.

@@ -509,8 +509,8 @@ def bound_summary(surrogate: SurrogateLaw, samples: StressSamples, tolerance: fl
     return (
         f"Error bound: {centre} of the stress spread at the centre of the range, {edge} at its "
         f"edge; tolerance {percent(3)(tolerance)}\n"
-        f"The bound holds on {kept} of paths like the {paths} that calibrated it, with "
-        f"{100.0 * calibration.confidence:.2g} % confidence, times a margin of {MARGIN:g}"
+        f"With {100.0 * calibration.confidence:.2g} % confidence the bound covers {kept} of paths "
+        f"like the {paths} that calibrated it; a safety factor of {MARGIN:g} is included"
     )
 
 

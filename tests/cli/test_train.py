@@ -143,8 +143,11 @@ def test_train_calibrates_and_says_what_it_found(invoke, recipe_path, surrogate_
     done = invoke("train", recipe_path)
     said = " ".join(done.stdout.split())
     assert "% of the stress spread at the centre of the range, " in said
-    assert " % at its edge; tolerance 0.1 % The bound holds on 90 % of paths like the " in said
-    assert "the 9 walks and 9 runs that calibrated it, with 61 % confidence, times a" in said
+    assert (
+        " % at its edge; tolerance 0.1 % With 61 % confidence the bound covers 90 % of paths "
+        in said
+    )
+    assert "the 9 walks and 9 runs that calibrated it; a safety factor of 1.5 is included" in said
     surrogate = read_surrogate(surrogate_path)
     assert surrogate.is_calibrated
     assert np.isfinite(surrogate.error_bound(*AT_REST)).all()

@@ -66,7 +66,7 @@ def test_what_ran_stands_in_the_page(page):
         "cached differs from rve by at most 0.1 % of the largest displacement and is 6 times",
         "including data and training (20 s), 6.8 times slower than full FE²",
         "it pays off after 8 such runs",
-        "200 answers of kept steps came from the cache, 6 from RVEs (6 out of range), 2.91 %",
+        "200 answers of accepted steps came from the cache, 6 from RVEs (6 out of range), 2.91 %",
         "cached, step 3: a finding",
         "cached: audited: 40 of 200 accepted answers",
         "so with 95 % confidence at most 7.2 % of all",

@@ -116,7 +116,7 @@ class Rule(NamedTuple):
 
 RULE, NO_GROWTH = Rule(), Rule(reach=1.0, growing=-1.0)
 SAME = 0.01
-"""A record within so small a share of the tolerance of another, by its bound, adds nothing."""
+"""A record within so small a fraction of the tolerance of another, by its bound, adds nothing."""
 
 
 @kernel

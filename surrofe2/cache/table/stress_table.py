@@ -141,7 +141,7 @@ class StressTable:
         return self._known.counts
 
     def with_tolerance(self, tolerance: float, relative: float) -> StressTable:
-        """A table of the same records, whose risks are by this share of the spread.
+        """A table of the same records, whose risks are by this fraction of the spread.
 
         The records, their ellipsoids and the counts are shared, so that what one table learns all
         of them know: they are grown for `tolerance` of the table alone. The tolerance by which
