@@ -47,9 +47,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
 
 @pytest.mark.parametrize("operation", ["open", "fsync"])
 @pytest.mark.parametrize("number", [errno.EINVAL, errno.EIO, errno.ENOTSUP, errno.EACCES])
-def test_a_folder_that_cannot_be_synchronised_takes_files(
-    tmp_path, monkeypatch, operation, number
-):
+def test_a_folder_that_cannot_be_synchronised_takes_files(tmp_path, monkeypatch, operation, number):
     path, usual = tmp_path / "a.txt", getattr(os, operation)
 
     def refusing(file, *arguments):

@@ -6,7 +6,7 @@ import pytest
 from surrofe2.base.errors import FileError
 from surrofe2.store import store
 from surrofe2.store.hdf5 import Kind, read, write
-from surrofe2.store.store import check_replaceable, digest, read_bytes, write_json
+from surrofe2.store.store import check_replaceable, read_bytes, write_json
 from tests.processes import python
 
 ANYTHING = Kind("example", 1)
