@@ -21,7 +21,7 @@ from types import NoneType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from surrofe2.base.errors import FileError, InputError, Surrofe2Error, quoted, shortened
-from surrofe2.base.units import NONE
+from surrofe2.base.units import NONE, with_micro_sign
 
 T = TypeVar("T")
 
@@ -49,8 +49,9 @@ def setting(default: Any = MISSING, about: str = "", unit: str = NONE, **bounds:
 
     Args:
         bounds: of numbers, also those in a list: `least`, `most`, `above`, `below`, and `inf=True`
-            where infinity is allowed; of a text: `one_of`. `read` (name, entry) gives the value of
-            an entry that a recipe states otherwise.
+            where infinity is allowed; of a text: `one_of`, and `is_file=True` where it is a name on
+            the disk, which stays as it is. `read` (name, entry) gives the value of an entry that a
+            recipe states otherwise.
     """
     return field(default=default, metadata={"about": about, "unit": unit, **bounds})
 
@@ -246,6 +247,8 @@ def check_value(name: str, value: Any, hint: Any, bounds: Mapping[str, Any]) -> 
         return checked
     if hint in (float, int):
         return _number(name, value, hint, bounds)
+    if isinstance(value, str) and not bounds.get("is_file"):
+        value = with_micro_sign(value)
     one_of = options if get_origin(hint) is Literal else bounds.get("one_of", ())
     if one_of and value not in one_of:
         raise _refusal(name, value, f"one of {', '.join(map(str, one_of))}", {})

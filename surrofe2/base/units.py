@@ -39,6 +39,14 @@ VISCOSITY = "µN µs/µm"  # the same as ng/µs
 NONE = "1"
 
 
+def with_micro_sign(text: str) -> str:
+    """A text in which Greek mu (U+03BC) is the micro sign (U+00B5), which looks the same.
+
+    Keyboards and editors give either; names and units are compared after this.
+    """
+    return text.replace("\u03bc", "\u00b5")
+
+
 def time_text(seconds: float) -> str:
     """Seconds as people say them."""
     if seconds < 60.0:

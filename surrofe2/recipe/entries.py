@@ -7,21 +7,75 @@ import json
 import re
 import tomllib
 from collections.abc import Mapping
-from copy import deepcopy
 from typing import Any
 
 import numpy as np
 
 from surrofe2.base.errors import InputError, quoted
 from surrofe2.base.settings import unknown
+from surrofe2.base.units import with_micro_sign
 
 _NAMED = ("cells", "conditions", "bodies", "watch")
 """Sections in which users name what there is."""
 _SPAN = re.compile(r"([^:]+):([^:]+):(\d{1,6})(:log)?")
 _PART = re.compile(r"""(?:"[^"]*"|'[^']*'|\[(?:\[[^\]]*\]|[^\]])*\]|\{[^}]*\}|[^,])+""")
 """What stands between commas that are in no quotes and brackets."""
+_DEEPEST = 50
+"""Tables and lists in one another."""
+_DOTTED = re.compile(
+    rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_DEEPEST}}}"""
+)
+"""A key of so many parts, which takes tomllib seconds where there are thousands."""
 _LONGEST = 120
 """Characters of a name of a file, but for its digest and its end."""
+
+
+def read_toml(text: str) -> dict[str, Any]:
+    """The tables of a text in TOML.
+
+    Raises:
+        ValueError: it is none, or tables and lists in it are nested more than `_DEEPEST` times.
+    """
+    too_deep = f"tables or lists nested more than {_DEEPEST} times"
+    if _DOTTED.search(text):
+        raise ValueError(too_deep)
+    try:
+        table = tomllib.loads(text)
+    except RecursionError:
+        raise ValueError(too_deep) from None
+    level: list[Any] = [table]
+    for _ in range(_DEEPEST):
+        level = [entry for each in level for entry in _entries_of(each)]
+    if level:
+        raise ValueError(too_deep)
+    return table
+
+
+def _entries_of(value: Any) -> list[Any]:
+    """What stands in a table or a list; of another value nothing."""
+    if isinstance(value, Mapping):
+        return [*value.values()]
+    return value if isinstance(value, list) else []
+
+
+def with_micro_keys(entry: Any, where: str = "") -> Any:
+    """A copy of nested tables and lists whose keys are spelt with the micro sign, as names are.
+
+    Raises:
+        InputError: two keys of a table are then the same.
+    """
+    if isinstance(entry, list):
+        return [with_micro_keys(each, f"{where}[{k}]") for k, each in enumerate(entry)]
+    if not isinstance(entry, Mapping):
+        return entry
+    table: dict[Any, Any] = {}
+    for key, value in entry.items():
+        name = with_micro_sign(key) if isinstance(key, str) else key
+        place = f"{where}.{name}" if where else f"{name}"
+        if name in table:
+            raise InputError(place, "it is there twice, with Greek mu and with the micro sign")
+        table[name] = with_micro_keys(value, place)
+    return table
 
 
 def with_changes(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -29,8 +83,8 @@ def with_changes(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[s
 
     What stands in a list, as [[conditions]] do, is named by its number, from 0. A name that leads
     to nothing is an InputError."""
-    changed = deepcopy(dict(table))
-    for name, value in changes.items():
+    changed = with_micro_keys(table)
+    for name, value in with_micro_keys(changes).items():
         *way, last = name.split(".")
         if not way or not all((*way, last)):
             raise InputError(f"{quoted(name)}: it must be an entry, such as cell.wall_stiffness")
@@ -84,8 +138,8 @@ def _values(name: str, part: str) -> list[Any]:
     if span := _SPAN.fullmatch(part):
         return _span(name, part, span)
     try:
-        return [tomllib.loads(f"value = {part}")["value"]]
-    except (tomllib.TOMLDecodeError, RecursionError):
+        return [read_toml(f"value = {part}")["value"]]
+    except ValueError:
         return [part]
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import os
 import re
-import tomllib
 from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -37,7 +36,7 @@ from surrofe2.base.settings import (
     setting,
     unknown,
 )
-from surrofe2.base.units import LENGTH, TIME
+from surrofe2.base.units import LENGTH, TIME, with_micro_sign
 from surrofe2.cache.settings import CacheSettings, TableSettings
 from surrofe2.macro.elements import make_discretisation, points_by_region
 from surrofe2.macro.settings import MacroSettings, SurfaceSettings
@@ -47,7 +46,7 @@ from surrofe2.problem.conditions import FREE, BodyForce, Condition, Foundation, 
 from surrofe2.problem.mesh import Part, boundary, nodes_on, rectangle, region
 from surrofe2.problem.problem import Point, Problem, label, sections_of
 from surrofe2.problem.rigid_bodies import RigidBody
-from surrofe2.recipe.entries import with_changes
+from surrofe2.recipe.entries import read_toml, with_changes, with_micro_keys
 from surrofe2.rve.settings import RveSettings
 from surrofe2.store.meshes import load_mesh
 from surrofe2.store.store import digest, plain, read_text
@@ -89,7 +88,7 @@ class MeshSettings:
     width: float | None = setting(None, "extent in x", LENGTH, above=0.0)
     height: float | None = setting(None, "extent in y", LENGTH, above=0.0)
     elements: tuple[int, int] | None = setting(None, "elements in x and in y", least=1)
-    file: str | None = setting(None, "mesh file, relative to the recipe")
+    file: str | None = setting(None, "mesh file, relative to the recipe", is_file=True)
     length_unit: Literal["µm", "um", "mm", "m"] | None = setting(
         None, "unit of lengths in the file; µm"
     )
@@ -219,7 +218,7 @@ class SampleSettings:
     )
     seed: int = setting(1, "seed of the sequence of samples", least=0)
     tangents: bool = setting(False, "whether ∂P/∂F and ∂P/∂Ḟ are sampled with the stress")
-    file: str | None = setting(None, "file of the data set, relative to the recipe")
+    file: str | None = setting(None, "file of the data set, relative to the recipe", is_file=True)
 
     def __post_init__(self) -> None:
         check_settings(self, "samples")
@@ -337,7 +336,7 @@ def _cell_type(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]])
     settings = faults.take(partial(build, dict, sections, where if name else "", of=CellType))
     file, named = sections.get("training", {}).get("file"), "training.file"
     named = f"{where}.{named}" if name else named
-    file = faults.take(check_value, named, file, str | None, {})
+    file = faults.take(check_value, named, file, str | None, {"is_file": True})
     faults.check()
     return CellType(preset=preset, cell=cell, regions=regions, training_file=file, **settings)
 
@@ -421,6 +420,7 @@ class Recipe:
 
     def parts(self, name: str | None = None) -> dict[str, Recipe]:
         """The recipe for each of its cells by name, or for the selected one."""
+        name = None if name is None else with_micro_sign(name)
         if name is not None and name not in {*self.cells} - {""}:
             known = [each or "[cell]" for each in self.cells]
             raise unknown(f"--cell: {quoted(name)}", name, "cell", known)
@@ -639,8 +639,8 @@ def load_recipe(path: str | Path, changes: Mapping[str, Any] = MappingProxyType(
     """
     path = Path(path)
     try:
-        table = tomllib.loads(read_text(path, _MOST))
-    except (ValueError, RecursionError) as error:  # an integer may have too many digits, too
+        table = read_toml(read_text(path, _MOST))
+    except ValueError as error:  # an integer may have too many digits, too
         raise InputError(f"{path.name}: not TOML: {shortened(str(error), 150)}") from None
     try:
         return make_recipe(with_changes(table, changes), path)
@@ -659,7 +659,7 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
     """
     faults, tables = Faults(), dict[str, Any]()
     known = (*SECTIONS, *PROBLEM_SECTIONS, "cells")
-    for name, section in table.items():
+    for name, section in with_micro_keys(table).items():
         with faults.noted():
             if name not in known:
                 raise unknown(name, name, "section", known)

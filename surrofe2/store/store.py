@@ -50,6 +50,12 @@ _DIGEST = re.compile(rb"(?<=[\"\0])" + _WORD + rb"\W{1,12}([0-9a-f]{64})")
 WORD = re.compile(r"[A-Za-z0-9_.+-]{0,64}")
 """Texts of files that may go into sources and names of files."""
 
+_WIDE = {
+    "UTF-32": re.compile(rb"\xff\xfe\0\0|\0\0\xfe\xff|[\t-~]\0\0\0|\0\0\0[\t-~]"),
+    "UTF-16": re.compile(rb"\xff\xfe|\xfe\xff|[\t-~]\0|\0[\t-~]"),
+}
+"""How texts of these encodings begin: with a byte order mark, or with a letter of ASCII."""
+
 START_OVER = "change it back, write elsewhere or start over with --fresh"
 """The end of error messages that refuse output of other settings."""
 
@@ -141,8 +147,27 @@ def _opened(path: Path) -> Iterator[io.BufferedReader]:
 
 
 def read_text(path: Path, most: int = 2**30) -> str:
-    """As `read_bytes`, as text with newlines of one kind; a ValueError where it is not UTF-8."""
-    return read_bytes(path, most).decode("utf-8").replace("\r\n", "\n")
+    """As `read_bytes`, as text with newlines of one kind and without a byte order mark.
+
+    Raises:
+        FileError: it cannot be read, or is not UTF-8; the message names its encoding, or the line.
+    """
+    content = read_bytes(path, most)
+    check_not_wide(path, content)
+    try:
+        return content.decode("utf-8-sig").replace("\r\n", "\n")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise FileError(
+            f"{path}: not UTF-8: byte 0x{content[error.start]:02x} in line {line}; save it as UTF-8"
+        ) from None
+
+
+def check_not_wide(path: Path, content: bytes) -> None:
+    """Refuse text of two or four bytes for each letter, by a FileError that names the encoding."""
+    for name, begins in _WIDE.items():
+        if begins.match(content):
+            raise FileError(f"{path}: this is {name} text; save it as UTF-8")
 
 
 def remove(path: Path) -> None:
