@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.arrays import Array, Flags, Index
+from surrofe2.base.compilation import kernel
 from surrofe2.base.tensors import to_inputs
 from surrofe2.cache.protocols import Fallback, Surrogate
 from surrofe2.cache.trust import RETURN, STAY
@@ -190,15 +191,34 @@ def extrapolate(F: Array, F_dot: Array, before: tuple[Array, Array] | None) -> t
     """
     if before is None or before[0].shape != F.shape:
         return F, F_dot
-    change, rates = F - before[0], F_dot + before[1]
-    speed = np.vdot(rates, rates)
-    length = 2.0 * np.vdot(change, rates) / speed if speed > 0.0 else 0.0
+    there, rate_there = _ahead(F, F_dot, *before)
+    return there, rate_there
+
+
+@kernel
+def _ahead(F: Any, F_dot: Any, F_before: Any, F_dot_before: Any) -> Any:
+    """`extrapolate` with a step before, in two passes over the points."""
+    now, rate = F.ravel(), F_dot.ravel()
+    before, rate_before = F_before.ravel(), F_dot_before.ravel()
+    speed, done = 0.0, 0.0
+    for k in range(now.size):
+        both = rate[k] + rate_before[k]
+        speed += both * both
+        done += (now[k] - before[k]) * both
+    length = 2.0 * done / speed if speed > 0.0 else 0.0
+    there, rate_there = np.empty_like(F), np.empty_like(F_dot)
+    out, rate_out = there.ravel(), rate_there.ravel()
     if not length > 0.0:
-        return F + change, F_dot
-    return (
-        F - 5.0 * change + length * (4.0 * F_dot + 2.0 * before[1]),
-        8.0 * F_dot + 5.0 * before[1] - (12.0 / length) * change,
-    )
+        for k in range(now.size):
+            out[k] = now[k] + (now[k] - before[k])
+            rate_out[k] = rate[k]
+        return there, rate_there
+    for k in range(now.size):
+        change = now[k] - before[k]
+        out[k] = now[k] - 5.0 * change + length * (4.0 * rate[k] + 2.0 * rate_before[k])
+        turned = 8.0 * rate[k] + 5.0 * rate_before[k]
+        rate_out[k] = turned - (12.0 / length) * change
+    return there, rate_there
 
 
 def are_unique(state: Any, count: int) -> Flags:

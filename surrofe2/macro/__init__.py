@@ -1,6 +1,6 @@
 """The tissue on finite elements: any `StressLaw` below, explicit or implicit in time, or at rest.
 
-Reading order: settings; elements (space); forces, free_sides, system (what acts on it);
+Reading order: settings; elements (space); forces, free_sides, mass, system (what acts on it);
 equations_of_motion, time_stepping (explicit), generalised_alpha (implicit); history, simulation (a
 run). Without time: rest, modes.
 """

@@ -325,15 +325,14 @@ def deformation_gradient(space: Any, u: Any, v: Any) -> tuple[Array, Array, Arra
     n_q, k = gradients.shape[1], gradients.shape[2]
     count = n_q * elements.shape[0]
     F, F_dot, J = np.empty((count, 2, 2)), np.empty((count, 2, 2)), np.empty(count)
-    nodal = np.zeros((k, 4))
+    nodal = np.empty((k, 4))
     for e in range(elements.shape[0]):
         for a in range(k):
-            row = elements[e, a]
-            for i in range(2):
-                nodal[a, i] = u[row, i]
-                nodal[a, 2 + i] = v[row, i]
+            row = np.uint64(elements[e, a])  # numba tests signed indices for counting from the end
+            nodal[a, 0], nodal[a, 1] = u[row, 0], u[row, 1]
+            nodal[a, 2], nodal[a, 3] = v[row, 0], v[row, 1]
         for q in range(n_q):
-            p = n_q * e + q
+            p = np.uint64(n_q * e + q)
             xx, xy, yx, yy, vxx, vxy, vyx, vyy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for a in range(k):
                 gx, gy = gradients[e, q, a, 0], gradients[e, q, a, 1]
@@ -373,7 +372,7 @@ def internal_force(space: Any, F: Any, stress: Any, n: Any = None) -> Array:
     for e in range(elements.shape[0]):
         forces[:] = 0.0
         for q in range(n_q):
-            p = n_q * e + q
+            p = np.uint64(n_q * e + q)
             s00, s01, s10, s11 = stress[p, 0, 0], stress[p, 0, 1], stress[p, 1, 0], stress[p, 1, 1]
             if k == 4:
                 pressure = 0.5 * (s00 + s11)
@@ -390,7 +389,7 @@ def internal_force(space: Any, F: Any, stress: Any, n: Any = None) -> Array:
                 forces[a, 0] += p00 * gx + p01 * gy
                 forces[a, 1] += p10 * gx + p11 * gy
         for a in range(k):
-            row = elements[e, a]
+            row = np.uint64(elements[e, a])
             total[row, 0] += forces[a, 0]
             total[row, 1] += forces[a, 1]
     return total

@@ -14,7 +14,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse
-import scipy.sparse.linalg
 import skfem
 
 from surrofe2.base.arrays import Array, Index
@@ -23,6 +22,7 @@ from surrofe2.law.stress_law import StressLaw
 from surrofe2.macro.elements import Discretisation, Matrix, make_discretisation, n_points_of
 from surrofe2.macro.forces import Contact, Force, make_contact, make_loads, traction_load
 from surrofe2.macro.free_sides import SurfaceForce, make_surface
+from surrofe2.macro.mass import mass_solver, tissue_mass
 from surrofe2.problem.conditions import InitialVelocity
 from surrofe2.problem.mesh import boundary, facet_nodes, nodes_on, region
 from surrofe2.problem.problem import (
@@ -35,38 +35,6 @@ from surrofe2.problem.problem import (
 )
 
 T = TypeVar("T", Contact, SurfaceForce)
-
-DENSE_LIMIT = 600
-"""Unknowns up to which the mass is inverted and not factorised."""
-
-
-def tissue_mass(mesh: skfem.Mesh, density: Array) -> Matrix:
-    """(2 n_nodes, 2 n_nodes) consistent mass, ng, sparse.
-
-    Eq. 59 with the reference density (n_el,), ng/µm², over the reference area, which mass
-    conservation makes constant.
-    """
-    basis = skfem.Basis(mesh, mesh.elem())
-    form = skfem.BilinearForm(lambda u, v, w: w.density * u * v)
-    mass = form.assemble(basis, density=np.broadcast_to(density[:, None], basis.dx.shape))
-    return scipy.sparse.kron(mass, np.eye(2), "csc")
-
-
-def mass_solver(mass: Matrix, free: Index) -> Callable[[Array], Array]:
-    """Inverse of the mass (m, m) between the free unknowns, applied to (m,)."""
-    if mass.shape[0] <= DENSE_LIMIT:
-        inverse = np.linalg.inv(mass.toarray())
-        return lambda r: inverse @ r
-    # Where x and y are free alike, both have one factor. The matrix is symmetric and positive
-    # definite, so it needs no pivoting and an ordering that keeps symmetry.
-    each = 2 if np.array_equal(free[::2] + 1, free[1::2]) and not (free[::2] % 2).any() else 1
-    factor = scipy.sparse.linalg.splu(
-        scipy.sparse.csc_matrix(mass[::each][:, ::each]),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
-    return lambda r: factor.solve(r.reshape(-1, each)).ravel()
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,8 @@ from surrofe2.macro.elements import (
 )
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.history import widen_extremes
-from surrofe2.macro.system import DENSE_LIMIT, make_system
+from surrofe2.macro.mass import DENSE_LIMIT, mass_solver
+from surrofe2.macro.system import make_system
 from surrofe2.problem import Problem
 from tests.laws import KelvinVoigt
 from tests.macro.bars import PLATE, distorted_bar, random_state, state_vector
@@ -204,3 +205,12 @@ def test_a_large_mass_is_inverted(rng):
     assert system.free.size > DENSE_LIMIT
     x = rng.uniform(-1.0, 1.0, system.free.size)
     np.testing.assert_allclose(system.solve_mass(system.free_mass @ x), x, rtol=0.0, atol=1e-13)
+
+
+def test_a_large_mass_is_inverted_where_x_and_y_are_held_apart(rng):
+    system = make_system(LoadCase(elements=(12, 9)), 0.08)
+    free = np.delete(system.free, [0, 31])
+    assert free.size > DENSE_LIMIT
+    mass = system.mass[free][:, free]
+    x = rng.uniform(-1.0, 1.0, free.size)
+    np.testing.assert_allclose(mass_solver(mass, free)(mass @ x), x, rtol=0.0, atol=1e-13)
