@@ -21,8 +21,7 @@ from surrofe2.base.compilation import kernel
 from surrofe2.macro.elements import Matrix
 
 DENSE_LIMIT = 200
-"""Unknowns up to which the mass is inverted and not factorised: a product with the inverse is then as
-fast."""
+"""Unknowns up to which the mass is inverted and not factorised: such a product is as fast."""
 
 
 def tissue_mass(mesh: skfem.Mesh, density: Array) -> Matrix:

@@ -14,7 +14,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse
-import skfem
 
 from surrofe2.base.arrays import Array, Index
 from surrofe2.base.errors import InputError
