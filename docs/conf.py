@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent / "extensions"))
 import scripts
 
 project = "surrofe2"
-author = "the surrofe2 developers"
+author = metadata.metadata("surrofe2")["Author"]
 version = release = metadata.version("surrofe2")
 root_doc = "docs/index"
 include_patterns = ["docs/**", "examples/*.md", "data/README.md", "*.md"]
@@ -76,7 +76,7 @@ html_theme_options = {
     "pygments_dark_style": "github-dark",
 }
 html_sidebars = {"docs/index": []}
-copyright = "the surrofe2 developers, BSD-3-Clause"
+copyright = f"{author}, BSD-3-Clause"
 
 # MathJax from its package, so that the site needs no network.
 mathjax_path = "mathjax/tex-chtml.js"

@@ -1,17 +1,26 @@
-"""surrofe2: how soft, wet tissue deforms, from its cells upward.
+"""surrofe2: how soft, wet plant tissue deforms, from its cells upward.
 
-In reading order, which is the order of the data:
+Rooms in the order of the data; docs/architecture.md has all of them, with their files:
 
-    plant_cell   the particles of one plant cell: walls, contacts, fluid
-    rve          (F, Ḟ) in, stress out, by a periodic sample of cells put into its state
-    sampling     which (F, Ḟ) to ask; StressSamples, the answers
-    surrogate    a small network trained on them
-    cache        the surrogate where it may be trusted, the RVE elsewhere
-    macro        finite elements of any problem, which ask a stress law at their points
-    stress_law   the hinge between them: respond(F, F_dot) -> StressResponse
+    plant_cell      the particles of one plant cell: walls, contacts, fluid
+    rve             (F, Ḟ) in, stress out: a periodic patch of plant cells, brought to equilibrium
+    surface         free sides of a tissue
+    law             the hinge between the scales, respond(F, F_dot) -> StressResponse; its samples
+    surrogate       a small network trained on samples, with a bound of its error
+    cache           the surrogate, or a table, where its bound allows; RVEs elsewhere; audits
+    problem         mesh, supports, loads and rigid bodies, at both scales
+    macro           finite elements, whose stress at every quadrature point a law computes
+    tissue          every particle of a whole tissue: the reference without homogenisation
+    ranks, run      RVEs over MPI ranks; what all runs over time share
+    store, recipe   files of results; a study in one TOML file
+    workflow, cli   generate, train, run, compare: from Python and from the command line
+    questions       moduli, memory and stability of a plant cell
+    report          pictures, tables and the page of runs
+    adapters        laws in FElupe and in preCICE's Micro Manager
+    base            units, errors, settings, kernels, tensors, sampling of a range
 
-Every name that docs/howto/python.md uses is here, `dir(surrofe2)` lists them. Units are µm,
-µs, ng throughout, see `surrofe2.base.units`.
+`dir(surrofe2)` lists the public names; docs/howto/python.md shows them at work. Units are µm, µs
+and ng throughout, see `surrofe2.base.units`.
 """
 
 from __future__ import annotations
@@ -35,6 +44,7 @@ if TYPE_CHECKING:
         difference as difference,
     )
     from surrofe2.base.errors import Surrofe2Error as Surrofe2Error
+    from surrofe2.base.versions import report_versions as report_versions
     from surrofe2.store.samples import read_data_set as read_data_set
     from surrofe2.store.meshes import load_mesh as load_mesh
     from surrofe2.store.run_folder import read_run as read_run

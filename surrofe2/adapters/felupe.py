@@ -6,6 +6,9 @@ over a substep of `dt` is that of backward differences, so that the slope is `Ta
     Ḟ = (F − F₀)/dt,    ∂P/∂F (whole) = ∂P/∂F + (1/dt) ∂P/∂Ḟ
 
 With `dt` infinite, as it is at first, the material is at rest: quasi-static without rates.
+
+FElupe is under the GPL, version 3 or later. This file imports nothing of it and has none of its
+code.
 """
 
 from __future__ import annotations

@@ -183,12 +183,29 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+def _show_versions(wanted: bool) -> None:
+    if wanted:
+        from surrofe2.base.versions import report_versions  # late: it loads numba
+
+        typer.echo(report_versions())
+        raise typer.Exit
+
+
 @app.callback()
 def options(
     ctx: typer.Context,
     version: Annotated[
         bool,
         typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version."),
+    ] = False,
+    versions: Annotated[
+        bool,
+        typer.Option(
+            "--versions",
+            callback=_show_versions,
+            is_eager=True,
+            help="Print the versions of all that is used, the machine and threads: for an issue.",
+        ),
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help=SHARED["--quiet"])] = False,
     traceback: Annotated[

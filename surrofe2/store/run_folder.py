@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import logging
-import os
-import platform
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, TypeVar
@@ -30,6 +28,7 @@ from surrofe2.base.errors import (
 from surrofe2.base.interruption import interruptible
 from surrofe2.base.settings import check_value, hints_of
 from surrofe2.base.units import ENERGY, FORCE, LENGTH, STRESS, TIME
+from surrofe2.base.versions import describe_platform
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.views import Facts, ViewedRun, course
 from surrofe2.store.hdf5 import Kind, check_units, read, write
@@ -371,21 +370,6 @@ def describe_origin() -> dict[str, Any]:
         "threads": numba.get_num_threads(),
         "platform": describe_platform(),
     }
-
-
-def describe_platform() -> dict[str, str]:
-    """Processor, cores, system and library versions; nothing that identifies the machine."""
-    processor = platform.machine()
-    with suppress(OSError, StopIteration):
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        names = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-        processor = next(names)
-    libraries = {}
-    for name in ("numpy", "scipy", "numba", "torch"):
-        with suppress(PackageNotFoundError):  # runs do without torch
-            libraries[name] = version(name)
-    machine = {"processor": processor, "cores": str(os.cpu_count()), "system": platform.system()}
-    return {**machine, "python": platform.python_version(), **libraries}
 
 
 def caches_of(cache: Mapping[str, Any] | None) -> dict[str, Mapping[str, Any]]:

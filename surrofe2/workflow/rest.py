@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from surrofe2.base.compilation import Meter, seconds_compiling
 from surrofe2.base.errors import InputError
 from surrofe2.base.units import time_text
+from surrofe2.base.versions import describe_platform
 from surrofe2.law.stress_law import state_arrays, state_of
 from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
 from surrofe2.macro.rest import RestState
@@ -26,7 +27,6 @@ from surrofe2.store.run_folder import (
     CHECKPOINT_INTERVAL,
     RunFolder,
     RunRecord,
-    describe_platform,
     write_curves,
 )
 from surrofe2.store.store import keep
