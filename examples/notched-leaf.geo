@@ -1,6 +1,6 @@
 // A strip of 2 mm × 0.5 mm with a rounded notch from above, in µm.
 // gmsh -2 -order 2 -format msh41 notched-leaf.geo
-size = 125;
+size = 200;
 Point(1) = {0, 0, 0, size};
 Point(2) = {2000, 0, 0, size};
 Point(3) = {2000, 500, 0, size};

@@ -30,7 +30,7 @@ from surrofe2.base.arrays import Array, Index
 from surrofe2.base.compilation import kernel
 from surrofe2.base.errors import InputError
 from surrofe2.base.tensors import cofactor, det
-from surrofe2.problem.mesh import element_nodes, region, region_numbers
+from surrofe2.problem.mesh import CLOSED, DIGITS, element_nodes, region, region_numbers
 
 Matrix = Any
 """Of scipy.sparse."""
@@ -97,9 +97,11 @@ class Discretisation(NamedTuple):
         """Nodes and shape functions at a reference position, so that values there are N_a u_a.
         Raises `InputError` where it is outside the mesh.
         """
-        at = np.flatnonzero((self.nodes == point).all(axis=1))
-        if at.size:
-            return at[:1], np.ones(1)
+        # A file of single precision has a node beside the place that its author means.
+        distance = np.linalg.norm(self.nodes - point, axis=1)
+        nearest = int(distance.argmin())
+        if distance[nearest] <= DIGITS * abs(self.nodes).max():
+            return np.array([nearest]), np.ones(1)
         e, local = find_element(self.nodes, self.elements, point, name)
         shape, _ = reference_shapes(self.elements.shape[1], local[:, None])
         return self.elements[e], shape[0]
@@ -179,7 +181,7 @@ def find_element(
     for e in np.flatnonzero(((low <= point) & (point <= high)).all(axis=1)):
         local = _local_position(corners[e], point)
         outside = max(-local.min(), (local.max() if k == 4 else local.sum()) - 1.0)
-        if outside <= 1e-9:
+        if outside <= min(max(1e-9, DIGITS * abs(nodes).max() / size[e].min()), CLOSED):
             return int(e), local
     raise InputError(f"{name}: ({point[0]:.6g}, {point[1]:.6g}) µm; it must lie within the mesh")
 

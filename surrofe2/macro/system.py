@@ -23,7 +23,7 @@ from surrofe2.macro.forces import Contact, Force, make_contact, make_loads, trac
 from surrofe2.macro.free_sides import SurfaceForce, make_surface
 from surrofe2.macro.mass import mass_solver, tissue_mass
 from surrofe2.problem.conditions import InitialVelocity
-from surrofe2.problem.mesh import boundary, facet_nodes, nodes_on, region
+from surrofe2.problem.mesh import facet_nodes, facets_of, nodes_on, region
 from surrofe2.problem.problem import (
     SURFACE,
     Problem,
@@ -331,7 +331,7 @@ def _probes(problem: Problem, space: Discretisation, n: int) -> dict[str, Array]
         nodes, weights = space.locate(np.array(at, dtype=np.float64), f"watched.{name}")
         found[f"displacement {name}"] = np.bincount(nodes, weights, n).astype(np.float64)
     for name in problem.acted_boundaries():
-        load = traction_load(mesh, boundary(mesh, name), (1.0, 1.0))[:, 0]
+        load = traction_load(mesh, facets_of(mesh, name), (1.0, 1.0))[:, 0]
         found[f"mean displacement {name}"] = np.pad(load / load.sum(), (0, n - load.size))
     return found
 

@@ -1,9 +1,10 @@
 """Meshes are those of scikit-fem: what a problem needs of one, and names for its parts.
 
 Quadrilaterals are `skfem.MeshQuad1`, triangles `skfem.MeshTri2` with six nodes; a `skfem.MeshTri1`
-gets the middles of its sides. Lengths are in µm. Boundaries are named sets of outer facets, regions
-are named subdomains of elements. Nodes, the columns of `mesh.p`, are numbered as scikit-fem numbers
-the unknowns of `mesh.elem`: unknown 2 a + i of its `ElementVector` is component i of node a.
+gets the middles of its sides. Lengths are in µm. Boundaries are named sets of facets, which must be
+outer ones where they are loaded; regions are named subdomains of elements. Nodes, the columns of
+`mesh.p`, are numbered as scikit-fem numbers the unknowns of `mesh.elem`: unknown 2 a + i of its
+`ElementVector` is component i of node a.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import skfem
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import InputError, quoted
@@ -27,6 +29,10 @@ from surrofe2.base.units import LENGTH
 
 MOST_ELEMENTS = 10_000_000
 _ELEMENTS = skfem.ElementQuad1, skfem.ElementTriP1, skfem.ElementTriP2
+DIGITS = 1e-6
+"""Of the largest coordinate: what files of single precision or of six digits may lose."""
+CLOSED = 1e-3
+"""Of a side's length: parts of a mesh that are nearer to each other are meant to be one."""
 
 
 class Part(ABC):
@@ -35,8 +41,9 @@ class Part(ABC):
     __slots__ = ()
 
     @abstractmethod
-    def holds(self, points: Array) -> Flags:
-        """(n,) whether each of the points (n, 2) is in it."""
+    def holds(self, points: Array, slack: float = 0.0) -> Flags:
+        """(n,) whether each of the points (n, 2) is in it, or at most `slack` outside, µm; what
+        rounding moves is inside in any case."""
 
     @staticmethod
     def read(where: str, entry: Any) -> Part:
@@ -55,11 +62,12 @@ class Box(Part):
     low: tuple[float, float]
     high: tuple[float, float]
 
-    def holds(self, points: Array) -> Flags:
+    def holds(self, points: Array, slack: float = 0.0) -> Flags:
         low, high = np.array(self.low), np.array(self.high)
         width = high - low
-        slack = 1e-9 * np.max(width[np.isfinite(width)], initial=1.0)  # for rounding
-        return ((points >= low - slack) & (points <= high + slack)).all(axis=1)
+        slack = max(slack, 1e-9 * np.max(width[np.isfinite(width)], initial=1.0))
+        inside = (points >= low - slack) & (points <= high + slack)
+        return np.asarray(inside.all(axis=1))
 
     @staticmethod
     def read(where: str, entry: Any) -> Box:
@@ -85,8 +93,8 @@ class HalfPlane(Part):
         if not any(self.normal):
             raise InputError("half_plane.normal", f"{list(self.normal)}; it must not be zero")
 
-    def holds(self, points: Array) -> Flags:
-        slack = 1e-9 * abs(points).max(initial=1.0)
+    def holds(self, points: Array, slack: float = 0.0) -> Flags:
+        slack = max(slack, 1e-9 * abs(points).max(initial=1.0))
         normal = np.array(self.normal) / np.linalg.norm(self.normal)
         return (points - np.array(self.through)) @ normal >= -slack
 
@@ -101,9 +109,9 @@ class Disc(Part):
     def __post_init__(self) -> None:
         check_settings(self, "circle")
 
-    def holds(self, points: Array) -> Flags:
+    def holds(self, points: Array, slack: float = 0.0) -> Flags:
         distance = np.linalg.norm(points - np.array(self.centre), axis=1)
-        return distance <= self.radius * (1.0 + 1e-9)
+        return np.asarray(distance <= self.radius + max(slack, 1e-9 * self.radius))
 
 
 PARTS: dict[str, type[Part]] = {"box": Box, "half_plane": HalfPlane, "circle": Disc}
@@ -138,34 +146,60 @@ def rectangle(width: float, height: float, elements: tuple[int, int]) -> skfem.M
 
 
 def with_boundaries(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
-    """The mesh with more boundaries: the outer sides whose nodes all lie in a part.
+    """The mesh with more boundaries: the outer sides whose nodes all lie in a part, or as near to
+    it as `precision` says.
 
     Raises:
         InputError: there is none.
     """
-    outer = mesh.boundary_facets()
+    if not parts:
+        return mesh
+    outer, slack = mesh.boundary_facets(), precision(mesh)
     sides, named = facet_nodes(mesh, outer), {}
     for name, part in parts.items():
-        named[name] = outer[part.holds(mesh.p.T)[sides].all(axis=1)]
+        named[name] = outer[part.holds(mesh.p.T, slack)[sides].all(axis=1)]
         if not named[name].size:
             raise InputError(
-                f"mesh.boundaries.{name}: {part}; it must hold both ends of an outer side"
+                f"mesh.boundaries.{name}: {part}; it must hold both ends of an outer side; "
+                f"the mesh {_reach(mesh)}"
             )
-    return mesh.with_boundaries(named) if named else mesh
+    return mesh.with_boundaries(named)
 
 
 def with_regions(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
-    """The mesh with more regions: the elements whose centre lies in a part.
+    """The mesh with more regions: the elements whose centre lies in a part, or as near to it as
+    `precision` says.
 
     Raises:
         InputError: there is none.
     """
-    centres, named = mesh.p.T[element_nodes(mesh)].mean(axis=1), {}
+    if not parts:
+        return mesh
+    centres, slack, named = mesh.p.T[element_nodes(mesh)].mean(axis=1), precision(mesh), {}
     for name, part in parts.items():
-        named[name] = np.flatnonzero(part.holds(centres))
+        named[name] = np.flatnonzero(part.holds(centres, slack))
         if not named[name].size:
-            raise InputError(f"mesh.regions.{name}: {part}; it must hold the centre of an element")
-    return mesh.with_subdomains(named) if named else mesh
+            raise InputError(
+                f"mesh.regions.{name}: {part}; it must hold the centre of an element; the mesh "
+                f"{_reach(mesh)}"
+            )
+    return mesh.with_subdomains(named)
+
+
+def precision(mesh: skfem.Mesh) -> float:
+    """Distance within which two places of a mesh are the same, µm.
+
+    Files of single precision, or of six digits, have coordinates that are off by a millionth of the
+    largest one. It is at most a thousandth of the shortest side.
+    """
+    ends = mesh.p[:, mesh.facets]
+    shortest = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=0).min()
+    return float(min(DIGITS * abs(mesh.p).max(), CLOSED * shortest))
+
+
+def _reach(mesh: skfem.Mesh) -> str:
+    low, high = extent(mesh)
+    return f"reaches from ({low[0]:.9g}, {low[1]:.9g}) to {_at(high, 9)}"
 
 
 def element_nodes(mesh: skfem.Mesh) -> Index:
@@ -189,15 +223,33 @@ def facet_nodes(mesh: skfem.Mesh, facets: NDArray[np.integer]) -> Index:
 
 
 def boundary(mesh: skfem.Mesh, name: str, where: str = "boundary") -> Index:
-    """(m,) facets of a boundary; `where` says who asks, in the `InputError` if there is none."""
-    return np.asarray(_named(mesh.boundaries, name, where, "boundary"), dtype=np.int64)
+    """(m,) outer facets of a boundary; `where` says who asks.
+
+    Raises:
+        InputError: there is none of that name, another thing has the name, or it has facets within
+            the tissue, or none.
+    """
+    facets = facets_of(mesh, name, where)
+    inner = facets[mesh.f2t[1, facets] != -1]
+    if inner.size:
+        a, b = mesh.p.T[mesh.facets[:, inner[0]]]
+        raise InputError(
+            f"{where}: {name}; {inner.size} of its {facets.size} sides are within the tissue, the "
+            f"first from {_at(a)} to {_at(b)}; it must have outer sides only"
+        )
+    return facets
+
+
+def facets_of(mesh: skfem.Mesh, name: str, where: str = "boundary") -> Index:
+    """(m,) facets of a boundary, within the tissue or outside; errors as of `boundary`."""
+    return np.asarray(_named(mesh, mesh.boundaries, name, where, "boundary"), dtype=np.int64)
 
 
 def region(mesh: skfem.Mesh, name: str | None, where: str = "region") -> Index:
     """(k,) elements of a region, of None all; else an `InputError` as of `boundary`."""
     if name is None:
         return np.arange(mesh.nelements)
-    return np.asarray(_named(mesh.subdomains, name, where, "region"), dtype=np.int64)
+    return np.asarray(_named(mesh, mesh.subdomains, name, where, "region"), dtype=np.int64)
 
 
 def region_numbers(
@@ -217,12 +269,28 @@ def region_numbers(
 
 
 def nodes_on(mesh: skfem.Mesh, name: str | None, where: str = "on") -> Index:
-    """(k,) nodes of a boundary or a region, of None all; an `InputError` as of `boundary`."""
+    """(k,) nodes of a boundary or a region, of None all; an `InputError` as of `boundary`, but for
+    sides within the tissue, whose nodes may be held or moved."""
     regions = mesh.subdomains or {}
     if name is None or name in regions:
-        return np.unique(element_nodes(mesh)[region(mesh, name)])
+        return np.unique(element_nodes(mesh)[region(mesh, name, where)])
     known = {**(mesh.boundaries or {}), **regions}
-    return np.unique(facet_nodes(mesh, _named(known, name, where, "boundary or region")))
+    facets = _named(mesh, known, name, where, "boundary or region")
+    return np.unique(facet_nodes(mesh, facets))
+
+
+def length_of(mesh: skfem.Mesh, facets: NDArray[np.integer]) -> float:
+    """Length of facets together, µm."""
+    if not len(facets):
+        return 0.0
+    return float(skfem.FacetBasis(mesh, mesh.elem(), facets=facets, intorder=6).dx.sum())
+
+
+def area_of(mesh: skfem.Mesh, elements: NDArray[np.integer]) -> float:
+    """Area of elements together, µm²."""
+    if not len(elements):
+        return 0.0
+    return float(skfem.Basis(mesh, mesh.elem(), elements=elements, intorder=4).dx.sum())
 
 
 def extent(mesh: skfem.Mesh) -> tuple[Array, Array]:
@@ -230,11 +298,36 @@ def extent(mesh: skfem.Mesh) -> tuple[Array, Array]:
     return mesh.p.min(axis=1), mesh.p.max(axis=1)
 
 
+def check_name(mesh: skfem.Mesh, name: str, where: str) -> None:
+    """Refuse a name that boundaries or regions of a mesh share, but for capitals and blanks.
+
+    Raises:
+        InputError: it is ambiguous.
+    """
+    plain = _plain(name)
+    alike = [
+        f"the {what} {quoted(known)}"
+        for what, names in (("boundary", mesh.boundaries), ("region", mesh.subdomains))
+        for known in names or {}
+        if _plain(known) == plain
+    ]
+    if len(alike) > 1:
+        raise InputError(f"{where}: {name}; it may mean {' or '.join(alike)}; name them apart")
+
+
+def _plain(name: str) -> str:
+    """A name without blanks and capitals."""
+    return "".join(name.split()).casefold()
+
+
 def _named(
-    known: Mapping[str, NDArray] | None, name: str, where: str, what: str
+    mesh: skfem.Mesh, known: Mapping[str, NDArray] | None, name: str, where: str, what: str
 ) -> NDArray[np.integer]:
     known = known or {}
     if name in known:
+        check_name(mesh, name, where)
+        if not len(known[name]):
+            raise InputError(f"{where}: {name}; the mesh has that name, and no {what} of it")
         return known[name]
     if not known:
         raise InputError(f"{where}: {name}; the mesh has no {what} with a name; name parts of it")
@@ -246,7 +339,7 @@ def _named(
 def check_mesh(mesh: skfem.Mesh) -> skfem.Mesh:
     """The mesh of a problem, a `MeshTri1` with the middles of its sides. Raises `InputError` where
     it is of another kind, an element is inverted or degenerate, elements lie on one another, a node
-    has no element, there are several pieces, or a boundary has a facet within the tissue.
+    has no element, there are several pieces, or parts touch that are not glued.
     """
     if not isinstance(mesh, skfem.Mesh) or mesh.elem not in _ELEMENTS:
         raise InputError(
@@ -267,8 +360,8 @@ def check_mesh(mesh: skfem.Mesh) -> skfem.Mesh:
         mesh = mesh.with_boundaries(boundaries).with_subdomains(regions)
     _check_orphans(mesh.p.T, element_nodes(mesh))
     _check_shapes(mesh.p.T, element_nodes(mesh))
+    _check_seams(mesh)
     _check_pieces(mesh)
-    _check_boundaries(mesh)
     return mesh
 
 
@@ -284,17 +377,6 @@ def _check_overlaps(mesh: skfem.Mesh) -> None:
             f"mesh: {shared.max()} elements share the side at {_at(at)}; elements must not lie on "
             "one another"
         )
-
-
-def _check_boundaries(mesh: skfem.Mesh) -> None:
-    for name, facets in (mesh.boundaries or {}).items():
-        within = np.flatnonzero(mesh.f2t[1, facets] != -1)
-        if within.size:
-            ends = mesh.p.T[mesh.facets[:, facets[within[0]]]]
-            raise InputError(
-                f"mesh: boundary {name}: the line from {_at(ends[0])} to {_at(ends[1])} is no "
-                "outer side of an element"
-            )
 
 
 def _check_orphans(nodes: Array, elements: NDArray[np.integer]) -> None:
@@ -329,11 +411,70 @@ def _check_shapes(nodes: Array, elements: Index) -> None:
         )
 
 
+def _check_seams(mesh: skfem.Mesh) -> None:
+    """Nodes of outer sides must not lie on one another, nor on outer sides that do not have them:
+    a crack would run there."""
+    nodes, outer = mesh.p.T, mesh.boundary_facets()
+    ends = mesh.facets[:, outer].T
+    x = nodes[ends]
+    length = np.linalg.norm(x[:, 1] - x[:, 0], axis=1)
+    outline = np.unique(ends)
+    shortest = np.full(len(nodes), np.inf)  # of the outer sides at each node
+    np.minimum.at(shortest, ends, length[:, None])
+    tree = cKDTree(nodes[outline])
+    near = outline[tree.query_pairs(CLOSED * shortest[outline].max(), output_type="ndarray")]
+    apart = np.linalg.norm(nodes[near[:, 0]] - nodes[near[:, 1]], axis=1)
+    for pair in near[apart <= CLOSED * shortest[near].min(axis=1)][:1]:
+        raise InputError(
+            f"mesh: two nodes at {_at(nodes[pair[0]])}, so parts of the mesh touch there and are "
+            "not glued; merge such nodes (in Gmsh: Coherence before meshing, or Coherence Mesh)"
+        )
+    if mesh.elem is skfem.ElementTriP2:
+        middle = nodes[mesh.dofs.facet_dofs[0, outer]]
+    else:
+        middle = x.mean(axis=1)
+    sagitta = np.linalg.norm(middle - x.mean(axis=1), axis=1)
+    radius = (0.5 - CLOSED) * length + sagitta  # without the ends of a straight side
+    inside = tree.query_ball_point(x.mean(axis=1), radius)
+    side = np.repeat(np.arange(len(outer)), [*map(len, inside)])
+    node = outline[np.concatenate([np.zeros(0, np.int64), *inside]).astype(np.int64)]
+    is_other = (ends[side] != node[:, None]).all(axis=1)
+    side, node = side[is_other], node[is_other]
+    gap = _distance_to_sides(nodes[node], x[side], middle[side])
+    for k in np.flatnonzero(gap <= CLOSED * length[side])[:1]:
+        a, b = x[side[k]]
+        raise InputError(
+            f"mesh: the node at {_at(nodes[node[k]])} lies on the side of an element from {_at(a)} "
+            f"to {_at(b)} that does not have it; the elements there must share whole sides"
+        )
+
+
+def _distance_to_sides(points: Array, ends: Array, middles: Array) -> Array:
+    """(n,) distance of points (n, 2) to sides through their ends (n, 2, 2) and middles (n, 2).
+
+    A side is x(s) = (1−s)(1−2s) a + 4s(1−s) m + s(2s−1) b, on which Newton's method finds the
+    nearest s.
+    """
+    a, b = ends[:, 0], ends[:, 1]
+    chord = b - a
+    s = np.einsum("ni,ni->n", points - a, chord) / np.einsum("ni,ni->n", chord, chord)
+    for _ in range(3):
+        t = s[:, None]
+        at = (
+            (1.0 - t) * (1.0 - 2.0 * t) * a
+            + 4.0 * t * (1.0 - t) * middles
+            + t * (2.0 * t - 1.0) * b
+        )
+        slope = (4.0 * t - 3.0) * a + (4.0 - 8.0 * t) * middles + (4.0 * t - 1.0) * b
+        s = s + np.einsum("ni,ni->n", points - at, slope) / np.einsum("ni,ni->n", slope, slope)
+        s = np.clip(s, 0.0, 1.0)
+    return np.linalg.norm(points - at, axis=1)
+
+
 def _check_pieces(mesh: skfem.Mesh) -> None:
     first, second = mesh.t, np.roll(mesh.t, 1, axis=0)
     corners = int(mesh.t.max()) + 1
-    graph = coo_matrix((np.ones(first.size), (first.ravel(), second.ravel())), (corners, corners))
-    pieces, label = connected_components(graph, directed=False)
+    pieces, label = _connected(corners, first.ravel(), second.ravel())
     if pieces > 1:
         sizes = np.bincount(label[mesh.t[0]])
         piece = int(sizes.argmin())
@@ -342,7 +483,26 @@ def _check_pieces(mesh: skfem.Mesh) -> None:
             f"mesh: {pieces} pieces that do not touch, the smallest of {sizes.min()} elements "
             f"at {_at(mesh.p[:, node])}; it must be one"
         )
+    inner = mesh.f2t[:, mesh.f2t[1] != -1]
+    parts, part = _connected(mesh.nelements, *inner)
+    if parts > 1:
+        lowest, highest = np.full(corners, parts), np.full(corners, -1)
+        of_corner = np.broadcast_to(part, mesh.t.shape)
+        np.minimum.at(lowest, mesh.t, of_corner)
+        np.maximum.at(highest, mesh.t, of_corner)
+        node = int(np.flatnonzero(lowest != highest)[0])
+        raise InputError(
+            f"mesh: two parts share the node at {_at(mesh.p[:, node])} and no side, so that they "
+            "would turn about it freely; let them share a side, or leave one out"
+        )
 
 
-def _at(point: Array) -> str:
-    return f"({point[0]:.6g}, {point[1]:.6g}) µm"
+def _connected(count: int, first: NDArray, second: NDArray) -> tuple[int, NDArray]:
+    """How many pieces `count` things are that are connected in pairs, and the piece of each."""
+    graph = coo_matrix((np.ones(first.size), (first, second)), (count, count))
+    pieces, label = connected_components(graph, directed=False)
+    return int(pieces), label
+
+
+def _at(point: Array, digits: int = 6) -> str:
+    return f"({point[0]:.{digits}g}, {point[1]:.{digits}g}) µm"

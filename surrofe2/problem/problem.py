@@ -29,8 +29,10 @@ from surrofe2.problem.conditions import (
 from surrofe2.problem.mesh import (
     Part,
     check_mesh,
+    check_name,
     extent,
     nodes_on,
+    precision,
     region,
     with_boundaries,
     with_regions,
@@ -70,7 +72,8 @@ class Problem:
             run; displacements count from there. None: there are none. A full tissue needs none.
 
     Raises:
-        InputError: as of `check_mesh`; two things have one name, or a number is out of range.
+        InputError: as of `check_mesh` and `check_name`; two conditions have one name, or a number
+            is out of range.
     """
 
     mesh: skfem.Mesh
@@ -102,6 +105,11 @@ class Problem:
                 raise InputError(f"problem: {number} conditions are called {name}; name them apart")
             if name in TAKEN:
                 raise InputError(f"problem: a condition is called {name}; an energy has that name")
+        for condition in self.conditions:
+            if condition.on is not None:
+                check_name(self.mesh, condition.on, f"{label(condition)}.on")
+        for body in self.bodies:
+            check_name(self.mesh, body.on, f"{body.name}.on")
         thrown = Counter(each.on for each in self.conditions if isinstance(each, InitialVelocity))
         for place, number in thrown.items():
             if number > 1:
@@ -288,7 +296,7 @@ def without_overlap(
 
 def _normal_component(mesh: skfem.Mesh, condition: Symmetry) -> int:
     extent = np.ptp(mesh.p.T[nodes_on(mesh, condition.on, "symmetry.on")], axis=0)
-    if extent.min() > 1e-9 * extent.max():
+    if extent.min() > max(1e-9 * extent.max(), 2.0 * precision(mesh)):
         raise InputError(
             f"{label(condition)}.on: {condition.on}; a symmetry must be straight along x or along y"
         )

@@ -13,4 +13,7 @@ In reading order:
     fields            fields over time for ParaView, of elements, particles and law points
     meshes            meshes that other programs made
     mesh_reader       the process that reads them
+    gmsh_file         files of Gmsh
+    abaqus_file       files of Abaqus
+    plane_mesh        one kind of element in the plane, with named sides and regions
 """

@@ -1,5 +1,6 @@
 """Meshes: what is wrong is one line that names what and where; parts by name."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -23,9 +24,17 @@ from surrofe2.problem import (
     with_boundaries,
     with_regions,
 )
-from surrofe2.problem.mesh import check_mesh, element_nodes, facet_nodes
+from surrofe2.problem.mesh import (
+    area_of,
+    check_mesh,
+    element_nodes,
+    facet_nodes,
+    length_of,
+    nodes_on,
+    region,
+)
 from tests.laws import KelvinVoigt
-from tests.macro.meshes import plate, sides_of, triangles
+from tests.macro.meshes import KINDS, plate, sides_of, triangles
 
 SQUARE = rectangle(2.0, 2.0, (2, 2))
 NODES, QUADS = SQUARE.p.T, SQUARE.t.T
@@ -54,6 +63,28 @@ def quads(nodes, elements):
     return skfem.MeshQuad1(nodes.T, elements.T)
 
 
+def part(elements, nodes=NODES):
+    """A mesh of these elements and the nodes that they have."""
+    used, number = np.unique(elements, return_inverse=True)
+    return quads(nodes[used], number.reshape(elements.shape))
+
+
+TWICE = np.vstack([NODES, NODES[3:6]])
+UNGLUED = np.array([[0, 3, 4, 1], [1, 4, 5, 2], [9, 6, 7, 10], [10, 7, 8, 11]])
+"""The right half of SQUARE with nodes of its own, which are 3 to 5 again."""
+HANGING = np.array([[0, 3, 5, 2], [3, 6, 7, 4], [4, 7, 8, 5]])
+"""One element on the left of SQUARE."""
+
+
+def bulging(bulge):
+    """A triangle with a curved right side, on which a node of two straight ones lies."""
+    nodes = np.array([[0.0, 1.0], [2.0, 0.0], [2.0, 2.0], [2.0 + bulge, 1.0], [4.0, 1.0]])
+    mesh = triangles(nodes, np.array([[0, 1, 2], [1, 4, 3], [3, 4, 2]]))
+    moved = mesh.p.copy()
+    moved[:, element_nodes(mesh)[0, 4]] = nodes[3]
+    return replace(mesh, doflocs=moved)
+
+
 @pytest.mark.parametrize(
     ("mesh", "message"),
     [
@@ -68,14 +99,114 @@ def quads(nodes, elements):
         (quads(NODES, np.vstack([QUADS, [0, 3, 4, 2]])), r"mesh: 3 elements share the"),
         (quads(NODES, QUADS[:0]), r"mesh: it has no element"),
         (skfem.MeshQuad2(), r"mesh: MeshQuad2; it must be a skfem\.MeshQuad1, MeshTri1 or"),
-        (SQUARE.with_boundaries({"cut": np.arange(SQUARE.nfacets)}),
-         r"mesh: boundary cut: the line from .* is no outer side of an element"),
+        (part(UNGLUED, TWICE),
+         r"mesh: two nodes at \(1, [012]\) µm, .* not glued; merge such nodes \(in Gmsh: Cohe"),
+        (part(UNGLUED, TWICE + (np.arange(12) > 8)[:, None] * [5e-4, 0.0]), r"two nodes at \(1"),
+        (part(HANGING),
+         r"node at \(1, 1\) µm lies on the side of an element from \(1, [02]\) µm to \(1, [02]"),
+        (bulging(0.2), r"the node at \(2.2, 1\) µm lies on the side of an element from \(2, 0\)"),
+        (part(QUADS[[0, 3]]),
+         r"mesh: two parts share the node at \(1, 1\) µm and no side, so that they would turn"),
     ],
 )  # fmt: skip
 def test_a_bad_mesh_is_one_line(mesh, message):
     with pytest.raises(InputError, match=message) as caught:
         Problem(mesh=mesh, conditions=())
     assert "\n" not in str(caught.value)
+
+
+def test_gaps_and_notches_that_are_meant_are_no_cracks():
+    """A crack that is open by more than a thousandth of a side; a corner near a long side."""
+    opened = TWICE.copy()
+    opened[11, 0] += 0.01
+    cracked = np.where(UNGLUED == 11, 11, np.where(UNGLUED > 8, UNGLUED - 6, UNGLUED))
+    for mesh in (
+        part(cracked, opened),
+        *(plate(kind, np.random.default_rng(1)) for kind in KINDS),
+    ):
+        assert check_mesh(mesh).nelements == mesh.nelements
+
+
+def test_seams_of_a_large_mesh_are_found_in_no_time():
+    """Every element with nodes of its own, so that all sides are outer ones, and a whole mesh."""
+    mesh = rectangle(256.0, 256.0, (256, 256))
+    apart = mesh.p[:, mesh.t.T.ravel()] + 0.01 * np.tile(
+        [[1.0, -1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]], mesh.nelements
+    )
+    began = time.process_time()
+    check_mesh(mesh)
+    with pytest.raises(InputError, match="65536 pieces that do not touch"):
+        check_mesh(skfem.MeshQuad1(apart, np.arange(4 * mesh.nelements).reshape(-1, 4).T))
+    assert time.process_time() - began < 10.0
+
+
+@pytest.mark.parametrize("twin", ["half", "Half", "ha lf"])
+def test_one_name_of_two_things_is_refused_where_it_is_used(twin):
+    """Names that capitals or blanks alone tell apart are one."""
+    mesh = with_regions(SQUARE, half=Box((0.0, 0.0), (1.0, 2.0)))
+    mesh = with_boundaries(mesh, **{twin: Box((2.0, 0.0), (2.0, 2.0))})
+    sentence = rf"it may mean the boundary '{twin}' or the region 'half'; name them apart"
+    for acts in (Fixed(on=twin), Traction(on=twin, traction=(1.0, 0.0)),
+                 BodyForce(on="half", acceleration=(1.0, 0.0))):  # fmt: skip
+        with pytest.raises(InputError, match=sentence):
+            Problem(mesh=mesh, conditions=(acts,))
+    with pytest.raises(InputError, match=sentence):
+        region(mesh, "half")
+    with pytest.raises(InputError, match=sentence):
+        nodes_on(mesh, twin)
+    Problem(mesh=mesh, conditions=(Fixed(on="left"),))
+
+
+def test_sides_within_the_tissue_may_be_held_but_not_loaded():
+    cut = SQUARE.with_boundaries({"cut": np.arange(SQUARE.nfacets)})
+    hold = Fixed(on="left")
+    assert len(nodes_on(cut, "cut")) == SQUARE.p.shape[1]
+    with pytest.raises(
+        InputError, match=r"traction\.on: cut; 4 of its 12 sides are within the tis"
+    ):
+        find_rest(
+            Problem(mesh=cut, conditions=(hold, Traction(on="cut", traction=(1.0, 0.0)))),
+            KelvinVoigt(),
+        )
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("kind", ["quads", "triangles"])
+def test_places_are_found_within_single_precision(kind, scale, rng):
+    """Sides at 100 scale that a file of single precision, or of six digits, has beside it."""
+    exact = plate(kind, rng, (8, 5), (200.0 * scale, 100.0 * scale), distortion=0.0)
+    for rounded in (
+        exact.p.astype(np.float32) * (1.0 + 6e-8),
+        np.vectorize(lambda x: float(f"{x:.6g}"))(exact.p * 1.0000003),
+    ):
+        mesh = replace(exact, doflocs=np.asarray(rounded, dtype=np.float64))
+        mesh = with_boundaries(
+            mesh,
+            upper=Box((0.0, 100.0 * scale), (200.0 * scale, 100.0 * scale)),
+            rim=HalfPlane((200.0 * scale, 0.0), (1.0, 0.0)),
+            disc=Disc((0.0, 0.0), 200.0 * scale),
+        )
+        assert len(mesh.boundaries["upper"]) == 8
+        assert len(mesh.boundaries["rim"]) == 5
+        # All nodes of the bottom and the left side, and of the top those as near as its end.
+        assert len(mesh.boundaries["disc"]) >= 8 + 5
+        space = make_discretisation(mesh)
+        corner = np.array([200.0, 100.0]) * scale
+        nodes, weights = space.locate(corner)
+        np.testing.assert_allclose(weights @ space.nodes[nodes], corner, rtol=2e-6)
+        Problem(mesh=mesh, conditions=(Symmetry(on="rim"),))
+
+
+def test_lengths_and_areas_of_curved_triangles(rng):
+    """Of a square with a round hole, in the limit; of a straight plate, exactly."""
+    for kind in KINDS:
+        mesh = plate(kind, rng)
+        assert area_of(mesh, np.arange(mesh.nelements)) == pytest.approx(600.0, rel=1e-12)
+        assert length_of(mesh, mesh.boundaries["top"]) == pytest.approx(30.0, rel=1e-12)
+    disc = skfem.MeshTri2.init_circle(4)
+    assert area_of(disc, np.arange(disc.nelements)) == pytest.approx(np.pi, rel=1e-5)
+    assert length_of(disc, disc.boundary_facets()) == pytest.approx(2.0 * np.pi, rel=1e-5)
+    assert length_of(disc, disc.boundary_facets()[:0]) == 0.0
 
 
 def test_a_triangle_that_folds_within_is_found():

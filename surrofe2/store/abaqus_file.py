@@ -1,0 +1,254 @@
+"""Reads the mesh of an Abaqus input file: plane elements, sets of elements and nodes, surfaces.
+
+Element sets are groups of surfaces. Node sets, and surfaces of element sides, become boundaries.
+Abaqus/CAE writes both sets of one name for a part of the geometry. Of a face the node set holds all
+nodes of the elements, and the element set says it; of an edge the elements are those beside it, and
+the node set says it. Names are the same in capitals and small letters.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from surrofe2.store.plane_mesh import SURFACES, Array, Group, Index, MeshError, StoredMesh
+
+_T = TypeVar("_T")
+
+_PLANE = re.compile(r"(?:CPS|CPEG|CPE|S|STRI|M3D|R3D|SFM3D|DS|DC2D|AC2D|F2D)(\d)")
+"""Families of elements in a plane, shells and membranes; then the number of nodes, and variants."""
+_LINES = re.compile(r"(?:T2D|T3D|B2|B3|R2D2|RB|SPRING|DASHPOT|CONN|MASS)")
+"""Families of elements that stand on nodes of others, and are left out."""
+_KINDS = {"3": "triangle", "4": "quad", "6": "triangle6", "8": "quad8", "9": "quad9"}
+
+
+class _Sets(dict[str, list[int]]):
+    """Numbers by name, whichever letters are capitals; the first spelling counts."""
+
+    def named(self, name: str) -> str:
+        """The name as it was first written."""
+        return next((known for known in self if known.upper() == name.upper()), name)
+
+    def add(self, name: str, members: list[int]) -> None:
+        """Add members to the set of that name."""
+        self.setdefault(self.named(name), []).extend(members)
+
+
+@dataclass
+class _Contents:
+    """What a file has of nodes, elements and sets.
+
+    Attributes:
+        tags, points: number and position of nodes.
+        elements: by kind rows of the number of an element and its nodes.
+        internal: names of element sets that only surfaces use.
+        surfaces: by name an element set, or the number of an element, and a side such as "S2".
+    """
+
+    tags: list[Index] = field(default_factory=list)
+    points: list[Array] = field(default_factory=list)
+    elements: dict[str, list[Index]] = field(default_factory=dict)
+    element_sets: _Sets = field(default_factory=_Sets)
+    node_sets: _Sets = field(default_factory=_Sets)
+    internal: set[str] = field(default_factory=set)
+    surfaces: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
+
+
+def read_abaqus(path: str) -> StoredMesh:
+    """The mesh in a file.
+
+    Raises:
+        ValueError: it is damaged.
+        MeshError: it has several parts, or elements that are not read.
+    """
+    contents = _Contents()
+    scope, parts, instances = "", 0, 0
+    for keyword, options, lines in _blocks(Path(path).read_bytes().decode("utf-8", "replace")):
+        match keyword:
+            case "PART" | "INSTANCE" | "ASSEMBLY":
+                scope = keyword
+                parts += keyword == "PART"
+                instances += keyword == "INSTANCE"
+                if max(parts, instances) > 1:
+                    raise MeshError("it has several parts; write a file of one part")
+                if keyword == "INSTANCE" and any(_number(word) for line in lines for word in line):
+                    raise MeshError("its instance is moved; write it where it is drawn")
+            case "END PART":
+                scope = ""
+            case "END INSTANCE":
+                scope = "ASSEMBLY"
+            case "INCLUDE":
+                raise MeshError("it includes another file; write all of it into one")
+            case _ if scope == "ASSEMBLY" and "INSTANCE" not in options and keyword != "SURFACE":
+                pass  # reference points, which have numbers of their own, and their sets
+            case "NODE":
+                _read_nodes(contents, options, lines)
+            case "ELEMENT":
+                _read_elements(contents, options, lines)
+            case "ELSET":
+                _read_set(contents.element_sets, options["ELSET"], options, lines)
+                if "INTERNAL" in options:
+                    contents.internal.add(options["ELSET"])
+            case "NSET" if "INTERNAL" not in options:
+                _read_set(contents.node_sets, options["NSET"], options, lines)
+            case "SURFACE" if options.get("TYPE", "ELEMENT").upper() == "ELEMENT":
+                sides = [(line[0], line[1].upper()) for line in lines if len(line) > 1]
+                contents.surfaces[options["NAME"]] = sides
+    return _stored(contents)
+
+
+def _blocks(text: str) -> list[tuple[str, dict[str, str], list[list[str]]]]:
+    """Keyword, options by name and lines of data; keywords and names of options in capitals."""
+    blocks: list[tuple[str, dict[str, str], list[list[str]]]] = []
+    continues = False
+    for line in text.splitlines():
+        if line.startswith("**") or not line.strip():
+            continue
+        words = [word.strip() for word in line.split(",")]
+        if line.startswith("*"):
+            keyword = " ".join(words[0][1:].upper().split())
+            blocks.append((keyword, dict(_option(word) for word in words[1:] if word), []))
+            continues = not words[-1]
+        elif continues:
+            blocks[-1][1].update(_option(word) for word in words if word)
+            continues = not words[-1]
+        elif blocks:
+            blocks[-1][2].append(words)
+    return blocks
+
+
+def _option(word: str) -> tuple[str, str]:
+    name, _, value = word.partition("=")
+    return name.strip().upper(), value.strip().strip('"')
+
+
+def _number(word: str) -> float:
+    return float(word) if word else 0.0
+
+
+def _read_nodes(contents: _Contents, options: dict[str, str], lines: list[list[str]]) -> None:
+    if not lines:
+        return
+    rows = np.array([[_number(word) for word in [*line, "", "", ""][:4]] for line in lines])
+    contents.tags.append(rows[:, 0].astype(np.int64))
+    contents.points.append(rows[:, 1:])
+    if "NSET" in options:
+        contents.node_sets.add(options["NSET"], rows[:, 0].astype(int).tolist())
+
+
+def _read_elements(contents: _Contents, options: dict[str, str], lines: list[list[str]]) -> None:
+    stated = options.get("TYPE", "").upper()
+    family = _PLANE.match(stated)
+    kind = _KINDS.get(family[1]) if family else None
+    if kind is None:
+        if _LINES.match(stated):
+            return
+        raise MeshError(
+            f"{len(lines)} elements of type {stated or '(none)'}; they must be plane, such as "
+            "CPS3, CPS4R, CPE6, CPE8R or S4R"
+        )
+    numbers = [int(word) for line in lines for word in line if word]
+    width = 1 + SURFACES[kind]
+    if len(numbers) % width:
+        raise ValueError(f"an element of type {stated} must have {width - 1} nodes")
+    rows = np.array(numbers, dtype=np.int64).reshape(-1, width)
+    contents.elements.setdefault(kind, []).append(rows)
+    if "ELSET" in options:
+        contents.element_sets.add(options["ELSET"], rows[:, 0].tolist())
+
+
+def _read_set(sets: _Sets, name: str, options: dict[str, str], lines: list[list[str]]) -> None:
+    """Numbers, ranges of them where the option GENERATE is there, or names of other sets."""
+    members: list[int] = []
+    for line in lines:
+        words = [word for word in line if word]
+        if "GENERATE" in options:
+            first, last, *step = map(int, words)
+            members.extend(range(first, last + 1, *step))
+            continue
+        for word in words:
+            plain = word.rpartition(".")[2]  # INSTANCE.NAME
+            if plain.isdigit():
+                members.append(int(plain))
+            elif sets.named(plain) in sets:
+                members.extend(sets[sets.named(plain)])
+            else:
+                raise ValueError(f"set {name}: there is no set {word}")
+    sets.add(name, members)
+
+
+def _stored(contents: _Contents) -> StoredMesh:
+    """Cells by kind, with nodes and elements by their place and not their number."""
+    if not contents.tags:
+        raise ValueError("it has no *NODE")
+    tags = np.concatenate(contents.tags).tolist()
+    node_at = {tag: k for k, tag in enumerate(tags)}
+    if len(node_at) < len(tags):
+        raise ValueError("two nodes have one number")
+    cells: dict[str, Index] = {}
+    element_at: dict[int, tuple[str, int]] = {}
+    for kind, blocks in contents.elements.items():
+        rows = np.concatenate(blocks)
+        nodes = [_place(node_at, node, "an element: node") for node in rows[:, 1:].ravel().tolist()]
+        cells[kind] = np.array(nodes, dtype=np.int64).reshape(len(rows), -1)
+        element_at |= {tag: (kind, k) for k, tag in enumerate(rows[:, 0].tolist())}
+    node_sets: dict[str, Index] = {}
+    for name, members in contents.node_sets.items():
+        places = [_place(node_at, tag, f"set {name}: node") for tag in members]
+        node_sets[name] = np.unique(np.array(places, dtype=np.int64))
+    groups = []
+    for name, members in contents.element_sets.items():
+        if name in contents.internal:
+            continue
+        group = Group(name, 2)
+        for kind, k in sorted({_place(element_at, tag, f"set {name}: element") for tag in members}):
+            group.cells[kind] = np.append(group.cells.get(kind, np.zeros(0, np.int64)), k)
+        if not _is_of_an_edge(group, cells, node_sets):
+            groups.append(group)
+    lines: list[list[int]] = []
+    for name, sides in contents.surfaces.items():
+        begin = len(lines)
+        for where, side in sides:
+            known = contents.element_sets.named(where)
+            members = [int(where)] if where.isdigit() else contents.element_sets.get(known, [])
+            for tag in members:
+                kind, k = _place(element_at, tag, f"surface {name}: element")
+                lines.append(_ends(cells[kind][k], side, name))
+        groups.append(Group(name, 1, {"line": np.arange(begin, len(lines))}))
+    if lines:
+        cells["line"] = np.array(lines, dtype=np.int64)
+    return StoredMesh(np.concatenate(contents.points), cells, groups, node_sets)
+
+
+def _is_of_an_edge(group: Group, cells: dict[str, Index], node_sets: dict[str, Index]) -> bool:
+    """Whether an element set stands beside a node set of its name that says it; otherwise the node
+    set goes, if it holds the nodes of these elements."""
+    twin = next((name for name in node_sets if name.upper() == group.name.upper()), None)
+    if twin is None:
+        return False
+    nodes = [cells[kind][of].ravel() for kind, of in group.cells.items()]
+    beside = np.unique(np.concatenate([*nodes, np.zeros(0, np.int64)]))
+    if np.array_equal(beside, node_sets[twin]):
+        del node_sets[twin]
+        return False
+    return bool(np.isin(node_sets[twin], beside).all())
+
+
+def _ends(nodes: Index, side: str, name: str) -> list[int]:
+    """Ends of a side "S1" to "S4", or "E1" to "E4" of a shell."""
+    corners = 3 if len(nodes) in (3, 6) else 4
+    if not re.fullmatch(r"[SE][1-4]", side) or int(side[1]) > corners:
+        raise MeshError(f"surface {name}: {side}; it must be of sides S1 to S{corners} of elements")
+    k = int(side[1]) - 1
+    return [int(nodes[k]), int(nodes[(k + 1) % corners])]
+
+
+def _place(places: Mapping[int, _T], tag: int, what: str) -> _T:
+    if tag not in places:
+        raise ValueError(f"{what} {tag} is not there")
+    return places[tag]
