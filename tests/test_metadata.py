@@ -10,9 +10,7 @@ from tests.conftest import ROOT
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 AUTHORS = [author["name"] for author in PROJECT["authors"]]
-PLACEHOLDER = re.compile(
-    r"example\.(org|com|net)|zenodo\.(x+|0+)\b|the surrofe2 developers", re.I
-)
+PLACEHOLDER = re.compile(r"example\.(org|com|net)|zenodo\.(x+|0+)\b|the surrofe2 developers", re.I)
 PLACES = {"pyproject.toml", "CITATION.cff", "LICENSE"}
 """Where authors, addresses and DOI stand; the last two repeat the authors of the first."""
 INVENTED = {"tests/test_metadata.py", "tests/cli/test_names.py"}

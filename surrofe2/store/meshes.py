@@ -19,6 +19,7 @@ import skfem
 
 from surrofe2.base.arrays import Index
 from surrofe2.base.errors import FileError, InputError, shortened
+from surrofe2.base.units import with_micro_sign
 from surrofe2.problem.mesh import check_mesh
 from surrofe2.store.mesh_reader import UNFIT, UNREADABLE
 from surrofe2.store.store import read_bytes, reported
@@ -53,7 +54,7 @@ def load_mesh(path: str | Path, length_unit: str = "µm") -> skfem.Mesh:
         InputError: it is no mesh of quadrilaterals or triangles in a plane, or has no such unit.
     """
     path = Path(path)
-    if length_unit not in UNITS:
+    if with_micro_sign(length_unit) not in UNITS:
         raise InputError(f"length_unit: {length_unit!r}; it must be one of {', '.join(UNITS)}")
     kind = FORMATS.get(path.suffix.lower())
     if kind is None:
@@ -81,7 +82,7 @@ def load_mesh(path: str | Path, length_unit: str = "µm") -> skfem.Mesh:
             code = -signal.SIGXCPU
     if code == 0:
         try:
-            return mesh_of(path, done.stdout, UNITS[length_unit])
+            return mesh_of(path, done.stdout, UNITS[with_micro_sign(length_unit)])
         except InputError as error:
             raise InputError(f"{path.name}: {error}") from None
     if code == UNFIT:
@@ -112,8 +113,9 @@ def mesh_of(path: Path, content: bytes, unit: float = 1.0) -> skfem.Mesh:
     with np.load(io.BytesIO(content)) as archive:
         names: dict[str, Any] = json.loads(archive["names"].tobytes())
         points, elements = archive["points"], archive["elements"]
+        # As recipes have them, whichever mu a file has.
         boundaries, regions = (
-            {name: archive[f"{group}.{k}"] for k, name in enumerate(names[group])}
+            {with_micro_sign(name): archive[f"{group}.{k}"] for k, name in enumerate(names[group])}
             for group in ("boundaries", "regions")
         )
     for note in names["notes"]:

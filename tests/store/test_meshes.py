@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from surrofe2.base.errors import FileError, InputError
-from surrofe2.problem.mesh import element_nodes, region
+from surrofe2.problem.mesh import area_of, element_nodes, length_of, region
 from surrofe2.store import meshes
+from surrofe2.store.fields import CELL, DISPLACEMENT_NAME, write_series
 from surrofe2.store.meshes import load_mesh
 from tests.conftest import ROOT
-from tests.macro.meshes import sides_of
+from tests.macro.meshes import KINDS, plate, sides_of
 from tests.store.gmsh_files import QUADS, TRIANGLES
 
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL", "NUMBA")}
@@ -235,3 +236,82 @@ def test_a_reader_that_cannot_start_does_not_blame_the_mesh(written, monkeypatch
     assert refusal(path, FileError).endswith(
         "the program that reads meshes did not start (ImportError: no NumPy here)"
     )
+
+
+SHEET = np.array([[50.0 * i, 50.0 * j, 0.0] for j in range(3) for i in range(5)])
+CELLS = np.array([[5 * j + i + k for k in (0, 1, 6, 5)] for j in range(2) for i in range(4)])
+TISSUE = np.array([11, 11, 12, 12] * 2)
+
+
+def labelled(path, **arrays):
+    """A sheet of 4 × 2 quadrilaterals with arrays of its elements."""
+    cell_data = {name.replace("_", " "): [each] for name, each in arrays.items()}
+    meshio.Mesh(SHEET, [("quad", CELLS)], cell_data=cell_data).write(path)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["vtu", "vtk", "xdmf"])
+def test_whole_numbers_of_elements_are_regions(tmp_path, kind):
+    path = labelled(tmp_path / f"sheet.{kind}", tissue=TISSUE, stiffness=0.5 * TISSUE)
+    mesh = load_mesh(path)
+    numbers = {name: mesh.subdomains[name].tolist() for name in mesh.subdomains}
+    assert numbers == {"11": [0, 1, 4, 5], "12": [2, 3, 6, 7]}
+
+
+def test_several_arrays_of_numbers_are_told_apart_by_their_names(tmp_path):
+    rows = np.array([1] * 4 + [11] * 4)
+    of_vtk = np.arange(8)
+    mesh = load_mesh(labelled(tmp_path / "a.vtu", tissue=TISSUE, row=rows, vtkOriginalIds=of_vtk))
+    assert {*mesh.subdomains} == {"tissue 11", "tissue 12", "row 1", "row 11"}
+    assert mesh.subdomains["row 11"].tolist() == [4, 5, 6, 7]
+
+
+def test_numbers_of_lines_are_boundaries(tmp_path):
+    """Medit's references, which lines and elements share."""
+    path = tmp_path / "sheet.mesh"
+    lines = np.array([[0, 5], [5, 10], [4, 9]])
+    meshio.Mesh(
+        SHEET[:, :2], [("quad", CELLS), ("line", lines)],
+        cell_data={"medit:ref": [TISSUE, np.array([11, 11, 5])]},
+    ).write(path)  # fmt: skip
+    mesh = load_mesh(path)
+    assert {name: len(of) for name, of in mesh.boundaries.items()} == {"curve 11": 2, "5": 1}
+    assert {name: len(of) for name, of in mesh.subdomains.items()} == {"surface 11": 4, "12": 4}
+
+
+def test_mixed_elements_keep_their_labels(tmp_path, caplog):
+    """Quadrilaterals become two triangles each, and area and sides stay."""
+    path = tmp_path / "mixed.vtu"
+    halves = np.concatenate([CELLS[6:, [0, 1, 2]], CELLS[6:, [0, 2, 3]]])
+    labels = [TISSUE[:6], np.array([12, 12, 12, 12])]
+    meshio.Mesh(
+        SHEET, [("quad", CELLS[:6]), ("triangle", halves)], cell_data={"tissue": labels}
+    ).write(path)
+    with caplog.at_level("INFO", "surrofe2.store"):
+        mesh = load_mesh(path)
+    assert "mixed.vtu: 4 of kind triangle and 6 of kind quad; each quad" in caplog.text
+    assert (type(mesh).__name__, mesh.nelements) == ("MeshTri2", 16)
+    assert area_of(mesh, mesh.subdomains["11"]) == pytest.approx(10_000.0, rel=1e-12)
+    assert area_of(mesh, mesh.subdomains["12"]) == pytest.approx(10_000.0, rel=1e-12)
+    assert length_of(mesh, mesh.boundary_facets()) == pytest.approx(600.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS[:2])
+def test_fields_of_a_run_are_a_mesh(tmp_path, kind, rng):
+    mesh = plate(kind, rng)
+    t, number = np.arange(3.0), np.arange(mesh.nelements) % 2
+    series = np.broadcast_to(number, (3, mesh.nelements))
+    at_points = {DISPLACEMENT_NAME: np.zeros((3, mesh.p.shape[1], 2))}
+    write_series(
+        tmp_path, mesh.p.T, element_nodes(mesh), t, at_points, {CELL: series.astype(np.float64)}
+    )
+    back = load_mesh(tmp_path / "fields.xdmf")
+    assert type(back) is type(mesh)
+    np.testing.assert_allclose(
+        back.p.T[element_nodes(back)], mesh.p.T[element_nodes(mesh)], rtol=1e-15
+    )
+
+
+def test_greek_mu_in_a_name_is_the_micro_sign(written):
+    mesh = load_mesh(written(changed(QUADS, ('"skin"', '"skin of 5 \u03bcm"'))), "\u03bcm")
+    assert "skin of 5 \u00b5m" in mesh.subdomains
