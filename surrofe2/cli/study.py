@@ -66,7 +66,8 @@ def check(
 ) -> None:
     """Check a recipe: its faults, the range it needs, how long it takes, which law to take.
 
-    Reports everything that is wrong with the recipe, its mesh, names and files. Then a dry run by
+    Reports everything that is wrong with the recipe, its mesh, names and files, and what each
+    boundary and region of the mesh holds. Then a dry run by
     the tangents of the RVE at rest, on a coarser mesh where the recipe's takes too long, proposes
     the [range], to be copied into the recipe. It knows neither stiffening nor loss of stability;
     the margin is for that. The number of RVEs to solve and the time of one give the order of
@@ -89,6 +90,8 @@ def check(
     if merged:
         along, across = mesh.mesh.elements or (0, 0)
         console.print_line(f"the mesh is large: checked with {along} × {across} elements")
+    for line in checking.parts_of_mesh(mesh):
+        console.print_line(line)
     without = [part.section("range") for part in study.parts().values() if part.range is None]
     if without:
         console.print_line(f"No [{without[0]}]: only `--law rve` can run this recipe.")

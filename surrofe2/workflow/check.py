@@ -25,6 +25,7 @@ from surrofe2.base.sampling import SamplingRange
 from surrofe2.law.stress_law import StressLaw, StressResponse
 from surrofe2.macro import MetRange, simulate
 from surrofe2.macro.history import NO_EXTREMES, widen_extremes
+from surrofe2.problem.mesh import area_of, element_nodes, extent, facet_nodes, length_of
 from surrofe2.recipe.recipe import Recipe, load_recipe
 from surrofe2.run.loop import Report, no_report
 from surrofe2.store.surrogates import check_surrogate, read_surrogate
@@ -43,6 +44,8 @@ _COARSEST = 4
 _TIMED_STEPS, _TIMED_POINTS, _TIMED_SECONDS = 24, 128, 3.0
 """RVEs are timed along the second half of so many last steps of a dry run, since the first are cold
 and without a prediction; none is begun after so much processor time."""
+_MOST_PARTS = 30
+"""Boundaries, or regions, of a mesh that a check lists."""
 _LEARNING = 30.0
 """A run by RVEs that is shorter, in s, ends before a data set and a surrogate are made."""
 
@@ -78,6 +81,46 @@ def study_faults(recipe: Recipe, kinds: Sequence[str], *, fresh: bool = False) -
         except (FileError, InputError, MismatchError) as error:
             faults.append(str(error))
     return faults
+
+
+def parts_of_mesh(recipe: Recipe) -> list[str]:
+    """A line about the recipe's mesh, and one for each of its boundaries and regions: how many
+    sides, elements and nodes are in it, and how long or large it is.
+
+    Raises:
+        FileError, InputError: as of `Recipe.problem`.
+    """
+    mesh = recipe.problem().mesh
+    low, high = extent(mesh)
+    nodes = element_nodes(mesh)
+    kind = "quadrilateral" if nodes.shape[1] == 4 else "six-node triangle"
+    area = area_of(mesh, np.arange(mesh.nelements))
+    lines = [
+        f"mesh: {_counted(mesh.nelements, kind)}, {mesh.p.shape[1]:,} nodes, "
+        f"x from {low[0]:.6g} to {high[0]:.6g} µm, y from {low[1]:.6g} to {high[1]:.6g} µm, "
+        f"{area:,.6g} µm²"
+    ]
+    boundaries, regions = mesh.boundaries or {}, mesh.subdomains or {}
+    for name, facets in [*boundaries.items()][:_MOST_PARTS]:
+        inner = np.count_nonzero(mesh.f2t[1, facets] != -1)
+        within = f", {inner:,} of them within the tissue" if inner else ""
+        there = _counted(len(np.unique(facet_nodes(mesh, facets))), "node")
+        sides = _counted(len(facets), "side")
+        length = length_of(mesh, facets)
+        lines.append(f"boundary {name}: {sides}{within}, {there}, {length:,.6g} µm")
+    for name, elements in [*regions.items()][:_MOST_PARTS]:
+        there = len(np.unique(nodes[elements]))
+        area = area_of(mesh, elements)
+        lines.append(f"region {name}: {len(elements):,} elements, {there:,} nodes, {area:,.6g} µm²")
+    for what, names in (("boundaries", boundaries), ("regions", regions)):
+        if len(names) > _MOST_PARTS:
+            lines.append(f"and {len(names) - _MOST_PARTS} more {what}")
+    return lines
+
+
+def _counted(number: int, what: str) -> str:
+    """A number of things, in words."""
+    return f"{number:,} {what}" if number == 1 else f"{number:,} {what}s"
 
 
 def _check_files(part: Recipe) -> None:

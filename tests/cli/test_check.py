@@ -299,3 +299,33 @@ regions = ["near"]
 [cells.soft]
 regions = ["rest"]
 """
+
+
+PARTS = """
+[mesh]
+width = 200.0
+height = 100.0
+elements = [4, 2]
+[mesh.boundaries]
+corner = { circle = { centre = [200.0, 100.0], radius = 50.0 } }
+[mesh.regions]
+skin = { box = [0.0, 50.0, 200.0, 100.0] }
+[conditions]
+base = { kind = "fixed", on = "left" }
+weight = { kind = "body_force", acceleration = [0.0, -0.01] }
+[time]
+duration = 1.0
+"""
+
+
+def test_a_check_says_what_each_part_of_the_mesh_holds(invoke, written):
+    done = invoke("check", written(PARTS), "--only")
+    assert done.stdout.splitlines()[:7] == [
+        "mesh: 8 quadrilaterals, 15 nodes, x from 0 to 200 µm, y from 0 to 100 µm, 20,000 µm²",
+        "boundary left: 2 sides, 3 nodes, 100 µm",
+        "boundary right: 2 sides, 3 nodes, 100 µm",
+        "boundary bottom: 4 sides, 5 nodes, 200 µm",
+        "boundary top: 4 sides, 5 nodes, 200 µm",
+        "boundary corner: 2 sides, 3 nodes, 100 µm",
+        "region skin: 4 elements, 10 nodes, 10,000 µm²",
+    ]
