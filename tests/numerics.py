@@ -27,6 +27,12 @@ def slope_along(of, at, direction, step):
     return (of(at + step * direction) - of(at - step * direction)) / (2.0 * step)
 
 
+def fine_slope_along(of, at, direction, step):
+    """As `slope_along`, with an error of the fourth power of the step."""
+    near, far = (slope_along(of, at, direction, k * step) for k in (1, 2))
+    return (4.0 * near - far) / 3.0
+
+
 def rates(errors):
     """Powers of one half by which an error falls from each to the next."""
     return np.log2(np.divide(errors[:-1], errors[1:]))

@@ -2,7 +2,8 @@
 
 Each edge is one line of wall particles, its vertices and evenly spaced ones between, with springs
 as near as can be to those of the square cell's side; at least one. Fluid fills the polygons with
-as many particles as their areas ask for, the total being that of equal plant cells. Particle 0
+as many particles as their areas ask for, the total being that of equal plant cells; a uniform fluid
+has none. Particle 0
 is a vertex and lies at the origin; walls come first, fluid after them, one plant cell after the
 other. Of one square plant cell::
 
@@ -50,7 +51,7 @@ class Arrangement:
         wall_position: (walls, 2) where wall particles start, µm; the first at the origin.
         bonds: (b, 4) pairs of wall particles i, j, and the lattice shift (a, b) of j.
         rims: for each plant cell (k, 3) wall particles around it, and their shifts (a, b).
-        fluid_counts: fluid particles of each plant cell.
+        fluid_counts: SPH particles of each plant cell; empty with a uniform fluid.
         wall_edge: (walls,) number of the edge that each wall particle is counted to.
         outer: (walls,) of a slab 1 along its lower side, 2 along its upper one, else 0.
     """
@@ -106,7 +107,7 @@ def _arrange(cell: CellParameters, tessellation: Tessellation, cells: int) -> Ar
         position - position[0],
         np.array(bonds, dtype=np.int32),
         tuple(_rim(corners, lines) for corners in tessellation.polygons),
-        _shares(tessellation.areas, cell.fluid_particles * cells),
+        () if cell.has_uniform_fluid else _shares(tessellation.areas, cell.fluid_particles * cells),
         wall_edge,
         np.zeros_like(wall_edge),
     )
@@ -162,6 +163,21 @@ def _rim(corners: tuple[tuple[int, Shift], ...], lines: dict[Edge, list[Wall]]) 
         there = [(i, s[0] + sx, s[1] + sy) for i, s in lines[edge]]
         rim += (there[::-1] if turned else there)[:-1]
     return np.array(rim, dtype=np.int32)
+
+
+def rim_areas(rims: tuple[Ints, ...], position: Array, lattice: Array) -> Array:
+    """(…, cells) areas of the polygons through the wall particles around each plant cell, µm².
+
+    Args:
+        position: (…, n, 2) of all particles. lattice: (…, 2, 2), its columns the periods there.
+    """
+    areas = []
+    for rim in rims:
+        corner = position[..., rim[:, 0], :] + rim[:, 1:] @ np.swapaxes(lattice, -1, -2)
+        following = np.roll(corner, -1, axis=-2)
+        cross = corner[..., 0] * following[..., 1] - corner[..., 1] * following[..., 0]
+        areas.append(0.5 * cross.sum(axis=-1))
+    return np.stack(areas, axis=-1)
 
 
 def _shares(areas: Array, total: int) -> tuple[int, ...]:

@@ -14,6 +14,12 @@ the symmetric part of the matrices is definite, and a factorisation that is bad 
 as a solve that does not converge. Eight columns are eliminated at a time, so that what is updated
 is read and written an eighth as often, and rows in pairs, the two of a particle. b holds two
 unknowns for each particle but the held one.
+
+Pressures are unknowns, too, that no b holds: their equations have the right-hand side zero, and
+what they come to is not wanted. As each couples a whole rim, the matrix with them is much emptier
+than the one without. They lie like particles behind all others, with a second unknown that is idle.
+With them the matrix of a stable equilibrium has a positive pivot for each pressure, else negative
+ones (Haynsworth: its inertia is that of −1/p′ and that of the matrix without them).
 """
 
 from __future__ import annotations
@@ -52,6 +58,7 @@ class Pattern(NamedTuple):
     block: (particles, particles) where the 2 × 2 block of two particles begins; −1: there is none.
     stride: (particles,) how far its second row is from there.
     size: number of values.
+    pressures: number of pressures, the last of the particles.
     """
 
     group: Ints
@@ -67,13 +74,17 @@ class Pattern(NamedTuple):
     block: Ints
     stride: Ints
     size: int
+    pressures: int
 
 
-def make_pattern(labels: Sequence[int] | Ints, pairs: Iterable[tuple[int, int]]) -> Pattern:
+def make_pattern(
+    labels: Sequence[int] | Ints, pairs: Iterable[tuple[int, int]], pressures: int = 0
+) -> Pattern:
     """Order groups by minimum degree and find what fills in.
 
     Args:
-        labels: (particles,) group of each particle, any numbers; particle 0 is held.
+        labels: (particles,) group of each particle, any numbers; particle 0 is held. The last
+            `pressures` of them are pressures.
         pairs: groups, by their labels, that interact.
     """
     labels = np.asarray(labels)
@@ -123,13 +134,14 @@ def make_pattern(labels: Sequence[int] | Ints, pairs: Iterable[tuple[int, int]])
         block=np.where(exists, blocks, -1).astype(np.int32),
         stride=stride,
         size=total,
+        pressures=pressures,
     )
 
 
 @cache
-def dense_pattern(particles: int) -> Pattern:
-    """That of full matrices: one group of all particles."""
-    return make_pattern(np.zeros(particles, dtype=np.int32), [])
+def dense_pattern(particles: int, pressures: int = 0) -> Pattern:
+    """That of full matrices: one group of all particles and pressures."""
+    return make_pattern(np.zeros(particles + pressures, dtype=np.int32), [], pressures)
 
 
 def factorisation_work(pattern: Pattern) -> float:
@@ -299,20 +311,28 @@ def _subtract_panel(a, line, width, factors, to, there, columns):
 
 @kernel
 def has_negative_pivots(lu, pattern, answer):
-    """answer (TILE,): whether all pivots are, so that a symmetric matrix is negative definite."""
+    """answer (TILE,): whether all pivots are but one for each pressure.
+
+    A symmetric matrix is negative definite then, once its pressures are eliminated.
+    """
+    others = np.zeros(TILE, dtype=np.int64)
     answer[:] = True
     for g in range(pattern.width.shape[0]):
         at = pattern.start[g] + pattern.offset[g, g]
         for k in range(pattern.first[g + 1] - pattern.first[g]):
             for lane in range(TILE):
-                if not lu[at + k * (pattern.width[g] + 1), lane] < 0.0:
-                    answer[lane] = False
+                pivot = lu[at + k * (pattern.width[g] + 1), lane]
+                if not pivot < 0.0:
+                    others[lane] += 1
+                    answer[lane] &= pivot > 0.0
+    for lane in range(TILE):
+        answer[lane] &= others[lane] == pattern.pressures
 
 
 @kernel
 def solve(lu, b, pattern):
     """Replace b (unknowns, TILE) by the solution, lu as `factorise` left it, in any precision."""
-    y, groups = np.empty((b.shape[0], TILE)), pattern.width.shape[0]
+    y, groups = np.zeros((pattern.first[-1], TILE)), pattern.width.shape[0]
     _reorder(b, y, pattern, False)
     for g in range(groups):
         first, row = pattern.first[g], pattern.start[g]
@@ -345,7 +365,7 @@ def solve_columns(lu, b, pattern, transposed):
 
     The factors are far larger than the columns and are read once for all of them.
     """
-    y, groups = np.empty_like(b), pattern.width.shape[0]
+    y, groups = np.zeros((COLUMNS, pattern.first[-1], TILE)), pattern.width.shape[0]
     for m in range(COLUMNS):
         _reorder(b[m], y[m], pattern, False)
     for g in range(groups):
@@ -385,8 +405,8 @@ def solve_columns(lu, b, pattern, transposed):
 
 @kernel
 def _reorder(source, target, pattern, back):
-    """From the order of particles to that of elimination, or `back`."""
-    for i in range(1, pattern.group.shape[0]):
+    """From the order of particles to that of elimination, or `back`; pressures are left out."""
+    for i in range(1, pattern.group.shape[0] - pattern.pressures):
         here, there = 2 * i - 2, pattern.first[pattern.group[i]] + pattern.column[i]
         if back:
             here, there = there, here

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.compilation import kernel
 from surrofe2.base.simd import TILE, any_less, load, put_points, store, take_points, where_less
-from surrofe2.plant_cell.arrangement import Arrangement, make_arrangement
+from surrofe2.plant_cell.arrangement import Arrangement, make_arrangement, rim_areas
 from surrofe2.plant_cell.block_matrices import dense_pattern, factorisation_work, make_pattern
 from surrofe2.plant_cell.parameters import CellParameters
 
@@ -51,6 +51,9 @@ class Topology(NamedTuple):
         the local index particles + k.
     fluid_start, fluid_pair_start: (cells + 1,) where each plant cell's fluid, counted from the
         first of all, and its pairs begin.
+    rim, rim_start: (·,) local wall particles around the plant cells, one after the other, and
+        (cells + 1,) where each begins; of a uniform fluid, else without plant cells.
+    fluid_mass, rest_area: (cells,) of it, ng and µm² at rest.
     area: of the reference, µm².
     """
 
@@ -65,6 +68,10 @@ class Topology(NamedTuple):
     walls: int
     fluid_start: Ints
     fluid_pair_start: Ints
+    rim: Ints
+    rim_start: Ints
+    fluid_mass: Array
+    rest_area: Array
     area: float
     group: Ints
     column: Ints
@@ -79,6 +86,7 @@ class Topology(NamedTuple):
     block: Ints
     stride: Ints
     size: int
+    pressures: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,13 +167,14 @@ class Neighbours:
         mark_near(F, z, every.contacts, every.owner, every.image_offset, reach, listed)
         contacts = every.contacts[listed]
         used = np.arange(own + len(every.owner)) < own
-        used[contacts[:, 1]] = used[every.bonds[:, 1]] = True
+        used[contacts[:, 1]] = used[every.bonds[:, 1]] = used[every.rim] = True
         # images keep their order, so that sums over them are the same to the bit with every list
         number, images = (np.cumsum(used) - 1).astype(np.int32), used[own:]
         topology = every._replace(
             contacts=number[contacts],
             contact_weight=every.contact_weight[listed],
             bonds=number[every.bonds],
+            rim=number[every.rim],
             owner=every.owner[images],
             image_offset=every.image_offset[images],
         )
@@ -254,22 +263,28 @@ def make_neighbours(
     contacts, has_block = _contacts(arrangement, position, lattice, cutoff)
     mass = np.full(particles, cell.fluid_mass)
     mass[:walls] = cell.wall_particle_mass * np.where(arrangement.outer > 0, weight, 1.0)
-    counts = np.array(arrangement.fluid_counts)
-    fluid = np.concatenate(
-        [first + np.stack(np.triu_indices(count, 1), axis=1)
-         for first, count in zip(walls + arrangement.fluid_start, counts, strict=False)]
-    )  # fmt: skip
-    pattern = make_pattern(*_interacting_groups(arrangement, contacts[has_block]))
-    dense = dense_pattern(particles)
+    rims = arrangement.rims if cell.has_uniform_fluid else ()
+    fluid_mass = cell.fluid_density * arrangement.tessellation.areas[: len(rims)]
+    for rim, of_fluid in zip(rims, fluid_mass, strict=True):
+        np.add.at(mass, rim[:, 0], of_fluid / len(rim))
+    counts = np.array(arrangement.fluid_counts, dtype=np.int64)
+    fluid = [
+        first + np.stack(np.triu_indices(count, 1), axis=1)
+        for first, count in zip(walls + arrangement.fluid_start, counts, strict=False)
+    ]
+    pattern = make_pattern(*_interacting_groups(arrangement, contacts[has_block]), len(rims))
+    dense = dense_pattern(particles, len(rims))
     if factorisation_work(pattern) >= SPARSE_PAYS_BELOW * factorisation_work(dense):
         pattern = dense
     lists = [pairs[np.lexsort(pairs.T[::-1])] for pairs in (arrangement.bonds, contacts)]
     weights = [np.where(_is_outer(arrangement, pairs), weight, 1.0) for pairs in lists]
-    owner, shift, (bonds, contacts) = _localised(lists, particles)
+    around = [np.empty((0, 4), dtype=np.int32), *(rim[:, [0, 0, 1, 2]] for rim in rims)]
+    lists.append(np.concatenate(around))
+    owner, shift, (bonds, contacts, in_rims) = _localised(lists, particles)
     topology = Topology(
         bonds=bonds,
         contacts=contacts,
-        fluid_pairs=fluid.astype(np.int32),
+        fluid_pairs=np.concatenate([np.empty((0, 2)), *fluid]).astype(np.int32),
         bond_weight=weights[0],
         contact_weight=weights[1],
         owner=owner,
@@ -278,6 +293,10 @@ def make_neighbours(
         walls=walls,
         fluid_start=arrangement.fluid_start,
         fluid_pair_start=np.append(0, np.cumsum(counts * (counts - 1) // 2)).astype(np.int32),
+        rim=np.ascontiguousarray(in_rims[:, 1]),
+        rim_start=np.cumsum([0, *map(len, rims)], dtype=np.int32),
+        fluid_mass=fluid_mass,
+        rest_area=rim_areas(arrangement.rims, position, lattice)[: len(rims)],
         area=abs(float(np.linalg.det(lattice))),
         **pattern._asdict(),
     )
@@ -287,19 +306,22 @@ def make_neighbours(
 def _interacting_groups(
     arrangement: Arrangement, contacts: Ints
 ) -> tuple[Ints, set[tuple[int, int]]]:
-    """(n,) group of each particle, the walls of an edge or a plant cell's fluid; coupled groups.
+    """Group of each particle, the walls of an edge or the fluid of a plant cell; coupled groups.
+
+    A plant cell's fluid is its SPH particles or its pressure, whose two unknowns come last.
 
     contacts: (k, 2) or more columns, the first two the particles that may touch, by their owners.
     """
     first = int(arrangement.wall_edge.max()) + 1
-    counts = arrangement.fluid_counts
-    labels = np.concatenate(
-        [arrangement.wall_edge, first + np.repeat(np.arange(len(counts)), counts)]
-    )
+    cells = len(arrangement.rims)
+    counts = arrangement.fluid_counts or (1,) * cells
+    labels = np.concatenate([arrangement.wall_edge, first + np.repeat(np.arange(cells), counts)])
     pairs = set()
     for k, rim in enumerate(arrangement.rims):
-        around = {*labels[rim[:, 0]].tolist(), first + k}
-        pairs |= {(g, h) for g in around for h in around}
+        around = np.unique(labels[rim[:, 0]]).tolist()
+        pairs |= {(first + k, g) for g in around}
+        if arrangement.fluid_counts:  # SPH fluid meets all walls around it, and they each other
+            pairs |= {(g, h) for g in around for h in around}
     for listed in (arrangement.bonds, contacts):
         pairs |= {(g, h) for g, h in np.unique(labels[listed[:, :2]], axis=0).tolist()}
     return labels, pairs
@@ -310,20 +332,22 @@ def _contacts(
 ) -> tuple[Ints, Flags]:
     """Contacts (k, 4) that can come about, and whether they have a block in matrices.
 
-    Fluid with the walls around it at any distance, for it may flow. Walls that bound no plant cell
-    together meet only where tissue is crushed: their forces act then, but matrices do without them,
-    and solvers take more steps.
+    SPH fluid with the walls around it at any distance, for it may flow. Walls that are far from
+    each other, and bound no plant cell of SPH fluid together, meet only where tissue is crushed:
+    their forces act then, but matrices do without them, and solvers take more steps.
     """
-    walls = arrangement.walls
+    walls, has_particles = arrangement.walls, bool(arrangement.fluid_counts)
     pairs = _wall_pairs(position[:walls], lattice, FARTHEST * cutoff)
-    same = np.unique(np.concatenate([_keys(_all_pairs(rim)) for rim in arrangement.rims]))
     bonded = np.isin(_keys(pairs), _keys(arrangement.bonds))
     pairs = pairs[~bonded]
     i, j, shift = pairs[:, 0], pairs[:, 1], pairs[:, 2:]
     distance = np.linalg.norm(position[j] + shift @ lattice.T - position[i], axis=1)
-    has_block = np.isin(_keys(pairs), same) | (distance <= BESIDE * cutoff)
+    has_block = distance <= BESIDE * cutoff
+    if has_particles:
+        same = np.unique(np.concatenate([_keys(_all_pairs(rim)) for rim in arrangement.rims]))
+        has_block |= np.isin(_keys(pairs), same)
     fluid, touching = walls + arrangement.fluid_start, []
-    for first, last, rim in zip(fluid[:-1], fluid[1:], arrangement.rims, strict=True):
+    for first, last, rim in zip(fluid[:-1], fluid[1:], arrangement.rims, strict=False):
         inside = np.repeat(np.arange(first, last), len(rim))[:, None]
         touching.append(np.hstack([inside, np.tile(rim, (last - first, 1))]))
     every = np.concatenate([pairs, *touching]).astype(np.int32)

@@ -32,6 +32,7 @@ class Constants(NamedTuple):
     smoothing_length: float
     fluid_mass: float
     sound_speed_squared: float
+    sap_modulus: float
     viscosity: float
 
 
@@ -48,6 +49,7 @@ def make_constants(cell: CellParameters, rest_length: float) -> Constants:
         smoothing_length=cell.smoothing_length,
         fluid_mass=cell.fluid_mass,
         sound_speed_squared=cell.sound_speed**2,
+        sap_modulus=cell.sap_bulk_modulus * cell.tissue_thickness,
         viscosity=cell.viscosity,
     )
 

@@ -18,8 +18,12 @@ _PAPER = "Ghysels et al. 2009, TW 550"
 
 SYMMETRIES = {"square": "D4", "hexagon": "D6", "voronoi": "none"}
 """Arrangements of plant cells in an RVE, and the point group of each."""
+FLUIDS = ("sph", "uniform")
+USUAL_FLUID = {"square": "sph", "hexagon": "sph", "voronoi": "sph"}
+"""What fluid = "auto" means."""
 FEWEST_VORONOI = 4
 _ARRANGEMENT = ("arrangement", "cells", "arrangement_seed")
+_UNIFORM = ("fluid", "sap_bulk_modulus")
 
 
 def _constant(default: Any, unit: str, about: str, section: str = "6", **bounds: Any) -> Any:
@@ -30,7 +34,7 @@ def _constant(default: Any, unit: str, about: str, section: str = "6", **bounds:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellParameters:
-    """Plant cells of an RVE: walls of bonded particles around SPH fluid.
+    """Plant cells of an RVE: walls of bonded particles around fluid.
 
     One square plant cell unless `arrangement` says otherwise. The wall rest length is not among
     them: it follows from zero stress at F = I.
@@ -82,6 +86,20 @@ class CellParameters:
         "2.1: critical (eq. 2)",
         least=0.0,
     )
+    fluid: str = _constant(
+        "auto",
+        NONE,
+        "SPH particles or one pressure for each plant cell; auto: by arrangement and preset",
+        "",
+        one_of=("auto", *FLUIDS),
+    )
+    sap_bulk_modulus: float = _constant(
+        0.0,
+        "MPa",
+        "bulk modulus of sap that cannot leave its plant cell (water: 2200); 0: drained",
+        "",
+        least=0.0,
+    )
     outer_wall: float = _constant(
         1.0,
         NONE,
@@ -99,6 +117,13 @@ class CellParameters:
 
     def __post_init__(self) -> None:
         check_settings(self, "cell")
+        if self.fluid == "auto":
+            object.__setattr__(self, "fluid", USUAL_FLUID[self.arrangement])
+        if self.sap_bulk_modulus > 0.0 and not self.has_uniform_fluid:
+            raise InputError(
+                "cell.sap_bulk_modulus",
+                f"{self.sap_bulk_modulus}; with fluid sph it must be 0: take fluid uniform",
+            )
         if self.arrangement == "voronoi":
             is_allowed, allowed = self.cells >= FEWEST_VORONOI, f"at least {FEWEST_VORONOI}"
         else:
@@ -139,11 +164,24 @@ class CellParameters:
         return self.arrangement == "square" and self.cells == 1
 
     @property
-    def fluid_particles(self) -> int:
-        """Fluid particles of a plant cell, of which Voronoi cells have more or less by their area.
+    def has_uniform_fluid(self) -> bool:
+        """Whether the fluid of a plant cell is one pressure and not SPH particles."""
+        return self.fluid == "uniform"
 
-        A hexagon has the next centred hexagonal number (19 for 16), which its symmetry D6 bears.
+    @property
+    def fluid_density(self) -> float:
+        """Mass of fluid per area of plant cells as they are laid out, ng/µm²."""
+        return self.fluid_particle_mass * self.fluid_particles_per_side**2 / self.cell_side**2
+
+    @property
+    def fluid_particles(self) -> int:
+        """SPH particles of a plant cell, of which Voronoi cells have more or less by their area.
+
+        A hexagon has the next centred hexagonal number (19 for 16), which its symmetry D6 bears. A
+        uniform fluid has none.
         """
+        if self.has_uniform_fluid:
+            return 0
         wanted = self.fluid_particles_per_side**2
         if self.arrangement != "hexagon":
             return wanted
@@ -152,8 +190,8 @@ class CellParameters:
 
     @property
     def fluid_mass(self) -> float:
-        """Mass of one fluid particle, ng: all arrangements hold the same fluid per area."""
-        if self.arrangement != "hexagon":
+        """Mass of one SPH particle, ng: all arrangements hold the same fluid per area."""
+        if self.arrangement != "hexagon" or self.has_uniform_fluid:
             return self.fluid_particle_mass
         return self.fluid_particle_mass * self.fluid_particles_per_side**2 / self.fluid_particles
 
@@ -173,8 +211,10 @@ class CellParameters:
     def mass(self) -> float:
         """Mass of one cell in a tissue (the mean), shared wall particles counted once, ng."""
         walls = self.tessellation.wall_particles(self.spring_length)
-        fluid = self.fluid_particles * self.cells
-        return (walls * self.wall_particle_mass + fluid * self.fluid_mass) / self.cells
+        fluid = self.fluid_density * self.cell_side**2
+        if not self.has_uniform_fluid:
+            fluid = self.fluid_particles * self.fluid_mass
+        return walls * self.wall_particle_mass / self.cells + fluid
 
     @property
     def density(self) -> float:
@@ -191,6 +231,8 @@ class CellParameters:
         del values["outer_wall"]
         if self.is_one_square:  # as before there were arrangements
             values = {k: v for k, v in values.items() if k not in _ARRANGEMENT}
+        if not self.has_uniform_fluid:  # as before there was another fluid
+            values = {k: v for k, v in values.items() if k not in _UNIFORM}
         text = json.dumps({k: repr(v) for k, v in sorted(values.items())})
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 

@@ -250,8 +250,8 @@ def _held_sides(fields: StoredFields) -> list[tuple[int, int, int, int]]:
 def draw_cells(
     axes: Axes, seen: Particles, k: int, half: float = 0.0
 ) -> tuple[tuple[Colours, Any], tuple[Colours, Any]]:
-    """RVE k with its neighbours: walls by stretch, fluid by turgor; for the two colour bars their
-    colours, which are the same for all RVEs, and what is drawn in them.
+    """RVE k with its neighbours: walls by stretch, fluid by turgor (dots, or areas if uniform); for
+    the two colour bars their colours, the same for all RVEs, and what is drawn in them.
 
     half: of the width of the window about its centre, µm; 0: the RVE and a little more.
     """
@@ -266,20 +266,25 @@ def draw_cells(
     copies = copies[(abs(copies) < half + 2.0 * abs(lattice).sum(axis=1)).all(axis=1)]
     first, second = x[seen.bonds[:, 0]], x[seen.bonds[:, 1]] + seen.bond_shift @ lattice.T
     segments = (np.stack([first, second], axis=1)[None] + copies[:, None, None]).reshape(-1, 2, 2)
+    if seen.is_wall.all():
+        rims = [x[rim[:, 0]] + rim[:, 1:] @ lattice.T for rim in seen.rims]
+        inside: Any = PolyCollection([rim + shift for shift in copies for rim in rims])
+        axes.add_collection(inside)
+    else:
+        dots = (x[n_walls:][None] + copies[:, None]).reshape(-1, 2)
+        size = 14.0 * min(1.0, (20.0 / half) ** 2)
+        inside = axes.scatter(
+            dots[:, 0], dots[:, 1], s=max(size, 2.0), edgecolors="0.5", linewidths=0.3
+        )
+    fluid.paint(inside, np.tile(seen.pressure[k], len(copies)))
     drawn = LineCollection([*segments], linewidths=2.2, capstyle="round")
     axes.add_collection(walls.paint(drawn, np.tile(seen.stretch[k], len(copies))))
-    dots = (x[n_walls:][None] + copies[:, None]).reshape(-1, 2)
-    size = 14.0 * min(1.0, (20.0 / half) ** 2)
-    points = axes.scatter(
-        dots[:, 0], dots[:, 1], s=max(size, 2.0), edgecolors="0.5", linewidths=0.3
-    )
-    fluid.paint(points, np.tile(seen.pressure[k], len(copies)))
     centre = x[:n_walls].mean(axis=0) + 0.25 * lattice.sum(axis=1)
     draw_scale_bar(axes, centre - half, centre + half)
     window = Rectangle(centre - half, 2.0 * half, 2.0 * half, transform=axes.transData)
-    for each in (drawn, points):
+    for each in (drawn, inside):
         each.set_clip_path(window)
-    return (walls, drawn), (fluid, points)
+    return (walls, drawn), (fluid, inside)
 
 
 def cell_figure(

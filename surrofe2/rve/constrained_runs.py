@@ -14,7 +14,7 @@ import numpy as np
 
 from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, load, store
-from surrofe2.plant_cell.forces import make_workspace
+from surrofe2.plant_cell.pair_sums import make_workspace
 from surrofe2.rve.rve_state import (
     answer_of,
     copy_particles,

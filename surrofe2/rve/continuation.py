@@ -33,14 +33,9 @@ from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, load, pack, spread, store, unpack, where_less
 from surrofe2.base.tensors import rotation, transpose
 from surrofe2.plant_cell.block_matrices import dense_pattern
-from surrofe2.plant_cell.forces import (
-    difference,
-    elastic_energy,
-    fold_images,
-    local_forces,
-    make_workspace,
-)
+from surrofe2.plant_cell.forces import elastic_energy, fold_images, local_forces
 from surrofe2.plant_cell.neighbours import Topology
+from surrofe2.plant_cell.pair_sums import difference, make_workspace
 from surrofe2.rve.newton import ASTRAY, SEEK, SEEK_LIMIT, move, set_elastic_jacobian
 from surrofe2.rve.rve_state import place, place_images
 from surrofe2.rve.unit_cell import Equilibria, UnitCell, relax
@@ -201,7 +196,8 @@ class Found(NamedTuple):
     """What there is after a step, of RVEs in tiles.
 
     energy: (tiles, 1, TILE) E, pJ. falls: (tiles, TILE) whether it is lower than before.
-    forces: (tiles, 2n − 2, TILE) f = −∂E/∂x, µN. slope: (tiles, (2n − 2)², TILE) −H, µN/µm.
+    forces: (tiles, 2n − 2, TILE) f = −∂E/∂x, µN. slope: (tiles, ·, TILE) −H, µN/µm,
+        a dense matrix of 2n − 2 rows, and of two more for each pressure.
     nearest: (tiles, 1, TILE) smallest square of a distance of fluid particles, µm².
     """
 
@@ -284,11 +280,12 @@ def descend(
         # Whenever an RVE stops, the others are packed into tiles again, so that no lane is idle.
         count, tensors, moving = len(active), pack(F[active]), pack(z[active])
         tiles, free, room = len(tensors), step.shape[1], 0.0
+        unknowns = free + 2 * unit.topology.pressures
         here = Found(
             energy=pack(energy[active, None]),
             falls=np.empty((tiles, TILE), dtype=np.bool_),
             forces=np.empty((tiles, free, TILE)),
-            slope=np.empty((tiles, free * free, TILE)),
+            slope=np.empty((tiles, unknowns * unknowns, TILE)),
             nearest=np.empty((tiles, 1, TILE)),
         )
         continues = np.ones(count, dtype=np.bool_)
@@ -296,7 +293,8 @@ def descend(
             if room < DOWN:
                 topology, room = unit.neighbours.near(tensors, moving, 2.0 * ROAM).topology, ROAM
                 # full matrices, whatever those of a topology are: all eigenvalues are wanted
-                topology = topology._replace(**dense_pattern(topology.particles)._asdict())
+                dense = dense_pattern(topology.particles, topology.pressures)
+                topology = topology._replace(**dense._asdict())
             room -= float(_lengths(step).max())
             go_down(tensors, moving, pack(step), topology, unit.constants, here)
             apart = here.nearest[:, 0] >= PAIRED**2
@@ -314,7 +312,7 @@ def descend(
 
 def _step(F: Array, forces: Array, values: Array) -> tuple[Array, bool]:
     """(2n − 2,) Newton's step, or the kick out of a saddle at rest; whether this is a minimum."""
-    hessian = values.reshape(len(forces), -1)
+    hessian = _without_pressures(values, len(forces))
     resting = bool(_lengths(forces[None]).mean() < RESTING)
     factor, not_definite = scipy.linalg.lapack.dpotrf(hessian, clean=False)
     if not not_definite:
@@ -325,6 +323,16 @@ def _step(F: Array, forces: Array, values: Array) -> tuple[Array, bool]:
         step = over_saddle(F, forces, hessian, resting)
     step = step * min(DOWN / max(_lengths(step[None]).max(), 1e-300), 1.0)
     return step, False
+
+
+def _without_pressures(values: Array, free: int) -> Array:
+    """(free, free) of the dense matrix in `values`, its pressures, which come last, eliminated."""
+    size = round(np.sqrt(len(values)))
+    matrix = values.reshape(size, size)
+    if size == free:
+        return matrix
+    follow = np.linalg.solve(matrix[free:, free:], matrix[free:, :free])
+    return np.asarray(matrix[:free, :free] - matrix[:free, free:] @ follow)
 
 
 def over_saddle(F: Array, forces: Array, hessian: Array, resting: bool) -> Array:

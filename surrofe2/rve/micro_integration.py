@@ -16,7 +16,8 @@ from surrofe2.base.arrays import Array
 from surrofe2.base.compilation import kernel
 from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.base.simd import TILE, load, store
-from surrofe2.plant_cell.forces import fold_images, local_forces, make_workspace
+from surrofe2.plant_cell.forces import fold_images, local_forces
+from surrofe2.plant_cell.pair_sums import make_workspace
 from surrofe2.rve.constrained_runs import set_moving_images
 from surrofe2.rve.rve_law import RveLaw
 from surrofe2.rve.rve_state import Drive, cauchy_stress, drive_of, map_affine

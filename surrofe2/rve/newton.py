@@ -31,9 +31,9 @@ from surrofe2.plant_cell.block_matrices import (
     solved_columns,
 )
 from surrofe2.plant_cell.derivatives import force_jacobian
-from surrofe2.plant_cell.forces import make_workspace
 from surrofe2.plant_cell.neighbours import Topology
 from surrofe2.plant_cell.pair_laws import Constants
+from surrofe2.plant_cell.pair_sums import make_workspace
 from surrofe2.rve.rve_state import (
     Drive,
     Factors,

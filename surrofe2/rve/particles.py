@@ -14,20 +14,22 @@ import scipy  # scipy.sparse is loaded where particles are looked at
 from numpy.typing import NDArray
 
 from surrofe2.base.arrays import Array, Flags, Index
-from surrofe2.plant_cell.arrangement import make_arrangement
+from surrofe2.plant_cell.arrangement import make_arrangement, rim_areas
 from surrofe2.plant_cell.neighbours import Topology
 from surrofe2.rve.unit_cell import UnitCell
 
 
 @dataclass(frozen=True, slots=True)
 class Particles:
-    """The particles of n RVEs, walls first, then fluid, of one periodic unit each.
+    """The particles of n RVEs, walls first, then SPH fluid, of one periodic unit each.
+
+    Fluid is SPH particles, or all the fluid of a plant cell if that is uniform.
 
     Attributes:
         F, F_dot: (n, 2, 2) at which they are.
         position: (n, p, 2) µm, velocity: (n, p, 2) µm/µs.
         force: (n, p, 2) total force on each, zero but for what the solver leaves, µN.
-        density: (n, f) of fluid particles, ng/µm². pressure: (n, f) µN/µm: the turgor.
+        density: (n, f) of the fluid, ng/µm². pressure: (n, f) its pressure, µN/µm.
         bonds: (b, 2) own wall particles i, j of each wall spring; bond_shift: (b, 2) lattice
             shift of the image of j that is meant.
         tension: (n, b) µN. stretch: (n, b) length of each spring over its rest length.
@@ -36,7 +38,8 @@ class Particles:
         area_ratio: (n, cells) area within the walls over that in the reference.
         stress: (n, 2, 2) Cauchy stress as the virial of all pairs, µN/µm; wall_stress and
             fluid_stress: what pairs of two wall or of two fluid particles are of it.
-        is_wall: (p,). fluid_cell: (f,) plant cell of each fluid particle.
+        is_wall: (p,). fluid_cell: (f,) plant cell of the fluid.
+        rims: for each plant cell (k, 3) wall particles around it, and their shifts (a, b).
         lattice: (2, 2) periods of the reference, its columns, µm; they move along with F.
     """
 
@@ -58,6 +61,7 @@ class Particles:
     fluid_stress: Array
     is_wall: Flags
     fluid_cell: Index
+    rims: tuple[NDArray[np.int32], ...]
     lattice: Array
 
     def extremes(self) -> dict[str, Array]:
@@ -119,14 +123,19 @@ def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Arr
     contact_stress = act(contacts, pushes)
     between_walls = np.maximum(contacts.i, contacts.j) < topology.walls
 
-    fluid = pairs_of(topology.fluid_pairs)
-    density, forces = _fluid(unit, fluid)
-    fluid_stress = act(fluid, forces).sum(axis=1)
-
     starts = topology.fluid_start.astype(np.int64)
-    fluid_cell = np.repeat(np.arange(starts.size - 1), np.diff(starts))
-    rims = _rim_areas(arrangement.rims, x, lattice, F)
-    at_rest = _rim_areas(arrangement.rims, unit.position[None], lattice, np.eye(2)[None])
+    if topology.pressures:
+        fluid_cell = np.arange(topology.pressures)
+        density, pressure, fluid_stress, pushed = _uniform_fluid(unit, x, v, F, F_dot, force)
+    else:
+        fluid_cell = np.repeat(np.arange(starts.size - 1), np.diff(starts))
+        fluid = pairs_of(topology.fluid_pairs)
+        density, forces = _sph_fluid(unit, fluid)
+        pressure = cell.sound_speed**2 * density
+        fluid_stress = act(fluid, forces).sum(axis=1)
+        pushed = _push_on_walls(topology, contacts, pushes, fluid_cell)
+    rims = rim_areas(arrangement.rims, x, F @ lattice)
+    at_rest = rim_areas(arrangement.rims, unit.position, lattice)
     return Particles(
         F=F,
         F_dot=F_dot,
@@ -134,18 +143,19 @@ def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Arr
         velocity=v,
         force=force,
         density=density,
-        pressure=cell.sound_speed**2 * density,
+        pressure=pressure,
         bonds=np.stack([bonds.i, bonds.j], axis=1),
         bond_shift=bonds.shift,
         tension=tension,
         stretch=bonds.length / unit.rest_length,
-        contact_pressure=_push_on_walls(topology, contacts, pushes, fluid_cell) / unit.rest_length,
+        contact_pressure=pushed / unit.rest_length,
         area_ratio=rims / at_rest,
         stress=bond_stress + contact_stress.sum(axis=1) + fluid_stress,
         wall_stress=bond_stress + contact_stress[:, between_walls].sum(axis=1),
         fluid_stress=fluid_stress,
         is_wall=np.arange(topology.particles) < topology.walls,
         fluid_cell=fluid_cell,
+        rims=arrangement.rims,
         lattice=lattice,
     )
 
@@ -174,7 +184,38 @@ def _contact_tension(unit: UnitCell, pairs: _Pairs) -> Array:
     return np.where(r < c.cutoff, dashpot - spring, 0.0)
 
 
-def _fluid(unit: UnitCell, pairs: _Pairs) -> tuple[Array, Array]:
+def _uniform_fluid(
+    unit: UnitCell, x: Array, v: Array, F: Array, rate: Array, force: Array
+) -> tuple[Array, Array, Array, Array]:
+    """(n, cells) densities and pressures, (n, 2, 2) stress, (n, walls) largest push on a wall.
+
+    Adds to `force` (n, p, 2).
+    """
+    topology, lattice = unit.topology, unit.reference.lattice
+    cell, rims = unit.cell, make_arrangement(unit.cell).rims
+    area = rim_areas(rims, x, F @ lattice)
+    modulus = cell.sap_bulk_modulus * cell.tissue_thickness
+    density = topology.fluid_mass / area
+    pressure = cell.sound_speed**2 * density + modulus * (topology.rest_area / area - 1.0)
+    virial, pushed = np.zeros_like(F), np.zeros(force.shape[:2])
+    for k, rim in enumerate(rims):
+        offset = rim[:, 1:] @ lattice.T
+        corner = x[:, rim[:, 0]] + offset @ F.transpose(0, 2, 1)
+        speed = v[:, rim[:, 0]] + offset @ rate.transpose(0, 2, 1)
+        along = 0.5 * (np.roll(corner, -1, axis=1) - np.roll(corner, 1, axis=1))
+        normal = np.stack([along[..., 1], -along[..., 0]], axis=-1)
+        L = np.einsum("nka,nkb->nab", speed, normal) / area[:, k, None, None]
+        dilation = pressure[:, k] + cell.viscosity * L.trace(axis1=1, axis2=2)
+        stress = dilation[:, None, None] * np.eye(2) - cell.viscosity * (L + L.transpose(0, 2, 1))
+        push = normal @ stress
+        force += _summed(rim[:, 0].astype(np.int64), push, topology.particles)
+        virial -= np.einsum("nka,nkb->nab", push, corner)
+        sides = np.linalg.norm(push, axis=2)
+        np.maximum.at(pushed.T, rim[:, 0], sides.T)
+    return density, pressure, virial / (np.linalg.det(F) * topology.area)[:, None, None], pushed
+
+
+def _sph_fluid(unit: UnitCell, pairs: _Pairs) -> tuple[Array, Array]:
     """(n, f) densities, eq. (7), and (n, k, 2) forces on i, eq. (8)."""
     cell, h = unit.cell, unit.constants.smoothing_length
     s = pairs.length / h
@@ -217,15 +258,3 @@ def _summed(target: Index, values: Array, size: int) -> Array:
     matrix = scipy.sparse.csr_matrix(entries, (size, target.size))
     sums = matrix @ values.swapaxes(0, 1).reshape(target.size, -1)
     return np.asarray(sums).reshape(size, len(values), *values.shape[2:]).swapaxes(0, 1)
-
-
-def _rim_areas(rims: tuple[NDArray[np.int32], ...], x: Array, lattice: Array, F: Array) -> Array:
-    """(n, cells) areas of the polygons through the wall particles around each plant cell."""
-    areas = []
-    for rim in rims:
-        offset = np.einsum("nij,kj->nki", F, rim[:, 1:] @ lattice.T)
-        corner = x[:, rim[:, 0]] + offset
-        following = np.roll(corner, -1, axis=1)
-        cross = corner[..., 0] * following[..., 1] - corner[..., 1] * following[..., 0]
-        areas.append(0.5 * abs(cross.sum(axis=1)))
-    return np.stack(areas, axis=1)

@@ -42,9 +42,10 @@ from surrofe2.base.simd import (
     tiles_for,
     unpack,
 )
-from surrofe2.plant_cell.forces import elastic_energy, fold_images, local_forces, make_workspace
+from surrofe2.plant_cell.forces import elastic_energy, fold_images, local_forces
 from surrofe2.plant_cell.neighbours import Near, Topology
 from surrofe2.plant_cell.pair_laws import Constants
+from surrofe2.plant_cell.pair_sums import make_workspace
 
 SLOPES = 8
 _BYTES = 4

@@ -35,7 +35,8 @@ from surrofe2.plant_cell.block_matrices import (
     solve_columns,
 )
 from surrofe2.plant_cell.derivatives import elastic_forces_and_rates
-from surrofe2.plant_cell.forces import fold_images, local_forces, make_workspace
+from surrofe2.plant_cell.forces import fold_images, local_forces
+from surrofe2.plant_cell.pair_sums import make_workspace
 from surrofe2.rve.newton import (
     NEWTON_LIMIT,
     Stop,

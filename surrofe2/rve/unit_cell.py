@@ -147,15 +147,19 @@ def settle_reference(cell: CellParameters) -> ReferenceState:
     Raises:
         InputError: no positive rest length balances the turgor, or no stable equilibrium exists.
     """
+    if cell.sap_bulk_modulus > 0.0:
+        drained = settle_reference(replace(cell, sap_bulk_modulus=0.0))
+        return replace(drained, fingerprint=cell.fingerprint)
     irregular = cell.arrangement == "voronoi"
     one_square = replace(cell, arrangement="square", cells=1, arrangement_seed=1)
     guess = _FIRST_GUESS * cell.spring_length
     if not cell.is_one_square:
         guess = settle_reference(one_square).rest_length
     lattice = make_arrangement(cell).tessellation.lattice
-    starts = [start_positions(cell, k) for k in range(STARTS if irregular else 1)]
+    several = irregular and not cell.has_uniform_fluid
+    starts = [start_positions(cell, k) for k in range(STARTS if several else 1)]
     found = equilibria_in(cell, lattice, guess, np.array(starts))
-    best = lowest(found) if irregular else 0
+    best = lowest(found) if several else 0
     return _free_of_stress(cell, found.z[best], guess, irregular)
 
 
@@ -202,7 +206,12 @@ def equilibria_in(
     arrangement = arrangement or make_arrangement(cell)
     own = arrangement.tessellation.lattice
     moved = starts @ np.linalg.solve(own.T, lattice.T)
-    constants = make_constants(cell, rest_length)
+    drained = replace(cell, sap_bulk_modulus=0.0)  # at rest the sap has the area of that state
+    constants = make_constants(drained, rest_length)
+    unit = np.broadcast_to(np.eye(2), (len(moved), 2, 2))
+    if cell.has_uniform_fluid:  # Newton's method finds it from straight walls
+        topology = make_neighbours(cell, moved[0], lattice, arrangement=arrangement).topology
+        return relax(topology, constants, np.swapaxes(moved, 1, 2), unit)
     # dashpots that the explicit step bears; where the cell rests does not depend on them
     damped = replace(
         cell,
@@ -212,8 +221,7 @@ def equilibria_in(
     damped_constants = make_constants(damped, rest_length)
     settled = _settled(cell, lattice, damped_constants, moved, arrangement)
     topology = make_neighbours(cell, settled[0], lattice, arrangement=arrangement).topology
-    unit = np.broadcast_to(np.eye(2), (len(settled), 2, 2))
-    return relax(topology, constants, np.swapaxes(settled, 1, 2), unit)
+    return relax(topology, constants, np.swapaxes(settled, 1, 2), unit[: len(settled)])
 
 
 def relax(

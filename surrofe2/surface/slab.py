@@ -16,8 +16,9 @@ from surrofe2.base.errors import InputError
 from surrofe2.base.simd import TILE
 from surrofe2.plant_cell.arrangement import ReferenceState, make_slab_arrangement
 from surrofe2.plant_cell.block_matrices import solve
-from surrofe2.plant_cell.forces import local_forces, make_workspace
+from surrofe2.plant_cell.forces import local_forces
 from surrofe2.plant_cell.neighbours import FARTHEST, make_neighbours
+from surrofe2.plant_cell.pair_sums import make_workspace
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve.rve_state import kept_factors
 from surrofe2.rve.unit_cell import UnitCell, equilibria_in, unit_around

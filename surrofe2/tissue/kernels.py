@@ -22,14 +22,6 @@ import numpy as np
 from surrofe2.base.arrays import Array
 from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, load, spread, store, where_less
-from surrofe2.plant_cell.forces import (
-    add_fluid_forces,
-    add_pair,
-    difference,
-    fluid_specific_volume,
-    norm,
-    pair_at,
-)
 from surrofe2.plant_cell.pair_laws import (
     contact,
     contact_energy,
@@ -38,6 +30,8 @@ from surrofe2.plant_cell.pair_laws import (
     wall_energy,
     within,
 )
+from surrofe2.plant_cell.pair_sums import add_pair, difference, norm, pair_at
+from surrofe2.plant_cell.sph_fluid import add_sph_forces, fluid_specific_volume
 from surrofe2.tissue.external_forces import (
     add_contact_loss,
     add_driving_work,
@@ -153,7 +147,7 @@ def _sum_forces(t, particles, lists, constants, cells):
         slope = np.empty((cells.fluid_pairs.shape[0], TILE))
         volume = np.empty((own - cells.walls, TILE))
         row = min(np.int64(t), constants.fluid.shape[0] - 1)
-        add_fluid_forces(x, v, f, cells, fluid_at(constants.fluid, row), slope, volume)
+        add_sph_forces(x, v, f, cells, fluid_at(constants.fluid, row), slope, volume)
 
 
 @kernel

@@ -124,7 +124,7 @@ def make_tissue(
         references: of each type, one square plant cell, free of stress as part of a tissue.
 
     Raises:
-        InputError: a type is not one square, or not as large or as finely divided as the first.
+        InputError: a type is not one square of SPH fluid, or not as large or as finely divided as the first.
         MismatchError: a reference is of another cell.
     """
     cell, (n, m) = types[0], kind.shape
@@ -133,6 +133,10 @@ def make_tissue(
             raise InputError(
                 f"cell.arrangement: {each.cells} of {each.arrangement}; a tissue must be made of "
                 "copies of one square plant cell"
+            )
+        if each.has_uniform_fluid:
+            raise InputError(
+                "cell.fluid: uniform; a full tissue is made of SPH fluid: take fluid sph there"
             )
         for name in _ALIKE:
             here, there = each.to_dict()[name], cell.to_dict()[name]

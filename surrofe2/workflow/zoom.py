@@ -122,7 +122,8 @@ def recipes_of(record: RunRecord) -> dict[str, Recipe]:
     return {
         name: make_recipe(
             {
-                "cell": {key: cell[key] for key in names & cell.keys()},
+                # cells of runs that name no fluid are from when there was but one
+                "cell": {"fluid": "sph"} | {key: cell[key] for key in names & cell.keys()},
                 "rve": cell.get("rve") or stored["rve"],
             }
         )

@@ -7,9 +7,10 @@ import numpy as np
 from surrofe2.base.simd import TILE
 from surrofe2.plant_cell import derivatives, forces
 from surrofe2.plant_cell.arrangement import start_positions
-from surrofe2.plant_cell.forces import Workspace
+from surrofe2.plant_cell.block_matrices import dense_pattern
 from surrofe2.plant_cell.neighbours import make_neighbours
 from surrofe2.plant_cell.pair_laws import make_constants
+from surrofe2.plant_cell.pair_sums import Workspace
 from surrofe2.plant_cell.parameters import CellParameters
 from tests.plant_cell.twin import Twin
 
@@ -17,18 +18,21 @@ REST = 1.9
 
 
 class Patch:
-    """One cell, in every lane another state: material positions z (TILE, n, 2), F, Ḟ.
+    """An RVE, in every lane another state: material positions z (TILE, n, 2), F, Ḟ.
 
-    x, v: (2, local, TILE) of local particles, whose `owners` are own ones.
+    x, v: (2, local, TILE) of local particles, whose `owners` are own ones. Matrices are dense.
     """
 
-    def __init__(self, preset: str, seed: int = 0) -> None:
+    def __init__(self, preset: str, seed: int = 0, **changes) -> None:
         rng = np.random.default_rng(seed)
-        self.cell = CellParameters.preset(preset)
-        base, lattice = start_positions(self.cell), self.cell.tessellation.lattice
-        self.topology = make_neighbours(self.cell, base, lattice).topology
+        self.cell = CellParameters.preset(preset, **changes)
+        base, self.lattice = start_positions(self.cell), self.cell.tessellation.lattice
+        topology = make_neighbours(self.cell, base, self.lattice).topology
+        dense = dense_pattern(topology.particles, topology.pressures)
+        self.topology = topology._replace(**dense._asdict())
         self.constants = make_constants(self.cell, REST)
-        self.twin = Twin(self.cell, REST)
+        if self.cell.is_one_square and self.cell.fluid == "sph":
+            self.twin = Twin(self.cell, REST)
         self.z = base + 0.1 * rng.uniform(-1, 1, (TILE, *base.shape))
         self.F = np.eye(2) + 0.08 * rng.uniform(-1, 1, (TILE, 2, 2))
         self.F_dot = 0.01 * rng.uniform(-1, 1, (TILE, 2, 2))
@@ -48,13 +52,16 @@ class Patch:
         return Workspace(x if z is None else z, x, v, np.zeros_like(x), *scratch)
 
     def jacobian(self, F_dot):
-        """(2n − 2, 2n − 2, TILE) of one group, without the held particle, and (2n, 8, TILE)."""
+        """(2n − 2, 2n − 2, TILE) without the held particle and pressures, and (2n, 8, TILE)."""
         n, identity = self.topology.particles, np.broadcast_to(np.eye(2), self.F.shape)
         J, load = np.empty((self.topology.size, TILE)), np.empty((2 * n, 8, TILE))
         L = np.ascontiguousarray(np.moveaxis(F_dot @ np.linalg.inv(self.F), 0, -1))
         at = (self.local(self.z, tensor) for tensor in (self.F, F_dot, identity))
         derivatives.force_jacobian(self.workspace(*at), L, self.topology, self.constants, J, load)
-        return J.reshape(2 * n - 2, 2 * n - 2, TILE), load
+        size, free = 2 * n - 2 + 2 * self.topology.pressures, 2 * n - 2
+        J = np.moveaxis(J.reshape(size, size, TILE), -1, 0)
+        follow = np.linalg.solve(J[:, free:, free:], J[:, free:, :free])
+        return np.moveaxis(J[:, :free, :free] - J[:, :free, free:] @ follow, 0, -1), load
 
     def local_forces(self, x, v):
         """(2, local, TILE)."""

@@ -1,0 +1,158 @@
+"""Walls and contacts, eqs. (1) and (2): energy, forces and their derivatives.
+
+A central pair is a bond between wall neighbours (eq. 1) or a contact (eq. 2); `is_bond` is the same
+for all pairs of a list. Tension t > 0 pulls the two together; the force on i is t n, n = r/|r|.
+"""
+
+from __future__ import annotations
+
+from surrofe2.base.compilation import kernel, pair_law
+from surrofe2.base.simd import load, spread, store
+from surrofe2.plant_cell.pair_laws import (
+    contact,
+    contact_bend,
+    contact_energy,
+    tension,
+    wall,
+    wall_energy,
+    within,
+)
+from surrofe2.plant_cell.pair_sums import (
+    FIELDS,
+    add_field_pair,
+    add_pair,
+    add_pair_jacobian,
+    add_pair_load,
+    add_transposed,
+    difference,
+    field_difference,
+    norm,
+    pair_at,
+)
+
+
+@pair_law
+def central_law(pair, is_bond, weight, c):
+    """Weight that acts, and (t, ∂t/∂|r|, γ, ∂γ/∂|r|): the tension is that times t + γ n·w.
+
+    t alone is elastic. One weight for all of them is 0 beyond the cut-off: one selection of lanes.
+    """
+    if is_bond:
+        elastic, stiffness, damping, _ = wall(pair.length, c)
+        law = elastic, spread(stiffness), spread(damping), spread(0.0)
+        acting = spread(weight)
+    else:
+        law = contact(pair.length, pair.inverse, c)
+        acting = within(pair.length, weight, c)
+    return acting, law
+
+
+@kernel
+def add_central_forces(x, v, f, pairs, weight, is_bond, c):
+    """Add wall tensions (eq. 1) or contact repulsion (eq. 2) to f.
+
+    weight (pairs,) scales the whole force of a pair: ½ where one of the two walls is missing
+    (docs/theory.md, walls at a free boundary); c(r) keeps the parameter m_wall.
+    """
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        pair = pair_at(x, v, i, j)
+        acting, law = central_law(pair, is_bond, weight[k], c)
+        a = acting * pair.inverse * tension(law, pair.rate)
+        add_pair(f, i, j, a * pair.rx, a * pair.ry)
+
+
+@kernel
+def add_central_energy(x, pairs, weight, is_bond, c, energy):
+    """Add the stored energy of bonds or contacts, pJ, to energy (1, TILE); weight as above."""
+    total = spread(0.0)
+    for k in range(pairs.shape[0]):
+        rx, ry = difference(x, pairs[k, 0], pairs[k, 1])
+        length, inverse = norm(rx, ry)
+        energy_of = wall_energy(length, c) if is_bond else contact_energy(length, inverse, c)
+        total += weight[k] * energy_of
+    store(load(energy, 0) + total, energy, 0)
+
+
+@pair_law
+def central_slopes(pair, is_bond, weight, c):
+    """(∂f/∂r, ∂f/∂w) of a bond or contact with force t n; the second is γ n ⊗ n."""
+    acting, law = central_law(pair, is_bond, weight, c)
+    _, stiffness, damping, damping_slope = law
+    nx, ny, by_rate = pair.nx, pair.ny, acting * damping
+    over = acting * tension(law, pair.rate) * pair.inverse
+    along = acting * (stiffness + damping_slope * pair.rate) - over
+    ux = along * nx + by_rate * (pair.wx - pair.rate * nx) * pair.inverse
+    uy = along * ny + by_rate * (pair.wy - pair.rate * ny) * pair.inverse
+    cross = by_rate * nx * ny
+    rr = (over + nx * ux, nx * uy, ny * ux, over + ny * uy)
+    return rr, (by_rate * nx * nx, cross, cross, by_rate * ny * ny)
+
+
+@kernel
+def add_central_jacobian(work, L, pairs, weight, is_bond, topology, c, matrix, columns):
+    """Add to matrix and columns; see `force_jacobian`."""
+    own, owner = topology.particles, topology.owner
+    # named in the loop, numba would count references to them there
+    block, stride = topology.block, topology.stride
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        j_own = j if j < own else owner[j - own]
+        pair = pair_at(work.x, work.v, i, j)
+        rr, rw = central_slopes(pair, is_bond, weight[k], c)
+        add_pair_jacobian(matrix, block, stride, L, i, j_own, rr, rw)
+        if columns.shape[0] > 0:
+            add_pair_load(columns, work.z, i, j, j_own, rr, rw)
+
+
+@kernel
+def add_central_gradients(work, weights, by_x, by_v, pairs, weight, is_bond, c):
+    """Add to by_x and by_v; see `add_force_gradients`."""
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        pair = pair_at(work.x, work.v, i, j)
+        rr, rw = central_slopes(pair, is_bond, weight[k], c)
+        for m in range(FIELDS):
+            px, py = field_difference(weights, m, i, j)
+            add_transposed(by_x, m, i, j, rr, px, py)
+            add_transposed(by_v, m, i, j, rw, px, py)
+
+
+@kernel
+def add_central_rates(work, f_rate, pairs, weight, is_bond, c):
+    """With a = t/|r| and s = n·w: f = a r and ḟ = (t′ − a) s n + a w."""
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        pair = pair_at(work.x, work.v, i, j)
+        acting, (elastic, stiffness, _, _) = central_law(pair, is_bond, weight[k], c)
+        over = acting * elastic * pair.inverse
+        along = (acting * stiffness - over) * pair.rate * pair.inverse
+        add_pair(work.f, i, j, over * pair.rx, over * pair.ry)
+        gx, gy = along * pair.rx + over * pair.wx, along * pair.ry + over * pair.wy
+        add_pair(f_rate, i, j, gx, gy)
+
+
+@kernel
+def add_central_stiffness_rates(work, u, f, pairs, weight, is_bond, c):
+    """Add K̇ u to f. With b = t′ − t/|r|, p = u_j − u_i and ṅ = (w − s n)/|r|::
+
+    K̇ p = b s/|r| p + (t″ − b/|r|) s (n·p) n + b [(n·p) ṅ + (ṅ·p) n]
+    """
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        pair = pair_at(work.x, work.v, i, j)
+        nx, ny, inverse, rate = pair.nx, pair.ny, pair.inverse, pair.rate
+        acting, (elastic, stiffness, _, _) = central_law(pair, is_bond, weight[k], c)
+        b = acting * (stiffness - elastic * inverse)
+        across = b * rate * inverse
+        along = -across
+        if not is_bond:
+            along += acting * contact_bend(inverse, c) * rate
+        turn_x, turn_y = b * (pair.wx - rate * nx) * inverse, b * (pair.wy - rate * ny) * inverse
+        for m in range(FIELDS):
+            px, py = field_difference(u, m, i, j)
+            stretch = nx * px + ny * py
+            by_n = along * stretch + turn_x * px + turn_y * py
+            fx = across * px + by_n * nx + stretch * turn_x
+            fy = across * py + by_n * ny + stretch * turn_y
+            add_field_pair(f, m, i, j, fx, fy)

@@ -1,0 +1,271 @@
+"""Fluid of SPH particles, eqs. (7) to (9): energy, forces and their derivatives.
+
+The density couples all fluid of a plant cell: forces are f(r, w, V_i, V_j) with V = 1/ρ.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from surrofe2.base.compilation import kernel, pair_law
+from surrofe2.base.simd import TILE, load, spread, store
+from surrofe2.plant_cell.pair_laws import (
+    fluid_coefficients,
+    fluid_volume_slopes,
+    spline,
+    spline_bend,
+    spline_slope,
+)
+from surrofe2.plant_cell.pair_sums import (
+    FIELDS,
+    add_at,
+    add_field_pair,
+    add_load,
+    add_pair,
+    add_pair_jacobian,
+    add_pair_load,
+    add_to,
+    add_transposed,
+    difference,
+    field_difference,
+    norm,
+    pair_at,
+)
+
+STEP = 1e-6
+"""Of the fastest particle to either side, in smoothing lengths: K is then exact to 1e-12 by its
+curvature, and to 1e-9 by rounding; of a longer step, more pairs pass a knot of the spline."""
+
+
+@kernel
+def add_sph_forces(x, v, f, topology, c, slope, volume):
+    """Add pressure and viscous forces (eq. 8) to f.
+
+    Scratch, filled here: slope (pairs, TILE) W′/|r|; volume (fluid, TILE) 1/ρ.
+    """
+    pairs, first = topology.fluid_pairs, topology.walls
+    fluid_specific_volume(x, topology, c, slope, volume)
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        rx, ry = difference(x, i, j)
+        wx, wy = difference(v, i, j)
+        volume_i, volume_j = load(volume, i - first), load(volume, j - first)
+        a, b = fluid_coefficients(load(slope, k), volume_i, volume_j, c)
+        add_pair(f, i, j, a * rx + b * wx, a * ry + b * wy)
+
+
+@kernel
+def fluid_specific_volume(x, topology, c, slope, volume):
+    """volume = 1/ρ of eq. (7) and slope = W′/|r| of every fluid pair."""
+    pairs, first = topology.fluid_pairs, topology.walls
+    h = c.smoothing_length
+    own = c.fluid_mass * spline(spread(0.0), h)
+    for p in range(volume.shape[0]):
+        store(own, volume, p)
+    for k in range(pairs.shape[0]):
+        p, q = pairs[k, 0] - first, pairs[k, 1] - first
+        rx, ry = difference(x, pairs[k, 0], pairs[k, 1])
+        length, inverse = norm(rx, ry)
+        s = length * (1.0 / h)
+        store(spline_slope(s, h) * inverse, slope, k)
+        density = c.fluid_mass * spline(s, h)
+        store(load(volume, p) + density, volume, p)
+        store(load(volume, q) + density, volume, q)
+    for p in range(volume.shape[0]):
+        store(1.0 / load(volume, p), volume, p)
+
+
+@kernel
+def add_sph_energy(x, topology, c, slope, volume, energy):
+    """Add the stored energy Σ m c_s² ln ρ, pJ, to energy (1, TILE); scratch as above."""
+    fluid_specific_volume(x, topology, c, slope, volume)
+    for p in range(volume.shape[0]):
+        for lane in range(TILE):
+            energy[0, lane] -= c.fluid_mass * c.sound_speed_squared * np.log(volume[p, lane])
+
+
+@pair_law
+def fluid_slopes(pair, steep, volume_i, volume_j, c):
+    """(∂f/∂r, ∂f/∂w, ∂f/∂V_i, ∂f/∂V_j) of a fluid pair, W′/|r| = steep, V = 1/ρ."""
+    rx, ry, wx, wy = pair.rx, pair.ry, pair.wx, pair.wy
+    a, b = fluid_coefficients(steep, volume_i, volume_j, c)
+    bend = spline_bend(steep, pair.length, pair.inverse, c.smoothing_length)
+    da, db = fluid_coefficients(bend, volume_i, volume_j, c)
+    ux, uy = da * rx + db * wx, da * ry + db * wy
+    rr = (a + ux * pair.nx, ux * pair.ny, uy * pair.nx, a + uy * pair.ny)
+    rw = (b, spread(0.0), spread(0.0), b)
+    ai, bi = fluid_volume_slopes(steep, volume_j, c)
+    aj, bj = fluid_volume_slopes(steep, volume_i, c)
+    at_i = (ai * rx + bi * wx, ai * ry + bi * wy)
+    return rr, rw, at_i, (aj * rx + bj * wx, aj * ry + bj * wy)
+
+
+@kernel
+def add_sph_jacobian(work, L, topology, c, matrix, columns):
+    """Add to matrix and columns; see `force_jacobian`."""
+    fluid_specific_volume(work.x, topology, c, work.slope, work.volume)
+    for cell in range(topology.fluid_start.shape[0] - 1):
+        _add_cell_jacobian(cell, work, L, topology, c, matrix, columns)
+
+
+@kernel
+def _add_cell_jacobian(cell, work, L, topology, c, matrix, columns):
+    """Pressure and viscous forces of one plant cell, work.slope and work.volume given."""
+    pairs, first = topology.fluid_pairs, topology.walls + topology.fluid_start[cell]
+    fluid = topology.fluid_start[cell + 1] - topology.fluid_start[cell]
+    block, stride = topology.block, topology.stride
+    by_density = np.zeros((2 * fluid, fluid, TILE))
+    density_by_x = np.zeros((fluid, 2 * fluid, TILE))
+    density_by_load = np.zeros((fluid, 4, TILE))
+    for k in range(topology.fluid_pair_start[cell], topology.fluid_pair_start[cell + 1]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        p, q = i - first, j - first
+        pair = pair_at(work.x, work.v, i, j)
+        steep, volume_i = load(work.slope, k), load(work.volume, i - topology.walls)
+        volume_j = load(work.volume, j - topology.walls)
+        rr, rw, at_i, at_j = fluid_slopes(pair, steep, volume_i, volume_j, c)
+        add_pair_jacobian(matrix, block, stride, L, i, j, rr, rw)
+        by_i, by_j = -volume_i * volume_i, -volume_j * volume_j
+        add_pair_column(by_density, 2 * p, 2 * q, p, by_i * at_i[0], by_i * at_i[1])
+        add_pair_column(by_density, 2 * p, 2 * q, q, by_j * at_j[0], by_j * at_j[1])
+        gx, gy = c.fluid_mass * steep * pair.rx, c.fluid_mass * steep * pair.ry
+        add_pair_row(density_by_x, p, 2 * p, 2 * q, gx, gy)
+        add_pair_row(density_by_x, q, 2 * p, 2 * q, gx, gy)
+        if columns.shape[0] > 0:
+            zx, zy = difference(work.z, i, j)
+            add_pair_load(columns, work.z, i, j, j, rr, rw)
+            add_load(density_by_load, p, 0, gx, gy, zx, zy)
+            add_load(density_by_load, q, 0, gx, gy, zx, zy)
+    # the fluid of a plant cell is one group of the pattern: its block begins at its first particle
+    g = topology.group[first]
+    width, column = topology.width[g], topology.column[first]
+    at = topology.start[g] + column * width + topology.offset[g, g] + column
+    add_product(by_density, density_by_x, matrix, at, width)
+    if columns.shape[0] > 0:
+        rows = columns.reshape(-1, TILE)
+        add_product(by_density, density_by_load, rows, 8 * 2 * first, 8)
+
+
+@pair_law
+def add_pair_column(array, row_i, row_j, column, gx, gy):
+    """(gx, gy) on the rows of i, its negative on those of j."""
+    add_at(array, row_i, column, gx)
+    add_at(array, row_i + 1, column, gy)
+    add_at(array, row_j, column, -gx)
+    add_at(array, row_j + 1, column, -gy)
+
+
+@pair_law
+def add_pair_row(array, row, column_i, column_j, gx, gy):
+    """(gx, gy) on the columns of j, its negative on those of i."""
+    add_at(array, row, column_j, gx)
+    add_at(array, row, column_j + 1, gy)
+    add_at(array, row, column_i, -gx)
+    add_at(array, row, column_i + 1, -gy)
+
+
+@kernel
+def add_product(left, right, values, at, width):
+    """values[at + m · width + n] += Σ_s left[m, s] right[s, n], an even number of n."""
+    for m in range(left.shape[0]):
+        row = at + m * width
+        for n in range(0, right.shape[1], 2):
+            even, odd = load(values, row + n), load(values, row + n + 1)
+            for s in range(left.shape[1]):
+                factor = load(left, m, s)
+                even += factor * load(right, s, n)
+                odd += factor * load(right, s, n + 1)
+            store(even, values, row + n)
+            store(odd, values, row + n + 1)
+
+
+@kernel
+def add_sph_gradients(work, weights, by_x, by_v, topology, c):
+    """Add to by_x and by_v; see `add_force_gradients`."""
+    pairs, first = topology.fluid_pairs, topology.walls
+    slope, volume = work.slope, work.volume
+    fluid_specific_volume(work.x, topology, c, slope, volume)
+    by_volume = np.zeros((FIELDS, volume.shape[0], TILE))
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        p, q = i - first, j - first
+        pair = pair_at(work.x, work.v, i, j)
+        steep, volume_i, volume_j = load(slope, k), load(volume, p), load(volume, q)
+        rr, rw, at_i, at_j = fluid_slopes(pair, steep, volume_i, volume_j, c)
+        for m in range(FIELDS):
+            px, py = field_difference(weights, m, i, j)
+            add_transposed(by_x, m, i, j, rr, px, py)
+            add_field_pair(by_v, m, i, j, rw[0] * px, rw[0] * py)
+            add_at(by_volume, m, p, -(at_i[0] * px + at_i[1] * py))
+            add_at(by_volume, m, q, -(at_j[0] * px + at_j[1] * py))
+    # from slopes by V to slopes by ρ, and through ∂ρ/∂x to the particles
+    for m in range(FIELDS):
+        for p in range(volume.shape[0]):
+            here = load(volume, p)
+            store(-here * here * load(by_volume, m, p), by_volume, m, p)
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        rx, ry = difference(work.x, i, j)
+        density = c.fluid_mass * load(slope, k)
+        for m in range(FIELDS):
+            both = density * (load(by_volume, m, i - first) + load(by_volume, m, j - first))
+            add_field_pair(by_x, m, i, j, -both * rx, -both * ry)
+
+
+@kernel
+def add_sph_rates(work, f_rate, volume_rate, topology, c):
+    """With α = m² c_s² (W′/|r|) (V_i + V_j) of eq. (8): f = α r and ḟ = α̇ r + α w."""
+    slope, volume = work.slope, work.volume
+    pairs, first = topology.fluid_pairs, topology.walls
+    fluid_specific_volume(work.x, topology, c, slope, volume)
+    volume_rate[:] = 0.0
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        rx, ry = difference(work.x, i, j)
+        wx, wy = difference(work.v, i, j)
+        density_rate = c.fluid_mass * load(slope, k) * (rx * wx + ry * wy)
+        add_to(volume_rate, i - first, density_rate)
+        add_to(volume_rate, j - first, density_rate)
+    for p in range(volume_rate.shape[0]):
+        here = load(volume, p)
+        store(-here * here * load(volume_rate, p), volume_rate, p)
+    strength = c.fluid_mass * c.fluid_mass * c.sound_speed_squared
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        p, q = i - first, j - first
+        pair = pair_at(work.x, work.v, i, j)
+        steep = load(slope, k)
+        volumes = strength * (load(volume, p) + load(volume, q))
+        a = steep * volumes
+        add_pair(work.f, i, j, a * pair.rx, a * pair.ry)
+        bend = spline_bend(steep, pair.length, pair.inverse, c.smoothing_length)
+        a_rate = bend * pair.rate * volumes + steep * strength * (
+            load(volume_rate, p) + load(volume_rate, q)
+        )
+        gx, gy = a_rate * pair.rx + a * pair.wx, a_rate * pair.ry + a * pair.wy
+        add_pair(f_rate, i, j, gx, gy)
+
+
+@kernel
+def add_sph_stiffness_rates(work, u, f, topology, c):
+    """By central differences of K u along v, for K changes without jumps as fluid particles move.
+
+    That of contacts jumps at the cut-off, where pairs like to stay: a difference over it is wrong.
+    """
+    if topology.fluid_pairs.shape[0] == 0:
+        return
+    x, v = work.x.copy(), work.v.copy()
+    speed = np.full(TILE, 1e-300)
+    for axis in range(2):
+        for i in range(v.shape[1]):
+            for k in range(TILE):
+                speed[k] = max(speed[k], abs(v[axis, i, k]))
+    step = STEP * c.smoothing_length / speed
+    by_x, by_v = np.empty_like(u), np.empty_like(u)
+    work.v[:] = 0.0  # dashpots off, and K is symmetric: gradients of Σ u·f by x are K u
+    for side in range(2):
+        work.x[:] = x + (1.0 - 2.0 * side) * step * v
+        by_x[:], by_v[:] = 0.0, 0.0
+        add_sph_gradients(work, u, by_x, by_v, topology, c)
+        f[:] = f + by_x * ((0.5 - side) / step)
+    work.x[:], work.v[:] = x, v

@@ -1,0 +1,284 @@
+"""Fluid of one pressure for each plant cell: energy, forces and their derivatives.
+
+docs/theory.md, uniform fluid. The rim of a plant cell is its wall particles, counter-clockwise, at
+y_k; as local ones, so that images feel what acts on them. Their *normals* are g_k = ∂A/∂y_k, half
+the way from the neighbour before to the one after, turned outwards. With L the mean velocity
+gradient within the rim::
+
+    A = ½ Σ y_k × y_(k+1)               g_k = ½ R (y_(k+1) − y_(k−1)),  R = [[0, 1], [−1, 0]]
+    E = m c_s² ln(m/A) + K (A − A₀ − A₀ ln(A/A₀))
+    p = −∂E/∂A = (m c_s² + K A₀)/A − K
+    L = 1/A Σ v_k ⊗ g_k,  τ = µ (L + Lᵀ − tr L I),  S = p I − τ
+    f_k = S g_k
+
+Normals are linear in positions: those of velocities are the rates ġ_k. They are symmetric, too:
+Σ u_k·g_k(w) = Σ w_k·g_k(u) for any two fields.
+
+A motion changes the pressure of a plant cell by p′ Σ g_k·δy_k, which couples its whole rim. So
+matrices have δp as an unknown of its own, see `block_matrices`::
+
+    [ J₀   g  ] [δx]                      J₀: derivatives at constant pressure
+    [ gᵀ −1/p′] [δp]
+
+The mean velocity gradient does not change where velocities are affine and follow a motion, for then
+L is theirs. Matrices have no term for its change elsewhere, which is of the order of µ |L| over the
+stiffness; the other derivatives have.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from surrofe2.base.compilation import kernel, pair_law
+from surrofe2.base.simd import TILE, load, spread, store
+from surrofe2.plant_cell.pair_sums import FIELDS, add_block, add_to
+
+
+class Fluid(NamedTuple):
+    """The fluid of one plant cell, lanes each.
+
+    per_area is 1/A, pressure p, slope and bend its first and second derivative by A, L the mean
+    velocity gradient (xx, xy, yx, yy), 1/µs, and stress S (xx, xy, yy), µN/µm.
+    """
+
+    per_area: float
+    pressure: float
+    slope: float
+    bend: float
+    L: tuple[float, float, float, float]
+    stress: tuple[float, float, float]
+
+
+@pair_law
+def normal_at(x, rim, k):
+    """g_k of positions (or any other field) x (2, local, TILE) on the rim."""
+    count = rim.shape[0]
+    before, after = rim[(k + count - 1) % count], rim[(k + 1) % count]
+    gx = 0.5 * (load(x, 1, after) - load(x, 1, before))
+    gy = 0.5 * (load(x, 0, before) - load(x, 0, after))
+    return gx, gy
+
+
+@kernel
+def rim_product(u, x, rim):
+    """(xx, xy, yx, yy) of Σ u_k ⊗ g_k(x): A I of u = x, A L of u = v.
+
+    Since Σ g_k = 0, u counts from its value at the first particle, which rounds less.
+    """
+    xx, xy, yx, yy = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    first_x, first_y = load(u, 0, rim[0]), load(u, 1, rim[0])
+    for k in range(rim.shape[0]):
+        gx, gy = normal_at(x, rim, k)
+        ux, uy = load(u, 0, rim[k]) - first_x, load(u, 1, rim[k]) - first_y
+        xx += ux * gx
+        xy += ux * gy
+        yx += uy * gx
+        yy += uy * gy
+    return xx, xy, yx, yy
+
+
+@kernel
+def rim_area(x, rim):
+    """A of a rim at positions x."""
+    xx, _, _, yy = rim_product(x, x, rim)
+    return 0.5 * (xx + yy)
+
+
+@pair_law
+def rim_of(topology, cell):
+    """(k,) local indices of the wall particles around a plant cell."""
+    return topology.rim[topology.rim_start[cell] : topology.rim_start[cell + 1]]
+
+
+@pair_law
+def twice_deviator(L, factor):
+    """(xx, xy, yy) of factor (L + Lᵀ − tr L I); yy is −xx."""
+    xx, xy = factor * (L[0] - L[3]), factor * (L[1] + L[2])
+    return xx, xy, -xx
+
+
+@kernel
+def fluid_at(x, v, topology, cell, c):
+    """The `Fluid` of a plant cell at local positions and velocities."""
+    rim = rim_of(topology, cell)
+    per_area = 1.0 / rim_area(x, rim)
+    osmotic = topology.fluid_mass[cell] * c.sound_speed_squared
+    strength = osmotic + c.sap_modulus * topology.rest_area[cell]
+    pressure = strength * per_area - c.sap_modulus
+    slope = -strength * per_area * per_area
+    xx, xy, yx, yy = rim_product(v, x, rim)
+    L = (xx * per_area, xy * per_area, yx * per_area, yy * per_area)
+    txx, txy, tyy = twice_deviator(L, c.viscosity)
+    stress = (pressure - txx, -txy, pressure - tyy)
+    return Fluid(per_area, pressure, slope, -2.0 * slope * per_area, L, stress)
+
+
+@pair_law
+def add_vector(f, i, fx, fy):
+    """(fx, fy) to f at i."""
+    add_to(f[0], i, fx)
+    add_to(f[1], i, fy)
+
+
+@kernel
+def add_uniform_forces(x, v, f, topology, c):
+    """Add pressure and viscous forces S g_k to f."""
+    for cell in range(topology.rim_start.shape[0] - 1):
+        rim = rim_of(topology, cell)
+        xx, xy, yy = fluid_at(x, v, topology, cell, c).stress
+        for k in range(rim.shape[0]):
+            gx, gy = normal_at(x, rim, k)
+            add_vector(f, rim[k], xx * gx + xy * gy, xy * gx + yy * gy)
+
+
+@kernel
+def add_uniform_energy(x, topology, c, energy):
+    """Add the stored energy, pJ, to energy (1, TILE)."""
+    area = np.empty((1, TILE))
+    for cell in range(topology.rim_start.shape[0] - 1):
+        store(rim_area(x, rim_of(topology, cell)), area, 0)
+        mass, rest = topology.fluid_mass[cell], topology.rest_area[cell]
+        osmotic = mass * c.sound_speed_squared
+        for lane in range(TILE):
+            here = area[0, lane]
+            energy[0, lane] += osmotic * np.log(mass / here)
+            energy[0, lane] += c.sap_modulus * (here - rest - rest * np.log(here / rest))
+
+
+@kernel
+def add_uniform_jacobian(work, topology, c, matrix, columns):
+    """Add to matrix and columns; see `force_jacobian`."""
+    own, owner = topology.particles, topology.owner
+    block, stride = topology.block, topology.stride
+    for cell in range(topology.rim_start.shape[0] - 1):
+        rim, unknown = rim_of(topology, cell), own + cell
+        fluid = fluid_at(work.x, work.v, topology, cell, c)
+        xx, xy, yy = fluid.stress
+        # half of S R, by which the force follows the neighbour after
+        turn = (-0.5 * xy, 0.5 * xx, -0.5 * yy, 0.5 * xy)
+        back = (-turn[0], -turn[1], -turn[2], -turn[3])
+        # the second unknown of this pseudo-particle is idle
+        add_block(matrix, block, stride, unknown, unknown, (-1.0 / fluid.slope, 0.0, 0.0, -1.0))
+        for k in range(rim.shape[0]):
+            gx, gy = normal_at(work.x, rim, k)
+            i, j = rim[k], rim[(k + 1) % rim.shape[0]]
+            i = i if i < own else owner[i - own]
+            j = j if j < own else owner[j - own]
+            add_block(matrix, block, stride, i, j, turn)
+            add_block(matrix, block, stride, j, i, back)
+            add_block(matrix, block, stride, i, unknown, (gx, 0.0, gy, 0.0))
+            add_block(matrix, block, stride, unknown, i, (gx, gy, 0.0, 0.0))
+    if columns.shape[0] > 0 and topology.rim.shape[0] > 0:
+        _add_columns(work, topology, c, columns)
+
+
+@kernel
+def _add_columns(work, topology, c, columns):
+    """∂f/∂F_bc and ∂f/∂Ḟ_bc, along the motions e_b z_c of positions and of velocities."""
+    own, still, change = topology.particles, np.zeros_like(work.x), np.empty_like(work.x)
+    moving = np.empty_like(work.x)
+    for m in range(columns.shape[1]):
+        b, along = m % 4 // 2, m % 2
+        moving[:] = 0.0
+        moving[b] = work.z[along]
+        change[:] = 0.0
+        if m < 4:
+            _add_change(work.x, work.v, moving, still, topology, c, change)
+        else:
+            _add_change(work.x, work.v, still, moving, topology, c, change)
+        for k in range(change.shape[1]):
+            i = k if k < own else topology.owner[k - own]
+            store(load(columns, 2 * i, m) + load(change, 0, k), columns, 2 * i, m)
+            store(load(columns, 2 * i + 1, m) + load(change, 1, k), columns, 2 * i + 1, m)
+
+
+@kernel
+def _add_change(x, v, dx, dv, topology, c, change):
+    """Add how forces change as local positions move by dx and velocities by dv."""
+    for cell in range(topology.rim_start.shape[0] - 1):
+        rim, fluid = rim_of(topology, cell), fluid_at(x, v, topology, cell, c)
+        xx, xy, yy = fluid.stress
+        by_dx, by_dv = rim_product(dx, x, rim), rim_product(dv, x, rim)
+        turned, area = rim_product(v, dx, rim), by_dx[0] + by_dx[3]
+        dxx = by_dv[0] + turned[0] - fluid.L[0] * area
+        dxy = by_dv[1] + turned[1] - fluid.L[1] * area
+        dyx = by_dv[2] + turned[2] - fluid.L[2] * area
+        dyy = by_dv[3] + turned[3] - fluid.L[3] * area
+        txx, txy, tyy = twice_deviator((dxx, dxy, dyx, dyy), c.viscosity * fluid.per_area)
+        pressure = fluid.slope * area
+        for k in range(rim.shape[0]):
+            gx, gy = normal_at(x, rim, k)
+            hx, hy = normal_at(dx, rim, k)
+            fx = (pressure - txx) * gx - txy * gy + xx * hx + xy * hy
+            fy = (pressure - tyy) * gy - txy * gx + xy * hx + yy * hy
+            add_vector(change, rim[k], fx, fy)
+
+
+@kernel
+def add_uniform_gradients(work, weights, by_x, by_v, topology, c):
+    """Add to by_x and by_v; see `add_force_gradients`.
+
+    With Φ = Σ φ_k ⊗ g_k and T = µ (Φ + Φᵀ − tr Φ I)::
+
+        by v_k: −1/A T g_k
+        by y_k: (p′ tr Φ + 1/A L:T) g_k + 1/A T ġ_k + Ŝ g_k(φ),   Ŝ = R S Rᵀ
+    """
+    for cell in range(topology.rim_start.shape[0] - 1):
+        rim, fluid = rim_of(topology, cell), fluid_at(work.x, work.v, topology, cell, c)
+        sxx, sxy, syy = fluid.stress
+        L, per_area = fluid.L, fluid.per_area
+        for m in range(FIELDS):
+            field, to_x, to_v = weights[m], by_x[m], by_v[m]
+            product = rim_product(field, work.x, rim)
+            txx, txy, tyy = twice_deviator(product, c.viscosity * per_area)
+            along = fluid.slope * (product[0] + product[3])
+            along += txx * L[0] + txy * (L[1] + L[2]) + tyy * L[3]
+            for k in range(rim.shape[0]):
+                gx, gy = normal_at(work.x, rim, k)
+                hx, hy = normal_at(work.v, rim, k)
+                nx, ny = normal_at(field, rim, k)
+                fx = along * gx + txx * hx + txy * hy + syy * nx - sxy * ny
+                fy = along * gy + txy * hx + tyy * hy + sxx * ny - sxy * nx
+                add_vector(to_x, rim[k], fx, fy)
+                add_vector(to_v, rim[k], -(txx * gx + txy * gy), -(txy * gx + tyy * gy))
+
+
+@kernel
+def add_uniform_rates(work, f_rate, topology, c):
+    """Add the elastic forces f = p g_k to work.f, and ḟ = p′ Ȧ g_k + p ġ_k to f_rate."""
+    for cell in range(topology.rim_start.shape[0] - 1):
+        rim, fluid = rim_of(topology, cell), fluid_at(work.x, work.v, topology, cell, c)
+        pressure = fluid.pressure
+        rate = fluid.slope * _trace(rim_product(work.v, work.x, rim))
+        for k in range(rim.shape[0]):
+            gx, gy = normal_at(work.x, rim, k)
+            hx, hy = normal_at(work.v, rim, k)
+            add_vector(work.f, rim[k], pressure * gx, pressure * gy)
+            add_vector(f_rate, rim[k], rate * gx + pressure * hx, rate * gy + pressure * hy)
+
+
+@kernel
+def add_uniform_stiffness_rates(work, u, f, topology, c):
+    """Add K̇ u to f: K u_k = p′ (g·u) g_k + p g_k(u), with g·u = Σ g_k·u_k; and its rate."""
+    for cell in range(topology.rim_start.shape[0] - 1):
+        rim, fluid = rim_of(topology, cell), fluid_at(work.x, work.v, topology, cell, c)
+        slope, area_rate = fluid.slope, _trace(rim_product(work.v, work.x, rim))
+        for m in range(FIELDS):
+            field, to = u[m], f[m]
+            across = _trace(rim_product(field, work.x, rim))
+            along = fluid.bend * area_rate * across
+            along += slope * _trace(rim_product(field, work.v, rim))
+            for k in range(rim.shape[0]):
+                gx, gy = normal_at(work.x, rim, k)
+                hx, hy = normal_at(work.v, rim, k)
+                nx, ny = normal_at(field, rim, k)
+                fx = along * gx + slope * (across * hx + area_rate * nx)
+                fy = along * gy + slope * (across * hy + area_rate * ny)
+                add_vector(to, rim[k], fx, fy)
+
+
+@pair_law
+def _trace(tensor):
+    return tensor[0] + tensor[3]
