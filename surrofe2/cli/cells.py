@@ -52,8 +52,8 @@ def moduli(
 ) -> None:
     """Elastic and viscous moduli of a plant cell at rest, in N/m and MPa.
 
-    From the exact tangents of the stress at F = I. The turgor is the mean of c_s² ρ over the fluid
-    particles, over the tissue's thickness; it is set by the fluid's mass.
+    From the exact tangents of the stress at F = I. The turgor is the pressure that the tension of
+    the walls carries; it is set by the fluid's mass.
 
     Example: surrofe2 moduli --cell water
     """
@@ -99,18 +99,15 @@ def _moduli(of: NamedCell, initialisation: str) -> dict[str, Any]:
             found[name] = moduli_of.cell_moduli(of.cell, name)
             report(len(found), "")
     console.print_line(
-        f"{of}, fluid particles of {of.cell.fluid_particle_mass:.5g} ng: turgor "
-        f"{pressure.mean:.4g} MPa (mean of c_s² ρ), {pressure.virial:.4g} MPa (virial of the "
-        f"fluid), {pressure.walls:.4g} MPa (carried by the walls)"
+        f"{of}, fluid {of.cell.fluid}, {of.cell.fluid_density:.5g} ng/µm²: turgor "
+        f"{pressure:.4g} MPa (carried by the walls)"
     )
     shown = moduli_of.moduli_tables(of.cell, found)
     for title, table in shown.items():
         console.show_table(title, table)
     return {
         "fingerprint": of.cell.fingerprint,
-        "turgor_mean_MPa": pressure.mean,
-        "turgor_virial_MPa": pressure.virial,
-        "turgor_walls_MPa": pressure.walls,
+        "turgor_MPa": pressure,
         "tables": {title: table.to_records() for title, table in shown.items()},
     }
 

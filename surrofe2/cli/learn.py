@@ -14,7 +14,7 @@ from surrofe2.store.c_source import c_header, c_source
 from surrofe2.store.store import read_bytes, write_text
 from surrofe2.store.surrogates import read_surrogate
 from surrofe2.workflow.generate import data_summary, generate_data_set, wanted_count
-from surrofe2.workflow.laws import open_study
+from surrofe2.workflow.laws import open_study, recipe_notes
 from surrofe2.workflow.refine import QUANTITIES, SURROGATE, Round, refine_surrogate
 from surrofe2.workflow.run import of_cell
 from surrofe2.workflow.train import (
@@ -51,6 +51,7 @@ def generate(
     Next: surrofe2 train data/bending-bar.toml
     """
     study = open_study(recipe, threads)
+    console.show_notes(recipe_notes(study))
     with executor_of(workers, scheduler) as executor:
         for name, part in study.parts(cell).items():
             kept, begun = "the samples so far are kept", (part.data_path(),)
@@ -87,6 +88,7 @@ def train(
     Next: surrofe2 run data/bending-bar.toml --law cached --out out/cached
     """
     study = open_study(recipe, threads)
+    console.show_notes(recipe_notes(study))
     parts = study.parts(cell)
     if add and len(parts) > 1:
         raise InputError(
@@ -133,6 +135,7 @@ def refine(
     Next: surrofe2 run RECIPE --law cached --surrogate DIR/surrogate.h5
     """
     study = open_study(recipe, threads)
+    console.show_notes(recipe_notes(study))
     folder, rows = console.folder_of(out, recipe), list[Round]()
 
     def tell(row: Round) -> None:

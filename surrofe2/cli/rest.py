@@ -12,7 +12,7 @@ from surrofe2.cli import console
 from surrofe2.recipe.recipe import changed, load_recipe
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import INITIALISATIONS
-from surrofe2.workflow.laws import open_study, surface_notes, use_threads
+from surrofe2.workflow.laws import open_study, recipe_notes, surface_notes, use_threads
 from surrofe2.workflow.rest import modes_study, rest_study, rest_summary
 
 
@@ -41,6 +41,7 @@ def rest(
     Next: surrofe2 modes data/bending-bar.toml
     """
     study = open_study(recipe, threads)
+    console.show_notes(recipe_notes(study))
     study = replace(study, rve=changed(study.rve, initialisation=initialisation))
     with console.running("rest", 1.0, "loads", out, "load steps up to here") as report:
         record = rest_study(

@@ -27,7 +27,7 @@ from surrofe2.ranks.driver import (
     world_size,
 )
 from surrofe2.recipe.recipe import changed
-from surrofe2.workflow.laws import open_study, surrogates_by_cell, use_threads
+from surrofe2.workflow.laws import open_study, recipe_notes, surrogates_by_cell, use_threads
 from surrofe2.workflow.run import run_notes, run_study, run_summary
 from surrofe2.workflow.zoom import add_cell_fields
 
@@ -106,6 +106,7 @@ def run(
     """
     with all_ranks(threads, f"{out} keeps the run up to its last checkpoint") as threads:
         study = open_study(recipe, threads)
+        console.show_notes(recipe_notes(study))
         study = replace(
             study,
             rve=changed(study.rve, initialisation=initialisation),

@@ -21,7 +21,7 @@ from surrofe2.store.run_folder import RunRecord
 from surrofe2.workflow import check as checking
 from surrofe2.workflow.generate import data_summary
 from surrofe2.workflow.grid import GRID_FILES, run_grid
-from surrofe2.workflow.laws import open_study, use_threads
+from surrofe2.workflow.laws import open_study, recipe_notes, use_threads
 from surrofe2.workflow.run import cache_notes, run_study, run_summary
 from surrofe2.workflow.train import is_trained, large_errors, learn, training_summary
 from surrofe2.workflow.workers import executor_of
@@ -80,6 +80,7 @@ def check(
     faults = checking.recipe_faults(recipe)
     if not faults:
         study = open_study(recipe, threads)
+        console.show_notes(recipe_notes(study))
         mesh, merged = checking.checked_mesh(study)
         # a recipe may be for RVEs alone: what a surrogate lacks is reported, and is no fault
         faults = checking.study_faults(mesh, ("rve",))
@@ -160,6 +161,7 @@ def study(
     if true is not None and without_true:
         raise InputError("--true: not with --without-true; leave one of them out")
     stated = open_study(recipe, threads)
+    console.show_notes(recipe_notes(stated))
     folder = console.folder_of(out, recipe)
     laws = (law,) if true is not None or without_true else ("rve", law)
     first = 3 if law == "cached" else 1

@@ -9,7 +9,7 @@ import os
 os.environ.setdefault("GOMP_SPINCOUNT", "20000")
 
 from surrofe2.cli import console
-from surrofe2.workflow.laws import open_study
+from surrofe2.workflow.laws import open_study, recipe_notes
 from surrofe2.workflow.tissue import run_tissue, tissue_summary
 
 
@@ -31,6 +31,7 @@ def tissue(
     Next: surrofe2 compare out/tissue out/rve --out out/comparison
     """
     study = open_study(recipe, threads)
+    console.show_notes(recipe_notes(study))
     with console.running("full tissue", study.duration, "µs", out) as report:
         record = run_tissue(study, out, fresh=fresh, report=report)
     console.done(out, tissue_summary(record), timed=False)

@@ -29,9 +29,12 @@ Ints = NDArray[np.int32]
 
 SKIN = 0.2
 """How much farther than the cut-off contacts are listed, in cut-offs."""
-BESIDE, FARTHEST = 1.4, 3.0
-"""Distances in the reference, in cut-offs, of walls that bound no plant cell together: up to the
-first they have blocks in matrices; beyond the second they are never listed."""
+BESIDE, BESIDE_UNIFORM, FARTHEST = 1.4, 1.2, 3.0
+"""Distances in the reference, in cut-offs, of walls that bound no plant cell of SPH fluid together:
+up to the first, or the second with a uniform fluid, they have blocks in matrices; beyond the third
+they are never listed."""
+PIECE = 4
+"""Wall particles of a group, at most, where the fluid is uniform."""
 SPARSE_PAYS_BELOW = 0.8
 """Groups where they multiply less than this part of what a dense matrix does."""
 _SHIFTS = 128
@@ -306,25 +309,38 @@ def make_neighbours(
 def _interacting_groups(
     arrangement: Arrangement, contacts: Ints
 ) -> tuple[Ints, set[tuple[int, int]]]:
-    """Group of each particle, the walls of an edge or the fluid of a plant cell; coupled groups.
+    """Group of each particle, walls along an edge or the fluid of a plant cell; coupled groups.
 
-    A plant cell's fluid is its SPH particles or its pressure, whose two unknowns come last.
+    SPH fluid meets all walls around it, and they each other by way of it: a group is a whole edge.
+    With a uniform fluid only walls near each other are coupled, so that groups are small; the fluid
+    is a pressure, which comes behind all walls.
 
     contacts: (k, 2) or more columns, the first two the particles that may touch, by their owners.
     """
-    first = int(arrangement.wall_edge.max()) + 1
-    cells = len(arrangement.rims)
-    counts = arrangement.fluid_counts or (1,) * cells
-    labels = np.concatenate([arrangement.wall_edge, first + np.repeat(np.arange(cells), counts)])
+    has_particles, cells = bool(arrangement.fluid_counts), len(arrangement.rims)
+    walls = arrangement.wall_edge if has_particles else _pieces_of_walls(arrangement)
+    first, counts = int(walls.max()) + 1, arrangement.fluid_counts or (1,) * cells
+    labels = np.concatenate([walls, first + np.repeat(np.arange(cells), counts)])
     pairs = set()
     for k, rim in enumerate(arrangement.rims):
         around = np.unique(labels[rim[:, 0]]).tolist()
         pairs |= {(first + k, g) for g in around}
-        if arrangement.fluid_counts:  # SPH fluid meets all walls around it, and they each other
+        if has_particles:
             pairs |= {(g, h) for g in around for h in around}
     for listed in (arrangement.bonds, contacts):
         pairs |= {(g, h) for g, h in np.unique(labels[listed[:, :2]], axis=0).tolist()}
     return labels, pairs
+
+
+def _pieces_of_walls(arrangement: Arrangement) -> Index:
+    """(walls,) group of each wall particle: a vertex alone, or a piece of an edge between two."""
+    vertices = len(arrangement.tessellation.vertices)
+    groups, count = [np.arange(vertices)], vertices
+    for particles in np.bincount(arrangement.wall_edge[vertices:]):
+        pieces = -(-particles // PIECE)
+        groups.append(count + np.arange(particles) * pieces // max(particles, 1))
+        count += pieces
+    return np.concatenate(groups)
 
 
 def _contacts(
@@ -342,7 +358,7 @@ def _contacts(
     pairs = pairs[~bonded]
     i, j, shift = pairs[:, 0], pairs[:, 1], pairs[:, 2:]
     distance = np.linalg.norm(position[j] + shift @ lattice.T - position[i], axis=1)
-    has_block = distance <= BESIDE * cutoff
+    has_block = distance <= (BESIDE if has_particles else BESIDE_UNIFORM) * cutoff
     if has_particles:
         same = np.unique(np.concatenate([_keys(_all_pairs(rim)) for rim in arrangement.rims]))
         has_block |= np.isin(_keys(pairs), same)

@@ -19,7 +19,7 @@ _PAPER = "Ghysels et al. 2009, TW 550"
 SYMMETRIES = {"square": "D4", "hexagon": "D6", "voronoi": "none"}
 """Arrangements of plant cells in an RVE, and the point group of each."""
 FLUIDS = ("sph", "uniform")
-USUAL_FLUID = {"square": "sph", "hexagon": "sph", "voronoi": "sph"}
+USUAL_FLUID = {"square": "sph", "hexagon": "uniform", "voronoi": "uniform"}
 """What fluid = "auto" means."""
 FEWEST_VORONOI = 4
 _ARRANGEMENT = ("arrangement", "cells", "arrangement_seed")
@@ -136,7 +136,11 @@ class CellParameters:
 
     @classmethod
     def preset(cls, name: str, **changes: Any) -> CellParameters:
-        """The parameters called `name`, a key of `PRESETS`, with single fields changed."""
+        """The parameters called `name`, a key of `PRESETS`, with single fields changed.
+
+        Living plant cells have a uniform fluid unless `fluid` is "sph", which has its own sound
+        speed for the same turgor.
+        """
         if name not in PRESETS:
             raise InputError(
                 "cell.preset", f"{quoted(name)}; it must be one of {', '.join(PRESETS)}"
@@ -145,7 +149,11 @@ class CellParameters:
         for key in changes:
             if key not in known:
                 raise InputError(f"cell.{key}", f"unknown; known are {', '.join(sorted(known))}")
-        return replace(PRESETS[name], **changes)
+        if name in LIVING:
+            fluid = changes.get("fluid", "auto")
+            usual = LIVING[name][0].parameters(**({} if fluid == "auto" else {"fluid": fluid}))
+            return replace(usual, **{**changes, "fluid": usual.fluid})
+        return replace(PRESETS[name], **{"fluid": "auto", **changes})
 
     @property
     def preset_name(self) -> str:
@@ -267,8 +275,11 @@ class LivingTissue:
     def __post_init__(self) -> None:
         check_settings(self, "tissue")
 
-    def parameters(self) -> CellParameters:
+    def parameters(self, fluid: str = "uniform") -> CellParameters:
         """Constants of the square plant cell: docs/cells.md, “Translation”.
+
+        Args:
+            fluid: the sound speed follows from the turgor, and is lower with SPH particles.
 
         Raises:
             InputError: the walls alone weigh more than the tissue.
@@ -277,18 +288,20 @@ class LivingTissue:
         thickness, springs = usual.tissue_thickness, usual.wall_springs_per_side
         spring, cross_section = side / springs, 2.0 * self.wall_thickness * thickness
         wall_particle = _WALL_DENSITY * cross_section * spring
-        fluid = 1e-6 * self.density * side**2 * thickness - (2 * springs - 1) * wall_particle
+        weight = 1e-6 * self.density * side**2 * thickness - (2 * springs - 1) * wall_particle
         tension = self.turgor * thickness * side
+        carried = _CARRIED if fluid == "sph" else 1.0
         return replace(
             usual,
             cell_side=side,
-            fluid_particle_mass=fluid / usual.fluid_particles_per_side**2,
+            fluid_particle_mass=weight / usual.fluid_particles_per_side**2,
             wall_particle_mass=wall_particle,
             wall_stiffness=self.wall_modulus * cross_section / spring,
             repulsion_strength=_REPULSION * tension * spring**6,
             repulsion_cutoff=_CUTOFF * side,
             smoothing_length=_SMOOTHING * side,
-            sound_speed=sqrt(tension * side / (_CARRIED * fluid)) if fluid > 0.0 else 1.0,
+            sound_speed=sqrt(tension * side / (carried * weight)) if weight > 0.0 else 1.0,
+            fluid=fluid,
             viscosity=1e-3 * self.sap_viscosity * thickness,
         )
 
@@ -298,7 +311,7 @@ _WALL_DENSITY = 1.1e-3
 _REPULSION, _CUTOFF, _SMOOTHING = 1.2, 0.37, 0.22
 """Contact force a spring's length away over the walls' tension; lengths over the side."""
 _CARRIED = 1.1484
-"""Turgor that the walls carry, over c_s² times the fluid's mass per area, at these three."""
+"""Turgor that the walls carry over c_s² times the mass of SPH fluid per area, at these three."""
 
 _STORED = json.loads(files(__package__).joinpath("living_tissues.json").read_text("utf-8"))
 LIVING: dict[str, tuple[LivingTissue, dict[str, str]]] = {

@@ -21,8 +21,9 @@ matrices have δp as an unknown of its own, see `block_matrices`::
     [ gᵀ −1/p′] [δp]
 
 The mean velocity gradient does not change where velocities are affine and follow a motion, for then
-L is theirs. Matrices have no term for its change elsewhere, which is of the order of µ |L| over the
-stiffness; the other derivatives have.
+L is theirs. Matrices have no term for its change elsewhere, on the slow manifold, which is of the
+order of µ |L| over the stiffness. The other derivatives have it, and `solve_adjoint` corrects what
+matrices lack.
 """
 
 from __future__ import annotations

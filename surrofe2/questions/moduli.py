@@ -68,38 +68,21 @@ def voigt(tangent: Array) -> Array:
     return np.asarray(symmetric[a[:, None], b[:, None], a[None], b[None]])
 
 
-@dataclass(frozen=True, slots=True)
-class Turgor:
-    """Pressure of the fluid in the reference state, MPa.
+def turgor(cell: CellParameters) -> float:
+    """Pressure that the tension of the walls carries in the reference state, MPa.
 
-    Attributes:
-        mean: of c_s² ρ (eq. 9) over the fluid particles, over the thickness: what `turgor` means
-            wherever surrofe2 takes it as an input.
-        virial: of the fluid's pair forces alone, Σ f·r/(2 area), over the thickness: what the
-            fluid adds to −tr σ/2. Smaller, since walls and fluid repel each other over a distance.
-        walls: virial of the wall springs and of the repulsion between wall particles: the pressure
-            that the tension of the walls balances. Larger, since the fluid does not fill the cell.
+    It is the virial of the wall springs and of the repulsion between wall particles, over the
+    thickness. A uniform fluid has this pressure. The mean of c_s² ρ over SPH particles is smaller,
+    since walls and fluid repel each other over a distance and the fluid does not fill the cell.
     """
-
-    mean: float
-    virial: float
-    walls: float
-
-
-def turgor(cell: CellParameters) -> Turgor:
-    """Fluid pressure of the undeformed cell."""
     unit, still = RveLaw(cell).unit_cell, np.zeros((1, 2, 2))
-    position, t = unit.position[None], cell.tissue_thickness
+    position = unit.position[None]
     seen = look_into(unit, np.eye(2)[None], still, position, 0.0 * position)
-    return Turgor(
-        mean=float(seen.pressure.mean()) / t,
-        virial=-float(np.trace(seen.fluid_stress[0])) / 2.0 / t,
-        walls=float(np.trace(seen.wall_stress[0])) / 2.0 / t,
-    )
+    return float(np.trace(seen.wall_stress[0])) / 2.0 / cell.tissue_thickness
 
 
 def with_turgor(cell: CellParameters, pressure: float) -> CellParameters:
-    """The cell with the fluid mass that gives it a turgor (`Turgor.mean`), MPa.
+    """The cell with the fluid mass that gives it a `turgor`, MPa.
 
     p = c_s² ρ has no reference density, so the mass sets the pressure.
 
@@ -109,12 +92,13 @@ def with_turgor(cell: CellParameters, pressure: float) -> CellParameters:
     if not 0.0 < pressure < float("inf"):
         raise InputError(f"turgor: {pressure}; it must be positive (MPa)")
 
-    # Mass of a fluid that fills the cell evenly; pressure grows nearly in proportion.
+    # Mass of a fluid that fills the cell evenly; pressure grows nearly in proportion. SPH fluid is
+    # carried by walls with a sixth more.
     spread = cell.cell_side**2 / cell.fluid_particles_per_side**2
     guess = pressure * cell.tissue_thickness / cell.sound_speed**2 * spread
 
     def excess(mass: float) -> float:
-        return turgor(replace(cell, fluid_particle_mass=mass)).mean / pressure - 1.0
+        return turgor(replace(cell, fluid_particle_mass=mass)) / pressure - 1.0
 
     try:
         mass = float(brentq(excess, 0.6 * guess, 1.6 * guess, rtol=1e-10))

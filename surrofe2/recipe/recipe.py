@@ -239,11 +239,12 @@ class SampleSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellType:
-    """A plant cell, the regions it fills (of [cell] none are named: all of them), and how its
-    stress is sampled and learnt."""
+    """A plant cell, whether the recipe names its fluid, the regions it fills (of [cell] none are
+    named: all of them), and how its stress is sampled and learnt."""
 
     preset: str
     cell: CellParameters
+    names_fluid: bool
     regions: tuple[str, ...]
     training_file: str | None
     range: SamplingRange | None = setting(None, "range of (F, Ḟ)")
@@ -338,7 +339,14 @@ def _cell_type(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]])
     named = f"{where}.{named}" if name else named
     file = faults.take(check_value, named, file, str | None, {"is_file": True})
     faults.check()
-    return CellType(preset=preset, cell=cell, regions=regions, training_file=file, **settings)
+    return CellType(
+        preset=preset,
+        cell=cell,
+        names_fluid="fluid" in constants,
+        regions=regions,
+        training_file=file,
+        **settings,
+    )
 
 
 def _takes_rest(cell: CellType, known: Container[str]) -> bool:

@@ -37,8 +37,8 @@ from surrofe2.rve.rve_state import Drive, drive_of, entries, inverse, map_affine
 
 KINDS = ("constrained-runs", "elastic", "cauchy-born")
 _ELASTIC, _CAUCHY_BORN = 1, 2
-REFINEMENTS = 2
-"""Of an adjoint solution, each by some four digits."""
+REFINEMENTS = 3
+"""Of an adjoint solution; each adds three digits or more."""
 
 
 @parallel_kernel
@@ -63,12 +63,13 @@ def _affine_tile(drive, z, kind, topology, c, tangents):
     _add_products(by_v, affine, 4, tangents)
     if kind != _CAUCHY_BORN:
         matrices = make_matrices(topology)
-        adjoint = adjoint_load(work, by_x, by_v, drive, topology, c)
+        load_of_stress = adjoint_load(work, by_x, by_v, drive, topology, c)
         rate = np.zeros((2, 2, TILE)) if kind == _ELASTIC else F_dot
         map_affine(rate, work.z, work.v)
-        set_jacobian(work, Drive(F, rate), topology, c, matrices.matrix, matrices.columns)
+        felt = Drive(F, rate)
+        set_jacobian(work, felt, topology, c, matrices.matrix, matrices.columns)
         factorise(matrices.matrix, topology, False)
-        solve_columns(matrices.matrix, adjoint, topology, True)
+        adjoint = solve_adjoint(matrices.matrix, load_of_stress, work, felt, topology, c)
         for m in range(4 if kind == _ELASTIC else 8):
             for n in range(COLUMNS):
                 total = load(tangents, n // 2, n % 2, m)
@@ -99,20 +100,12 @@ def _slow_tile(drive, z, relaxed, topology, c, tangents):
     weights = affine.copy()
     by_x, by_v = stress_gradients(work, weights, topology, c)
     still = Drive(F, np.zeros((2, 2, TILE)))
-    adjoint = adjoint_load(work, by_x, by_v, still, topology, c)
+    load_of_stress = adjoint_load(work, by_x, by_v, still, topology, c)
     set_jacobian(work, still, topology, c, matrices.matrix, matrices.no_columns)
     factorise(matrices.matrix, topology, False)
-    solve_columns(matrices.matrix, adjoint, topology, True)
+    adjoint = solve_adjoint(matrices.matrix, load_of_stress, work, still, topology, c)
     subtract_columns(adjoint, topology, weights)
     by_x, by_v = stress_gradients(work, weights, topology, c)
-    if topology.pressures > 0:
-        # The matrix lacks a small part of the viscosity, see `uniform_fluid`; by_x does not, and
-        # folded it is the residual of the adjoint equation.
-        for _ in range(REFINEMENTS):
-            fold_columns(by_x, topology, adjoint)
-            solve_columns(matrices.matrix, adjoint, topology, True)
-            subtract_columns(adjoint, topology, weights)
-            by_x, by_v = stress_gradients(work, weights, topology, c)
     tangents[:] = 0.0
     _add_products(by_x, affine, 0, tangents)
     _add_products(by_v, slopes, 0, tangents)
@@ -143,19 +136,25 @@ def adjoint_load(work, by_x, by_v, drive, topology, c):
 
     Forces of own particles, which the elastic initialisation leaves, are in z_kb's own slope.
     """
+    local_forces(work, topology, c)
+    fold_images(work.f, topology)
+    return _pulled_back(by_x, by_v, work.f, drive, topology)
+
+
+@kernel
+def _pulled_back(by_x, by_v, f, drive, topology):
+    """(4, 2n − 2, TILE): F⁻ᵀ times slopes by z, f_a more in those of component (a, b) by z_b."""
     F, rate, free = drive.F, drive.rate, 2 * topology.particles - 2
     load_x, load_v = np.empty((COLUMNS, free, TILE)), np.empty((COLUMNS, free, TILE))
     fold_columns(by_x, topology, load_x)
     fold_columns(by_v, topology, load_v)
-    local_forces(work, topology, c)
-    fold_images(work.f, topology)
     xx, xy, yx, yy = inverse(entries(F))
     for n in range(COLUMNS):
         for i in range(0, free, 2):
             vx, vy = load(load_v, n, i), load(load_v, n, i + 1)
             gx = load(rate, 0, 0) * vx + load(rate, 1, 0) * vy
             gy = load(rate, 0, 1) * vx + load(rate, 1, 1) * vy
-            force = load(work.f, n // 2, i // 2 + 1)
+            force = load(f, n // 2, i // 2 + 1)
             if n % 2 == 0:
                 gx += force
             else:
@@ -163,6 +162,28 @@ def adjoint_load(work, by_x, by_v, drive, topology, c):
             store(load(load_x, n, i) + (xx * gx + yx * gy), load_x, n, i)
             store(load(load_x, n, i + 1) + (xy * gx + yy * gy), load_x, n, i + 1)
     return load_x
+
+
+@kernel
+def solve_adjoint(lu, load_of_stress, work, drive, topology, c):
+    """λ (4, 2n − 2, TILE) of (A11), Jᵀ λ = load, with lu of J at work.x and work.v.
+
+    With a uniform fluid J lacks contacts of far walls and a small part of the viscosity. Products
+    of λ lack nothing, and their residual corrects it.
+    """
+    adjoint = load_of_stress.copy()
+    solve_columns(lu, adjoint, topology, True)
+    if topology.pressures == 0:
+        return adjoint
+    no_force = np.zeros_like(work.f)
+    for _ in range(REFINEMENTS):
+        weights = np.zeros((COLUMNS, *work.x.shape))
+        subtract_columns(adjoint, topology, weights)
+        by_x, by_v = stress_gradients(work, weights, topology, c)
+        residual = load_of_stress + _pulled_back(by_x, by_v, no_force, drive, topology)
+        solve_columns(lu, residual, topology, True)
+        adjoint += residual
+    return adjoint
 
 
 @kernel

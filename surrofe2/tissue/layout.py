@@ -124,7 +124,8 @@ def make_tissue(
         references: of each type, one square plant cell, free of stress as part of a tissue.
 
     Raises:
-        InputError: a type is not one square of SPH fluid, or not as large or as finely divided as the first.
+        InputError: a type is not one square of SPH fluid, or not as large or as finely divided as
+            the first.
         MismatchError: a reference is of another cell.
     """
     cell, (n, m) = types[0], kind.shape
@@ -136,7 +137,7 @@ def make_tissue(
             )
         if each.has_uniform_fluid:
             raise InputError(
-                "cell.fluid: uniform; a full tissue is made of SPH fluid: take fluid sph there"
+                'cell.fluid: uniform; a full tissue must have fluid = "sph" as its RVEs then'
             )
         for name in _ALIKE:
             here, there = each.to_dict()[name], cell.to_dict()[name]

@@ -298,6 +298,20 @@ def _law_record(law: SurfaceLaw) -> dict[str, Any]:
     }
 
 
+def recipe_notes(recipe: Recipe) -> Iterator[tuple[str, bool]]:
+    """A message where cells that had SPH fluid in earlier versions have a uniform one by default,
+    and that it is no warning."""
+    unnamed = [each for each in recipe.cells.values() if not each.names_fluid]
+    changed = [each for each in unnamed if each.cell.has_uniform_fluid]
+    if changed:
+        names = sorted({f"{each.preset}, {each.cell.arrangement}" for each in changed})
+        yield (
+            f"fluid: uniform, the default of {'; '.join(names)}; earlier versions had "
+            'fluid = "sph" there',
+            False,
+        )
+
+
 def surface_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
     """Sentences on the free sides of a run, each with whether it is a warning."""
     found = record.problem.get("surface")

@@ -119,7 +119,7 @@ def test_moduli(tmp_path, monkeypatch):
     assert "moduli: 50 %" in done.stderr
     assert done.stdout.splitlines()[-1].startswith(f"{path}: elastic and viscous, of ")
     record = json.loads(path.read_text(encoding="utf-8"))
-    assert record["turgor_mean_MPa"] == pytest.approx(2.5)
+    assert record["turgor_MPa"] == pytest.approx(2.5)
     rows = record["tables"]["Elastic moduli, MPa"]
     assert [row["initialisation"] for row in rows] == [
         "cauchy-born", "elastic", "constrained-runs", "slow-manifold"

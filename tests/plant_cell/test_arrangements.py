@@ -14,7 +14,8 @@ CASES = (("square", 4, 38, 64), ("hexagon", 1, 17, 19), ("voronoi", 9, None, 144
 
 
 def arranged(arrangement, cells, seed=1):
-    return CellParameters(arrangement=arrangement, cells=cells, arrangement_seed=seed)
+    """Plant cells of SPH fluid."""
+    return CellParameters(arrangement=arrangement, cells=cells, arrangement_seed=seed, fluid="sph")
 
 
 @pytest.mark.parametrize(("arrangement", "cells", "per_two", "fluid"), CASES)

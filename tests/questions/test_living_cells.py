@@ -19,7 +19,7 @@ from surrofe2.questions.stability import LEFT, STABLE, WAYS, categories, find_on
 from surrofe2.rve import RveLaw
 from tests.plant_cell.twin import Twin
 
-STABLE_WITHIN = {"apple": 0.08, "potato": 0.06}
+STABLE_WITHIN = {"apple": 0.1, "potato": 0.07}
 
 
 def virials(cell):
@@ -42,14 +42,21 @@ def virials(cell):
 
 
 @pytest.mark.parametrize("preset", LIVING)
-def test_walls_carry_the_measured_turgor_and_fluid_and_contacts_balance_it(preset):
+def test_walls_carry_the_measured_turgor(preset):
     cell, measured = CellParameters.preset(preset), LIVING[preset][0].turgor
-    found, shown = virials(cell), turgor(cell)
+    assert turgor(cell) == pytest.approx(measured, rel=1e-9)
+    pressure = cell.fluid_density * cell.sound_speed**2 / cell.tissue_thickness
+    assert pressure == pytest.approx(measured, rel=1e-12)
+
+
+@pytest.mark.parametrize("preset", LIVING)
+def test_walls_carry_the_measured_turgor_of_sph_fluid_and_contacts(preset):
+    cell, measured = CellParameters.preset(preset, fluid="sph"), LIVING[preset][0].turgor
+    found = virials(cell)
     assert -found["walls"] == pytest.approx(measured, rel=1e-3)
     assert found["fluid"] + found["contact"] == pytest.approx(-found["walls"], rel=1e-8)
-    assert shown.walls == pytest.approx(-found["walls"], rel=1e-8)
-    assert shown.virial == pytest.approx(found["fluid"], rel=1e-8)
-    assert shown.virial < shown.mean < shown.walls
+    assert turgor(cell) == pytest.approx(-found["walls"], rel=1e-8)
+    assert found["fluid"] < -found["walls"]
 
 
 @pytest.mark.parametrize("preset", LIVING)

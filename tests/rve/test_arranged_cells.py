@@ -19,7 +19,7 @@ from tests.rve import rves
 
 @cache
 def law(arrangement, cells, initialisation="constrained-runs", solver="direct", **settings):
-    cell = CellParameters(arrangement=arrangement, cells=cells)
+    cell = CellParameters(arrangement=arrangement, cells=cells, fluid="sph")
     return RveLaw(cell, RveSettings(initialisation=initialisation, solver=solver, **settings))
 
 

@@ -107,7 +107,8 @@ UNITS = {
 @pytest.mark.parametrize("initialisation", INITIALISATIONS)
 def test_other_units_change_no_physics(initialisation, arrangement):
     """P has units ng/µs²: Euler's identity of each unit, whose sum is of P and of the rate."""
-    this = RveLaw(CellParameters(arrangement=arrangement), initialisation=initialisation)
+    cell = CellParameters(arrangement=arrangement, fluid="sph")
+    this = RveLaw(cell, initialisation=initialisation)
     F, F_dot = deformations("printed", n=24, corners=False)
     F = np.eye(2) + (1.0 if arrangement == "square" else 0.1) * (F - np.eye(2))
     found = parameter_gradients(this, F, F_dot)

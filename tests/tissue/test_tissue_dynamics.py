@@ -169,7 +169,7 @@ def run(cell, **settings):
 
 @pytest.mark.parametrize("preset", ["printed", "water", "apple", "potato"])
 def test_presets_keep_the_step_of_two_nanoseconds(preset):
-    assert rounded_step(limit_of(CellParameters.preset(preset))) == 2e-3
+    assert rounded_step(limit_of(CellParameters.preset(preset, fluid="sph"))) == 2e-3
 
 
 def test_without_damping_the_limit_is_two_over_the_largest_frequency():
@@ -185,7 +185,7 @@ def test_without_damping_the_limit_is_two_over_the_largest_frequency():
 @pytest.mark.parametrize(
     "cell",
     [CellParameters.preset("printed", wall_stiffness=stiffness) for stiffness in (4400.0, 6000.0)]
-    + [CellParameters.preset(name) for name in ("apple", "potato")],
+    + [CellParameters.preset(name, fluid="sph") for name in ("apple", "potato")],
     ids=["stiff", "stiffer", "apple", "potato"],
 )
 def test_plant_cells_get_a_step_that_they_bear(cell):
