@@ -32,6 +32,8 @@ def test_the_version_is_that_of_the_citation_and_of_the_newest_release_in_the_ch
     )
     assert releases[0][0] == PROJECT["version"]
     dates = [date for _, date in releases]
+    cited = re.search(r"^date-released: (\S*)$", text_of("CITATION.cff"), re.MULTILINE)
+    assert cited[1] == dates[0]
     assert dates == sorted(dates, reverse=True)
 
 
@@ -41,9 +43,11 @@ def test_every_heading_of_the_changelog_is_a_dated_release_or_unreleased():
     assert all(re.fullmatch(r"\d+\.\d+\.\d+ \(\d{4}-\d\d-\d\d\)", each) for each in headings[1:])
 
 
-def test_citation_and_licence_have_the_authors_of_the_package():
+def test_citation_and_licence_have_the_authors_and_the_address_of_the_package():
     cited = re.findall(r'^  - name: "(.*)"$', text_of("CITATION.cff"), re.MULTILINE)
     assert cited == AUTHORS
+    address = re.search(r'^repository-code: "(.*?)"', text_of("CITATION.cff"), re.MULTILINE)
+    assert address[1] == PROJECT["urls"]["Source"]
     holder = re.search(r"^Copyright \(c\) \d{4}, (.*)$", text_of("LICENSE"), re.MULTILINE)[1]
     assert holder.lower() == ", ".join(AUTHORS).lower()
 

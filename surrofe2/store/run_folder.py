@@ -327,13 +327,16 @@ class RunFolder:
         Raises:
             FileError: what a failed simulation or an interrupt left could not be stored.
         """
-        status, partial, message = "failed", self.partial, str(error)
+        status = "failed"
+        partial = self.partial
+        message: str | None = str(error)
         if isinstance(error, FileError):
             partial = None  # the disk may be full for this too
         elif isinstance(error, SimulationError):
             partial = self.partial if error.partial is None else error.partial
         elif not isinstance(error, Exception):
-            status, message = "interrupted", None
+            status = "interrupted"
+            message = None
         elif not isinstance(error, Surrofe2Error):
             message = f"{type(error).__name__}: {error}".rstrip(": ")
         try:
