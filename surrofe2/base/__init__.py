@@ -9,6 +9,7 @@ In reading order:
     locks            flock, where the file system has it
     settings         bounds of settings, stated once at the field
     interruption     signals
+    versions         of all that is used, and the machine
     compilation      numba's flags, where compiled kernels are kept, threads of BLAS
     simd             eight lanes of numbers in kernels
     tensors          polar inputs of (F, Ḟ), measure of errors
