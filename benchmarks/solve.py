@@ -84,4 +84,4 @@ def _lookup(bench: Bench) -> None:
     )
     bench.add("solve.lookup", lookup / len(F) * MICRO, "µs", "a lookup of the surrogate")
     bench.add("solve.lookup_speed_up", solve / lookup, "×",
-              "a lookup faster than a warm RVE solve", at_least=8.0)  # fmt: skip
+              "a lookup faster than a warm RVE solve, whose F has moved", at_least=8.0)  # fmt: skip
