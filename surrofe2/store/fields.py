@@ -30,9 +30,10 @@ CELL = "plant_cell"
 _MOTION = (DISPLACEMENT_NAME, VELOCITY_NAME)
 _TENSORS = (STRESS_NAME, F_NAME, F_DOT_NAME)
 FIELDS_FILE = Kind("fields", 1)
-FIELDS, POINTS = "fields", "points"
-"""Names of the two files of elements or particles, and of those of points of the law."""
-_KINDS = {1: "Polyvertex", 2: "Polyline", 4: "Quadrilateral", 6: "Triangle_6"}
+FIELDS, POINTS, PLANT_CELLS = "fields", "points", "plant-cells"
+"""Names of the two files of elements or particles, of points of the law, and of plant cells."""
+TURGOR_NAME = "turgor_uN_per_um"
+_KINDS = {1: "Polyvertex", 2: "Polyline", 3: "Triangle", 4: "Quadrilateral", 6: "Triangle_6"}
 """What XDMF calls cells of so many points; those of six have the middles of their sides."""
 
 
@@ -230,8 +231,9 @@ def write_rve_fields(folder: Path, seen: Particles, t: Array) -> None:
     """Write fields.xdmf and fields.h5 of the RVE of `seen` at times t (n,), µs.
 
     Points are its particles as they are at the first time, with images where wall springs lead
-    across its boundary; lines are the springs.
+    across its boundary; lines are the springs. A uniform fluid is in plant-cells.xdmf and .h5.
     """
+    is_uniform = bool(seen.is_wall.all())
     particles, walls = seen.position.shape[1], int(seen.is_wall.sum())
     across = seen.bond_shift.any(axis=1)
     needed = np.column_stack([seen.bonds[across, 1], seen.bond_shift[across]])
@@ -248,17 +250,41 @@ def write_rve_fields(folder: Path, seen: Particles, t: Array) -> None:
 
     now = moved(seen.position, seen.F @ seen.lattice)
     turgor, contact = np.zeros((2, len(t), particles))
-    turgor[:, walls:], contact[:, :walls] = seen.pressure, seen.contact_pressure
+    contact[:, :walls] = seen.contact_pressure
+    if not is_uniform:
+        turgor[:, walls:] = seen.pressure
     of_particles = np.stack([seen.is_wall[owner], (shift != 0).any(axis=1)])
     wall, image = np.broadcast_to(of_particles[:, None], (2, len(t), len(owner)))
     at_points = {
         "displacement_um": now - now[0],
         "velocity_um_per_us": moved(seen.velocity, seen.F_dot @ seen.lattice),
         "force_uN": seen.force[:, owner],
-        "turgor_uN_per_um": turgor[:, owner],
+        TURGOR_NAME: turgor[:, owner],
         "contact_pressure_uN_per_um": contact[:, owner],
         "wall": wall.astype(np.float64),
         "image": image.astype(np.float64),
     }
+    if is_uniform:
+        del at_points[TURGOR_NAME]
+        _write_plant_cells(folder, seen, t)
     of_springs = {"wall_stretch": seen.stretch, "wall_tension_uN": seen.tension}
     write_series(folder, now[0], springs, t, at_points, of_springs)
+
+
+def _write_plant_cells(folder: Path, seen: Particles, t: Array) -> None:
+    """Write plant-cells.xdmf and plant-cells.h5: plant cells as triangles from the middle of each,
+    with the pressure of its fluid."""
+    points, triangles, cell_of, first = [], [], [], 0
+    for k, rim in enumerate(seen.rims):
+        offset = (seen.F @ seen.lattice) @ rim[:, 1:].T
+        around = seen.position[:, rim[:, 0]] + offset.swapaxes(1, 2)
+        points.append(np.concatenate([around, around.mean(axis=1, keepdims=True)], axis=1))
+        here = first + np.arange(len(rim))
+        middle = np.full(len(rim), first + len(rim))
+        triangles.append(np.stack([here, np.roll(here, -1), middle], axis=1))
+        cell_of.append(np.full(len(rim), k))
+        first += len(rim) + 1
+    now, of = np.concatenate(points, axis=1), np.concatenate(cell_of)
+    in_cells = {TURGOR_NAME: seen.pressure[:, of], "cell_area_ratio": seen.area_ratio[:, of]}
+    motion = {DISPLACEMENT_NAME: now - now[0]}
+    write_series(folder, now[0], np.concatenate(triangles), t, motion, in_cells, PLANT_CELLS)

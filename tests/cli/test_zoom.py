@@ -7,14 +7,18 @@ import h5py
 import meshio
 import numpy as np
 import pytest
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
 from PIL import Image
 
 from surrofe2.base.errors import FileError, InputError
 from surrofe2.cli import console
+from surrofe2.plant_cell.arrangement import rim_areas
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe.recipe import load_recipe
+from surrofe2.report.figures import draw_cells
 from surrofe2.rve import RveLaw
-from surrofe2.store.fields import CELL, F_DOT_NAME, F_NAME, read_fields
+from surrofe2.store.fields import CELL, F_DOT_NAME, F_NAME, read_fields, write_rve_fields
 from surrofe2.store.run_folder import read_record
 from surrofe2.store.store import locked_folder
 from surrofe2.workflow.zoom import (
@@ -193,3 +197,30 @@ def test_the_example_of_the_docs(study, seen, tmp_path, monkeypatch):
     expected = seen[1].extremes()["largest_wall_stretch"]
     np.testing.assert_allclose(found["stretch"], expected, rtol=1e-7)
     assert (tmp_path / "out" / "look" / "zoom.png").exists()
+
+
+def test_a_uniform_fluid_fills_its_plant_cells(tmp_path):
+    """Triangles of each plant cell, as large as it is, with its pressure; and a picture of them."""
+    cell = CellParameters(arrangement="voronoi", cells=4)
+    law, F = RveLaw(cell), np.array([np.eye(2), [[1.01, 0.02], [0.0, 0.98]]])
+    seen = law.particles(F, 0.0 * F)
+    write_rve_fields(tmp_path, seen, np.array([0.0, 1.0]))
+    with meshio.xdmf.TimeSeriesReader(tmp_path / "plant-cells.xdmf") as reader:
+        points, (triangles,) = reader.read_points_cells()
+        _, at_points, in_cells = reader.read_data(1)
+    corners = (points + at_points["displacement_um"])[triangles.data][:, :, :2]
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    assert area.sum() == pytest.approx(2500.0 * np.linalg.det(F[1]), rel=1e-12)
+    pressure = np.ravel(in_cells["turgor_uN_per_um"])
+    assert np.unique(pressure).size == 4
+    assert (pressure * area).sum() == pytest.approx((seen.pressure[1] * areas_of(seen, 1)).sum())
+    bars = draw_cells(Figure().add_subplot(), seen, 1)
+    areas = bars[1][1]
+    assert isinstance(areas, PolyCollection)
+    assert len(areas.get_paths()) == len(areas.get_array())
+
+
+def areas_of(seen, k):
+    """(cells,) areas of plant cells of RVE k."""
+    return rim_areas(seen.rims, seen.position[k], seen.F[k] @ seen.lattice)

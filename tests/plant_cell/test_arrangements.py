@@ -129,6 +129,30 @@ def test_presets_differ_in_the_fluid_mass_alone():
     assert {k for k in printed if printed[k] != water[k]} == {"fluid_particle_mass"}
 
 
+def test_the_fluid_is_that_of_the_arrangement_or_the_preset_unless_it_is_named():
+    fluid_of = lambda *preset, **changes: CellParameters.preset(*preset, **changes).fluid  # noqa: E731
+    assert [fluid_of(name) for name in ("printed", "water", "apple", "potato")] == [
+        "sph", "sph", "uniform", "uniform"
+    ]  # fmt: skip
+    assert fluid_of("printed", arrangement="hexagon") == "uniform"
+    assert fluid_of("water", arrangement="voronoi", cells=4) == "uniform"
+    assert fluid_of("water", arrangement="hexagon", fluid="sph") == "sph"
+    assert fluid_of("water", fluid="uniform") == "uniform"
+    assert CellParameters(arrangement="hexagon").fluid == "uniform"
+    uniform, sph = (CellParameters.preset("apple", fluid=name) for name in ("auto", "sph"))
+    assert (uniform.fluid, sph.fluid) == ("uniform", "sph")
+    # the same turgor takes less pressure of SPH particles, which do not fill the cell
+    assert (uniform.sound_speed / sph.sound_speed) ** 2 == pytest.approx(1.1484)
+    assert uniform.fluid_particle_mass == sph.fluid_particle_mass
+    with pytest.raises(InputError, match=r"cell.fluid: 'gas'; it must be one of auto, sph"):
+        CellParameters.preset("apple", fluid="gas")
+
+
+def test_fingerprints_tell_fluids_and_saps_apart():
+    saps = [CellParameters(fluid="uniform", sap_bulk_modulus=K) for K in (0.0, 1.0, 2200.0)]
+    assert len({each.fingerprint for each in (CellParameters(), *saps)}) == 4
+
+
 def test_fingerprint_tells_parameters_apart_and_ignores_how_a_number_is_written():
     printed = CellParameters.preset("printed")
     assert printed.fingerprint == CellParameters(cell_side=25).fingerprint

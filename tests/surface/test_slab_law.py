@@ -92,6 +92,13 @@ def test_a_bent_slab_says_where_its_sides_act(preset):
     assert np.ptp([slab(preset, rows=m).depth for m in at]) < 3.0
 
 
+def test_a_slab_of_a_uniform_fluid_bends_too():
+    """Its sides act within the outer plant cell or a little above it, whatever the thickness."""
+    depths = [slab("printed", rows=m, fluid="uniform").depth for m in (4, 6)]
+    assert -12.5 < min(depths) < max(depths) < 25.0
+    assert np.ptp(depths) < 3.0
+
+
 def columns_of(law, columns):
     """A tissue as wide as the slab: its dynamics, and of each particle column and slab's number."""
     cell, start = law.cell, starts(law)
@@ -144,8 +151,16 @@ def test_a_slab_repeated_along_a_tissue_is_at_rest_inside_it(outer_wall):
     assert np.abs(dynamics.forces()).max() > 1.0  # at the ends
 
 
-def test_tension_is_the_slope_of_the_energy_beyond_that_of_the_bulk():
-    law, d, one = slab(), 4e-4, np.zeros(1)
+FLUIDS = {
+    "sph": {},
+    "uniform": {"fluid": "uniform"},
+    "undrained": {"fluid": "uniform", "sap_bulk_modulus": 20.0},
+}
+
+
+@pytest.mark.parametrize("fluid", FLUIDS)
+def test_tension_is_the_slope_of_the_energy_beyond_that_of_the_bulk(fluid):
+    law, d, one = slab(**FLUIDS[fluid]), 4e-4, np.zeros(1)
     for stretch in (0.98, 1.0, 1.02):
         along = stretch + d * np.array([-2.0, -1.0, 1.0, 2.0])
         at = law.point(along, np.zeros(4))
@@ -160,9 +175,16 @@ def test_tension_is_the_slope_of_the_energy_beyond_that_of_the_bulk():
         assert 0.5 * slope / law.cell.cell_side == pytest.approx(wanted, rel=1e-6)
 
 
-@pytest.mark.parametrize("initialisation", INITIALISATIONS)
-def test_tangents_are_the_slopes(initialisation):
-    law = slab(initialisation=initialisation)
+@pytest.mark.parametrize(
+    ("initialisation", "fluid"),
+    [
+        *((each, "sph") for each in INITIALISATIONS),
+        ("constrained-runs", "undrained"),
+        (SLOW, "uniform"),
+    ],
+)
+def test_tangents_are_the_slopes(initialisation, fluid):
+    law = slab(initialisation=initialisation, **FLUIDS[fluid])
     found = law.respond(STRETCH, RATE, tangents=True)
     assert found.valid.all()
     slope = slope_along(lambda at: law.respond(at, RATE).tension, STRETCH, 1.0, 2e-6)
