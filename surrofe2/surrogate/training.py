@@ -12,7 +12,8 @@ gradients do not in the same time. Samples held out decide nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Any
@@ -55,6 +56,23 @@ class TrainingState:
     arrays: Mapping[str, Array]
 
 
+@contextmanager
+def usual_torch() -> Iterator[None]:
+    """torch as it is in a new process: on the CPU, with gradients, with its own default type.
+
+    What the caller has set (a default device or type, no gradients, inference mode) holds again
+    after the block.
+    """
+    dtype = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float32)
+    try:
+        with torch.device("cpu"), torch.inference_mode(False), torch.enable_grad():
+            yield
+    finally:
+        torch.set_default_dtype(dtype)
+
+
+@usual_torch()
 def train(
     samples: StressSamples,
     settings: TrainingSettings,

@@ -1,9 +1,11 @@
 """Accuracy on data never seen, determinism, and interrupted training."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.base.sampling import sample
@@ -49,6 +51,54 @@ def test_held_out_errors_are_those_on_fresh_data(law):
     np.testing.assert_allclose(reported, rms, rtol=0.3)
     assert law.errors["points"] == 400
     assert max(law.errors["rms"].values()) < 2e-3  # sum, difference, shear and the small spin too
+
+
+@pytest.fixture
+def torch_settings():
+    """torch as its user has set it; what it was holds again after the test."""
+    dtype, is_enabled = torch.get_default_dtype(), torch.is_grad_enabled()
+    yield
+    torch.set_default_device(None)
+    torch.set_default_dtype(dtype)
+    torch.set_grad_enabled(is_enabled)
+
+
+SET = {
+    "a device": lambda: torch.set_default_device("meta"),
+    "a type": lambda: torch.set_default_dtype(torch.float16),
+    "no gradients": lambda: torch.set_grad_enabled(False),
+    "inference": torch.inference_mode,
+    "narrow products": lambda: torch.autocast("cpu", torch.bfloat16),
+}
+"""What a user sets in torch, at once or for a block."""
+
+
+@pytest.mark.usefixtures("torch_settings")
+@pytest.mark.parametrize("what", SET)
+@pytest.mark.parametrize("continued", [False, True], ids=["at once", "continued"])
+def test_training_does_not_depend_on_what_its_caller_has_set_in_torch(what, continued, few):
+    """Nor does it change that."""
+    states = list[TrainingState]()
+    expected = train(few, SMALL, checkpoint=states.append)
+    block = SET[what]()
+    with block or nullcontext():
+        before = torch_state()
+        trained = train(few, SMALL, resume=states[0] if continued else None)
+        assert torch_state() == before
+    for name, values in expected.network.tensors.items():
+        np.testing.assert_array_equal(trained.network.tensors[name], values)
+    assert trained.errors == expected.errors
+
+
+def torch_state():
+    return (
+        torch.get_default_device(),
+        torch.get_default_dtype(),
+        torch.is_grad_enabled(),
+        torch.is_inference_mode_enabled(),
+        torch.get_num_threads(),
+        torch.get_rng_state().tolist(),
+    )
 
 
 def test_a_few_wrong_tangents_do_not_steer_the_network():
