@@ -11,9 +11,21 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
+import numpy as np
+
+from surrofe2 import CellParameters, RveLaw
+
 
 def squares(first: int, count: int) -> list[int]:
     return [k * k for k in range(first, first + count)]
+
+
+def stresses(first: int, count: int) -> float:
+    """The sum of stresses that kernels on several threads compute."""
+    law = RveLaw(CellParameters.preset("printed"), initialisation="cauchy-born")
+    stretch = 1.0 + 0.001 * np.arange(first, first + count)
+    F = stretch[:, None, None] * np.eye(2)
+    return float(law.respond(F, 0.0 * F).stress.sum())
 
 
 def squares_or_death(folder: str, deaths: int, first: int, count: int) -> list[int]:

@@ -19,9 +19,10 @@ from surrofe2.workflow import workers
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.grid import run_grid
 from surrofe2.workflow.workers import ATTEMPTS, executor_of, in_pieces
-from tests.conftest import RECIPE, changed
+from tests.conftest import RECIPE, ROOT, changed
 from tests.folders import assert_same
-from tests.some_work import killed_once, squares, squares_cut_off, squares_or_death
+from tests.processes import python
+from tests.some_work import killed_once, squares, squares_cut_off, squares_or_death, stresses
 
 ALL = range(5, 61)
 
@@ -96,6 +97,75 @@ def test_a_data_set_is_the_same_from_one_process_and_from_several(changed_recipe
     assert len(made.samples.F) == 300
     assert read_data_set(made.path).fingerprint == read_data_set(alone.data_path()).fingerprint
     assert by_two.fingerprint == sample_stress(law, recipe.range, 1200, tangents=False).fingerprint
+
+
+FORKS = """
+import multiprocessing, sys
+from concurrent.futures import ProcessPoolExecutor
+from surrofe2.workflow import workers
+from tests.some_work import stresses
+
+workers.PIECE = 1e-9
+if sys.argv[1] != "early":
+    stresses(0, 1)
+with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as executor:
+    if sys.argv[1] == "unseen":
+        workers.prepare = lambda executor: None
+    print(*workers.in_pieces(stresses, range(6), 2, executor))
+"""
+
+
+def test_a_pool_that_forks_before_kernels_have_run_does_what_one_process_does():
+    printed = python("-c", FORKS, "early", cwd=ROOT).stdout
+    assert printed.split() == [str(stresses(first, 2)) for first in (0, 2, 4)]
+
+
+@pytest.mark.parametrize(
+    ("when", "message"),
+    [
+        ("late", "executor: a ProcessPoolExecutor that forks, of a process that has run kernels"),
+        ("unseen", "the executor lost its processes"),
+    ],
+)
+def test_a_pool_that_forks_after_kernels_have_run_is_refused(when, message):
+    last = python("-c", FORKS, when, code=1, cwd=ROOT).stderr.splitlines()[-1]
+    assert message in last
+    assert 'mp_context=multiprocessing.get_context("spawn")' in last
+
+
+GUARDLESS = """
+import os
+from surrofe2.workflow.workers import executor_of
+with executor_of(2) as executor:
+    print(executor.submit(os.getpid).result())
+"""
+WRONG = """
+import os
+from surrofe2.workflow.workers import executor_of
+if __name__ != "__main__":
+    raise ImportError("in workers alone")
+if __name__ == "__main__":
+    with executor_of(1) as executor:
+        executor.submit(os.getpid).result()
+"""
+
+
+@pytest.mark.parametrize(
+    ("script", "lines", "message"),
+    [
+        (GUARDLESS, 0, "InputError: {}: each worker imports it, and it starts workers as it is "),
+        (WRONG, 1, "SimulationError: a worker ended with exit code 1 as it started, see its error"),
+    ],
+    ids=["no guard", "an error"],
+)
+def test_a_script_that_workers_cannot_import_is_named(tmp_path, script, lines, message):
+    """Its error is printed by one worker; a missing guard by none."""
+    path = tmp_path / "study.py"
+    path.write_text(script, encoding="utf-8")
+    printed = python(path, code=1).stderr
+    assert message.format(path) in printed.splitlines()[-1]
+    assert 'below `if __name__ == "__main__":`' in printed.splitlines()[-1]
+    assert printed.count("ImportError: in workers alone") == lines
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from surrofe2.store.store import locked_folder, write_json, write_text
 from surrofe2.workflow.laws import use_threads
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.train import is_trained, learn
-from surrofe2.workflow.workers import Processes
+from surrofe2.workflow.workers import Processes, prepare, result_of
 
 GRID_FILES = ("grid.csv", "grid.json", "grid.png")
 LAWS = ("rve", "cached", "table", "surrogate")
@@ -80,6 +80,7 @@ def run_grid(
     Raises:
         InputError: an entry or a law is unknown, or a value not what it must be; nothing was run.
     """
+    prepare(executor)
     path, out = Path(path).resolve(), Path(out).resolve()
     surrogates, runs = _planned(path, values, laws, out)
     if threads is None and isinstance(executor, Processes):
@@ -211,7 +212,7 @@ def _done(
     futures = {name: executor.submit(_error_of, work, no_stage) for name, work in tasks.items()}
     with stage(what, len(tasks), what) as report:
         for name, future in futures.items():
-            errors[name] = future.result()
+            errors[name] = result_of(future)
             report(len(errors), "")
     return errors
 

@@ -10,14 +10,16 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import sys
 import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from multiprocessing import get_context, parent_process
+from multiprocessing import current_process, get_context, parent_process
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from threading import Thread, local
 from typing import Any
 
@@ -35,6 +37,9 @@ PATIENCE = 60.0
 """s until a scheduler must answer and have a worker: a job may have started both just now."""
 ATTEMPTS = 4
 """How often a piece is sent before its processes are taken to be lost for a reason of its own."""
+_NO_GUARD = 79
+"""Exit code of a worker that, as it starts, is to start workers itself."""
+_GUARD = 'below `if __name__ == "__main__":`'
 
 Work = Callable[[int, int], Any]
 """Result of the items `first` to `first + count`; it and its result can be sent to a process."""
@@ -51,6 +56,10 @@ class Processes(ThreadPoolExecutor):
     def __init__(self, workers: int) -> None:
         if workers < 1:
             raise InputError(f"workers: {workers}; it must be at least 1")
+        if getattr(current_process(), "_inheriting", False):
+            # A worker imports the script that started it, which has come here once more. The
+            # parent reports it; an error here would be printed by every worker.
+            os._exit(_NO_GUARD)
         super().__init__(workers)
         self.workers, self._is_closed = workers, False
         self._of_thread, self._all = local(), list[Any]()
@@ -80,7 +89,7 @@ class Processes(ThreadPoolExecutor):
         )
 
     def _pipe(self) -> Connection:
-        """To the process of this thread, which is started if there is none."""
+        """Return the pipe to the process of this thread, which is started if there is none."""
         if not hasattr(self._of_thread, "pipe"):
             self._of_thread.pipe, far_end = get_context("spawn").Pipe()
             threads = max(1, numba.get_num_threads() // self.workers)
@@ -92,7 +101,34 @@ class Processes(ThreadPoolExecutor):
             self._all.append(process)
             if self._is_closed:  # since it was started
                 process.kill()
+            self._wait_for_start(process)
         return self._of_thread.pipe
+
+    def _wait_for_start(self, process: BaseProcess) -> None:
+        """Wait until the process of this thread says that it serves.
+
+        Raises:
+            InputError: it has imported a script that starts processes without a main guard.
+            SimulationError: an error ended it.
+            EOFError: it was lost.
+        """
+        with suppress(EOFError, OSError):
+            self._of_thread.pipe.recv()
+            return
+        process.join()
+        code = process.exitcode or 0
+        if code <= 0:  # by a signal
+            raise EOFError
+        script = getattr(sys.modules["__main__"], "__file__", None) or "the script"
+        if code == _NO_GUARD:
+            raise InputError(
+                f"{script}: each worker imports it, and it starts workers as it is imported; write "
+                f"what it does {_GUARD}"
+            )
+        raise SimulationError(
+            f"a worker ended with exit code {code} as it started, see its error above; each worker "
+            f"imports {script} except for what stands {_GUARD}"
+        )
 
     def close(self) -> None:
         """End all processes at once, whatever they do."""
@@ -108,6 +144,7 @@ def _serve(pipe: Connection, threads: int) -> None:
     Thread(target=_end_with_parent, daemon=True).start()
     numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
     with suppress(EOFError):
+        pipe.send("started")
         while True:
             work, arguments = pipe.recv()
             try:
@@ -175,7 +212,13 @@ def in_pieces(work: Work, items: range, unit: int, executor: Any = None) -> Iter
 
     Pieces are of whole `unit`s but the last. Without an executor each is a unit and is done here.
     With one, the first two units are done here as well: they load the kernels and say how many
-    units take a second."""
+    units take a second.
+
+    Raises:
+        InputError: the executor's processes cannot run kernels.
+        SimulationError: they were lost.
+    """
+    prepare(executor)
     at, seconds = items.start, 0.0
     while at < items.stop and (executor is None or at < items.start + 2 * unit):
         count, begin = min(unit, items.stop - at), time.perf_counter()
@@ -187,6 +230,51 @@ def in_pieces(work: Work, items: range, unit: int, executor: Any = None) -> Iter
     for first in range(at, items.stop, size):
         sent.append(executor.submit(work, first, min(size, items.stop - first)))
         if len(sent) == MANY:
-            yield sent.popleft().result()
+            yield result_of(sent.popleft())
     while sent:
-        yield sent.popleft().result()
+        yield result_of(sent.popleft())
+
+
+def prepare(executor: Any) -> None:
+    """Make sure that the processes of an executor of forks can run kernels.
+
+    GNU OpenMP ends a process that was forked from one in which its threads have run. Processes
+    that are forked before that run kernels as any other.
+
+    Raises:
+        InputError: this process has run kernels, and would fork only now.
+    """
+    context = getattr(executor, "_mp_context", None)
+    if not isinstance(executor, ProcessPoolExecutor) or context.get_start_method() != "fork":
+        return
+    if getattr(executor, "_processes", None):
+        return
+    if _has_threads():
+        raise InputError(
+            "executor: a ProcessPoolExecutor that forks, of a process that has run kernels; give "
+            'it mp_context=multiprocessing.get_context("spawn")'
+        )
+    executor.submit(os.getpid).result()  # forks all its processes
+
+
+def _has_threads() -> bool:
+    """Whether kernels have run here on threads of OpenMP."""
+    try:
+        return numba.threading_layer() == "omp"
+    except ValueError:  # none have run
+        return False
+
+
+def result_of(future: Future[Any]) -> Any:
+    """Return the result of work by an executor, or raise its error.
+
+    Raises:
+        SimulationError: the executor has lost its processes.
+    """
+    try:
+        return future.result()
+    except BrokenExecutor as error:
+        raise SimulationError(
+            f"the executor lost its processes ({error}); they need memory for each, a script that "
+            f'starts them {_GUARD}, and mp_context=multiprocessing.get_context("spawn")'
+        ) from error
