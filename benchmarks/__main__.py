@@ -12,6 +12,7 @@ from time import perf_counter
 
 from benchmarks.measured import MEASURED, Bench, merge
 from benchmarks.pages import write_figures
+from surrofe2.base.environment import take_process
 
 TOPICS = ("runs", "large", "solve", "tissue", "start", "trust")
 ON_REQUEST = ("ranks", "suites")
@@ -21,6 +22,7 @@ BUSY = 0.5
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """0; 1 where a topic failed or a limit was missed. Quick runs write nothing."""
+    take_process()
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument(
         "topics", nargs="*", metavar="TOPIC", choices=(*TOPICS, *ON_REQUEST, "tables"),

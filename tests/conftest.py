@@ -9,6 +9,8 @@ import numba
 import numpy as np
 import pytest
 
+from surrofe2.base.environment import take_process
+
 ROOT = Path(__file__).parents[1]
 RANGE = """
 [range]
@@ -103,6 +105,7 @@ NEXT = ("test_slow_manifold", "test_bound_of_plant_cells", "test_arranged_cells"
 def pytest_configure(config):
     """Of several workers each has its share of the cores, and takes files in the order below."""
     config.option.loadscopereorder = False
+    take_process()
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     numba.set_num_threads(max(1, numba.config.NUMBA_NUM_THREADS // workers))
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.compilation import cache_folder
 from surrofe2.base.errors import InputError
+from surrofe2.base.kernel_cache import cache_folder
 from surrofe2.macro import Rest, find_rest, simulate
 from surrofe2.macro.equations_of_motion import factorised
 from surrofe2.plant_cell.parameters import CellParameters

@@ -10,7 +10,10 @@ In reading order:
     settings         bounds of settings, stated once at the field
     interruption     signals
     versions         of all that is used, and the machine
-    compilation      numba's flags, where compiled kernels are kept, threads of BLAS
+    environment      cores, and what the command line sets in its process
+    clock            clocks that stand while kernels are compiled
+    kernel_cache     where compiled kernels are kept, by their sources
+    compilation      numba's flags, the same bits in every process, threads of BLAS
     simd             eight lanes of numbers in kernels
     tensors          polar inputs of (F, Ḟ), measure of errors
     square_symmetry  the eight symmetries of a square sample

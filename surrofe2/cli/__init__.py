@@ -27,6 +27,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
 
+from surrofe2.base.environment import LONG_SPIN, SPIN, take_process
 from surrofe2.base.errors import Surrofe2Error, printable, shortened
 from surrofe2.base.interruption import begin_work, end_work, exit_code, interruptible
 from surrofe2.cli import console
@@ -92,6 +93,7 @@ class Commands(TyperGroup):
         name, shown, rest = super().resolve_command(ctx, args)
         if name is None or shown is None:
             return name, shown, rest
+        take_process(LONG_SPIN if name == "tissue" else SPIN)
         function = getattr(import_module(f"surrofe2.cli.{COMMANDS[name][0]}"), name)
         single = typer.Typer(rich_markup_mode="rich", add_completion=False)
         single.command(name, help=_as_help(function.__doc__))(function)

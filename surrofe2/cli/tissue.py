@@ -2,12 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
-# Its threads meet every 0.1 ms; they must not fall asleep in between, as others should. Read when
-# the first kernel starts, and set to less by surrofe2.base.compilation unless it is set.
-os.environ.setdefault("GOMP_SPINCOUNT", "20000")
-
 from surrofe2.cli import console
 from surrofe2.workflow.laws import open_study, recipe_notes
 from surrofe2.workflow.tissue import run_tissue, tissue_summary

@@ -13,7 +13,7 @@ import scipy  # scipy.sparse is loaded where a matrix is factorised
 from numpy.typing import NDArray
 
 from surrofe2.base.arrays import Array
-from surrofe2.base.compilation import clock
+from surrofe2.base.clock import clock
 from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import (
     Status,

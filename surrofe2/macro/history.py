@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from surrofe2.base.arrays import Array
-from surrofe2.base.compilation import clock, cpu_clock, kernel
+from surrofe2.base.clock import clock, cpu_clock
+from surrofe2.base.compilation import kernel
 from surrofe2.law.stress_law import AuditedLaw, Sources
 from surrofe2.macro.elements import (
     Discretisation,

@@ -12,7 +12,8 @@ import numpy as np
 import skfem
 
 from surrofe2.base.arrays import Array, Index
-from surrofe2.base.compilation import clock, one_blas_thread
+from surrofe2.base.clock import clock
+from surrofe2.base.compilation import one_blas_thread
 from surrofe2.base.errors import MismatchError, SimulationError
 from surrofe2.base.units import LENGTH, NONE, RATE, STRESS, TIME, VELOCITY
 from surrofe2.law.stress_law import StressLaw

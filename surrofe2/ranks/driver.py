@@ -13,7 +13,8 @@ from typing import Any
 
 import numba
 
-from surrofe2.base.compilation import clock
+from surrofe2.base.clock import clock
+from surrofe2.base.environment import cores
 from surrofe2.base.errors import InputError, SimulationError, Surrofe2Error
 from surrofe2.base.interruption import exit_code, held
 from surrofe2.rve.rve_law import RveLaw
@@ -69,11 +70,12 @@ def world() -> Any:
 
 
 def own_threads() -> int:
-    """Cores for each rank: those that it is bound to, or its share of the machine's."""
-    bound, cores = len(os.sched_getaffinity(0)), os.cpu_count() or 1
+    """Cores for each rank: those that it is bound to, or its share of the machine's or quota's."""
+    bound, allowed = len(os.sched_getaffinity(0)), cores()
     local = [os.environ[name] for name in _LOCAL_SIZES if name in os.environ]
-    ranks = int(local[0]) if local and bound == cores else 1
-    return max(1, bound // ranks)
+    is_shared = bound == os.cpu_count() or allowed < bound
+    ranks = int(local[0]) if local and is_shared else 1
+    return max(1, allowed // ranks)
 
 
 @contextmanager

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.arrays import Array
-from surrofe2.base.compilation import Meter, cache_folder
+from surrofe2.base.clock import Meter
 from surrofe2.base.errors import FileError, InputError
+from surrofe2.base.kernel_cache import cache_folder
 from surrofe2.base.sampling import SEQUENCE, SamplingRange
 from surrofe2.base.units import RATE, STRESS, VISCOSITY
 from surrofe2.law.samples import TANGENTS, StressSamples

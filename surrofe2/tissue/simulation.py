@@ -21,7 +21,7 @@ import numba
 import numpy as np
 
 from surrofe2.base.arrays import Array, Flags, Index
-from surrofe2.base.compilation import clock
+from surrofe2.base.clock import clock
 from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.plant_cell.arrangement import ReferenceState
 from surrofe2.plant_cell.parameters import CellParameters

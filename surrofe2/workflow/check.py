@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from surrofe2.base.arrays import Array
-from surrofe2.base.compilation import clock, cpu_clock
+from surrofe2.base.clock import clock, cpu_clock
 from surrofe2.base.errors import FileError, InputError, MismatchError, SimulationError
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.law.stress_law import StressLaw, StressResponse

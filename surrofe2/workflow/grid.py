@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from surrofe2.base.environment import cores
 from surrofe2.base.errors import InputError, SimulationError, quoted
 from surrofe2.base.settings import unknown
 from surrofe2.recipe.entries import name_of_values
@@ -84,7 +85,7 @@ def run_grid(
     path, out = Path(path).resolve(), Path(out).resolve()
     surrogates, runs = _planned(path, values, laws, out)
     if threads is None and isinstance(executor, Processes):
-        threads = max(1, (os.cpu_count() or 1) // executor.workers)
+        threads = max(1, cores() // executor.workers)
     with locked_folder(out):
         learning = {
             str(recipe.training_path()): partial(_learn, recipe, is_own, threads, fresh)

@@ -19,8 +19,10 @@ import skfem
 from threadpoolctl import threadpool_limits
 
 from surrofe2.base.arrays import Array
-from surrofe2.base.compilation import Meter, cache_folder
+from surrofe2.base.clock import Meter
+from surrofe2.base.environment import cores
 from surrofe2.base.errors import FileError, InputError, MismatchError
+from surrofe2.base.kernel_cache import cache_folder
 from surrofe2.cache import CachedLaw, StressTable, sampled_spread
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer
 from surrofe2.cache.table.records import merged
@@ -335,16 +337,20 @@ def open_study(path: Path, threads: int | None) -> Recipe:
 
 
 def use_threads(wanted: int | None) -> None:
-    """Limit numba, BLAS and torch to so many threads; None: all cores.
+    """Limit numba, BLAS and torch to so many threads; None: as many as they have.
 
     Raises:
-        InputError: more than the machine has cores.
+        InputError: more than the process may use.
     """
     if wanted is None:
         return
-    available = os.cpu_count() or 1
+    available = min(cores(), numba.config.NUMBA_NUM_THREADS)
     if wanted > available:
-        raise InputError(f"--threads: {wanted}; this machine has {available} cores")
+        raise InputError(
+            f"--threads: {wanted}; this process may use {available}: it has {cores()} of "
+            f"{os.cpu_count()} cores, by affinity and CPU quota, and NUMBA_NUM_THREADS is "
+            f"{numba.config.NUMBA_NUM_THREADS}"
+        )
     os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = str(wanted)
     numba.set_num_threads(wanted)
     threadpool_limits(wanted)

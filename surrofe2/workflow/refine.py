@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from surrofe2.base.arrays import Array, Index
-from surrofe2.base.compilation import Meter
+from surrofe2.base.clock import Meter
 from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.base.sampling import SamplingRange, neighbours, range_holding, sample
 from surrofe2.base.tensors import stress_error

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.compilation import Meter, seconds_compiling
+from surrofe2.base.clock import Meter, seconds_compiling
 from surrofe2.base.errors import InputError
 from surrofe2.base.units import time_text
 from surrofe2.base.versions import describe_platform

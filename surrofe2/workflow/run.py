@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.compilation import seconds_compiling
+from surrofe2.base.clock import seconds_compiling
 from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import out_of_range
 from surrofe2.base.units import time_text

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from surrofe2.base.arrays import Index
-from surrofe2.base.compilation import seconds_compiling
+from surrofe2.base.clock import seconds_compiling
 from surrofe2.base.errors import InputError
 from surrofe2.base.units import time_text
 from surrofe2.plant_cell.parameters import CellParameters

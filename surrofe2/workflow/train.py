@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from surrofe2.base.arrays import Array, Index
-from surrofe2.base.compilation import Meter
+from surrofe2.base.clock import Meter
 from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.base.tensors import stress_spread

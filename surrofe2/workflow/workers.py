@@ -25,6 +25,7 @@ from typing import Any
 
 import numba
 
+from surrofe2.base.environment import take_process
 from surrofe2.base.errors import InputError, SimulationError
 
 log = logging.getLogger(__name__)
@@ -141,6 +142,7 @@ class Processes(ThreadPoolExecutor):
 def _serve(pipe: Connection, threads: int) -> None:
     """Work in a process until the pipe ends: interrupts are for its parent, with which it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    take_process()
     Thread(target=_end_with_parent, daemon=True).start()
     numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
     with suppress(EOFError):
@@ -244,8 +246,10 @@ def prepare(executor: Any) -> None:
     Raises:
         InputError: this process has run kernels, and would fork only now.
     """
-    context = getattr(executor, "_mp_context", None)
-    if not isinstance(executor, ProcessPoolExecutor) or context.get_start_method() != "fork":
+    if not isinstance(executor, ProcessPoolExecutor):
+        return
+    context: Any = getattr(executor, "_mp_context", None)
+    if context.get_start_method() != "fork":
         return
     if getattr(executor, "_processes", None):
         return

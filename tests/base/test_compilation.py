@@ -1,12 +1,22 @@
 """Machine code belongs to the sources it is run with, and has the same bits in every process."""
 
+import inspect
 import os
 import shutil
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numba
 import pytest
+from numba.core.base import BaseContext
+from numba.core.caching import (
+    CompileResultCacheImpl,
+    FunctionCache,
+    IndexDataCacheFile,
+    NullCache,
+)
+from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
 
 import surrofe2
 from tests.processes import python
@@ -80,6 +90,51 @@ def test_without_a_place_to_keep_them_kernels_are_compiled_in_memory(copy, setti
     assert "kernels are compiled in memory and not kept, which takes a minute: " in line
     assert why in line
     assert not [*copy.parent.rglob("*.nbc")]
+
+
+NO_LOCKS = """
+import errno, fcntl, os
+def flock(*_):
+    raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+fcntl.flock = flock
+"""
+
+
+def test_without_locks_kernels_are_kept(copy):
+    with ThreadPoolExecutor(2) as pool:
+        both = [*pool.map(answer, [copy, copy], [NO_LOCKS, NO_LOCKS])]
+    assert [(numbers[0], told) for numbers, told in both] == [(7, [])] * 2
+    assert answer(copy, NO_LOCKS) == ([7, 1, 0], [])
+
+
+def test_names_of_numba_that_are_replaced_are_there():
+    """A version of numba without them would silently do as it usually does."""
+    names = {
+        BaseContext: ["get_preferred_array_alignment"],
+        JITCodeLibrary: ["_finalize_final_module"],
+        JITCPUCodegen: ["_library_class"],
+        CompileResultCacheImpl: ["get_filename_base", "locator", "reduce", "rebuild"],
+        FunctionCache: ["save_overload", "_index_key", "enable"],
+        IndexDataCacheFile: [
+            "save", "load", "_load_index", "_save_index", "_load_data", "_save_data", "_data_path",
+            "_dump", "_open_for_write",
+        ],
+    }  # fmt: skip
+    for owner, each in names.items():
+        assert [name for name in each if not hasattr(owner, name)] == []
+    library = inspect.getsource(JITCodeLibrary.__base__)
+    assert all(name in library for name in ("_shared_module", "_final_module"))
+    dispatcher = numba.njit(squared)
+    assert isinstance(dispatcher._cache, NullCache)
+    assert callable(dispatcher.compile)
+    cached = vars(FunctionCache(squared))
+    assert {"_name", "_py_func", "_impl", "_cache_path", "_cache_file"} < cached.keys()
+    assert {"_lineno", "_locator", "_filename_base"} <= vars(cached["_impl"]).keys()
+    assert {"_version", "_source_stamp", "_index_path"} < vars(cached["_cache_file"]).keys()
+
+
+def squared(number):
+    return number**2
 
 
 DAMAGES = {

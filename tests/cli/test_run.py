@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from surrofe2.base import compilation, interruption
+from surrofe2.base import clock, interruption
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.report.comparison import compare_runs
 from surrofe2.report.page import write_report
@@ -182,7 +182,7 @@ class CompilingLaw(SoftLaw):
 
     def respond(self, F, F_dot, state=None, *, tangents=False):
         if self.calls == 3:
-            with compilation._waiting():
+            with clock.waiting():
                 time.sleep(1.0)
         return super().respond(F, F_dot, state, tangents=tangents)
 
