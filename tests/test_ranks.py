@@ -1,6 +1,7 @@
 """A run by several MPI ranks is the run by one to 1e-9 of each amplitude, resumed or not."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,7 +12,7 @@ import pytest
 
 from surrofe2.store.run_folder import read_record
 from surrofe2.workflow.run import run_study
-from tests.conftest import RECIPE
+from tests.conftest import RECIPE, ROOT
 from tests.folders import assert_equal, numbers
 from tests.on_ranks import recipe_of
 from tests.test_going_on import home, interrupted  # noqa: F401 - a fixture
@@ -193,3 +194,113 @@ def test_only_rank_0_speaks(tmp_path):
 def test_points_may_be_taken_and_put_and_an_error_names_its_rank(ranks):
     said = done(on_ranks(ranks, module="tests.law_on_ranks"))
     assert said.strip() == f"rank 1 of {ranks} gave up: MemoryError: no room"
+
+
+FAILED = "error: rank 1 of 2 gave up outside a task: "
+
+
+@pytest.mark.parametrize(
+    ("how", "message"),
+    [
+        ("raise", f"{FAILED}AttributeError: no such function"),
+        ("exit", f"{FAILED}SystemExit: 0"),
+        ("exit in a task", "rank 1 of 2 gave up: SystemExit: 0"),
+    ],
+)
+def test_a_rank_that_fails_anywhere_ends_all(how, message):
+    process = on_ranks(2, how, module="tests.failing_ranks")
+    _, printed = process.communicate(timeout=60)
+    assert process.returncode != 0
+    assert message in printed
+
+
+def test_a_second_signal_ends_ranks_that_wait_for_one_another():
+    process = on_ranks(2, "hang", module="tests.failing_ranks")
+    driver = int(process.stdout.readline())
+    for _ in range(2):
+        time.sleep(1.5)
+        os.kill(driver, signal.SIGTERM)
+    _, printed = process.communicate(timeout=20)
+    assert process.returncode != 0
+    assert "ended at once; files are whole" in printed
+
+
+def by_shell(ranks, command, folder, **settings):
+    """(exit code, standard output, standard error) of a shell's command on ranks, in a folder."""
+    words = [MPIEXEC, "-n", str(ranks), "sh", "-c", command]
+    env = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHON": sys.executable, **settings}
+    done = subprocess.run(
+        words, cwd=folder, env=env, capture_output=True, text=True, check=False, timeout=60
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+RUN = 'exec "$PYTHON" -m surrofe2 run recipe.toml --law rve --out out'
+
+
+def test_ranks_of_other_sources_are_refused(recipe_path, tmp_path):
+    shutil.copytree(
+        ROOT / "surrofe2",
+        tmp_path / "doctored" / "surrofe2",
+        ignore=shutil.ignore_patterns("*.pyc"),
+    )
+    with (tmp_path / "doctored" / "surrofe2" / "rve" / "newton.py").open("a") as file:
+        file.write("# another version\n")
+    other = f'test "$PMI_RANK" = 0 || export PYTHONPATH={tmp_path / "doctored"}; {RUN}'
+    code, out, printed = by_shell(2, other, tmp_path)
+    assert (code, out) == (1, "")
+    assert printed.startswith("error: mpiexec: rank 1 has other sources of surrofe2 (")
+    assert printed.endswith("; install the same on all machines\n")
+    assert printed.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("module", ["mpi4py", "typer"])
+def test_a_rank_that_does_not_come_to_mpi_ends_the_others(recipe_path, tmp_path, module):
+    (tmp_path / "broken" / module).mkdir(parents=True)
+    (tmp_path / "broken" / module / "__init__.py").write_text("raise ImportError('no such thing')")
+    path = f"{tmp_path / 'broken'}:{ROOT}"
+    code, _, printed = by_shell(
+        2, f'test "$PMI_RANK" = 0 || export PYTHONPATH={path}; {RUN}', tmp_path
+    )
+    assert code != 0
+    assert "no such thing" in printed
+
+
+def test_ranks_with_recipes_of_their_own_are_told_apart(recipe_path, tmp_path):
+    for k in range(2):
+        shutil.copy(recipe_path, tmp_path / f"member-{k}.toml")
+    own = 'exec "$PYTHON" -m surrofe2 run member-$PMI_RANK.toml --law rve --out out-$PMI_RANK'
+    code, _, printed = by_shell(2, own, tmp_path)
+    assert code != 0  # 1, or what MPICH gives where a rank is ended before the other is through
+    assert printed.startswith(
+        "error: mpiexec: rank 1 was called with 'member-1.toml', rank 0 with 'member-0.toml'; "
+    )
+    assert "SURROFE2_ALONE=1" in printed
+    assert printed.count("\n") == 1
+    checked = '"$PYTHON" -m surrofe2 check --only member-$PMI_RANK.toml'
+    code, out, printed = by_shell(2, checked, tmp_path, SURROFE2_ALONE="1")
+    assert (code, printed) == (0, "")
+    assert {f"member-{k}.toml: no problem found" in out for k in range(2)} == {True}
+
+
+def test_commands_that_do_not_run_on_ranks_are_refused_once(recipe_path, tmp_path):
+    for command in ("check recipe.toml", "generate recipe.toml", "compare out"):
+        code, out, printed = by_shell(3, f'"$PYTHON" -m surrofe2 {command}', tmp_path)
+        assert (code, out) == (1, "")
+        name = command.split()[0]
+        assert printed.startswith(f"error: {name}: 3 ranks were started, and only run shares")
+        assert printed.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_a_signal_to_any_rank_keeps_the_run_and_says_so(long_run, tmp_path):
+    process = on_ranks(2, *long_run, module="surrofe2")
+    os.kill(begun(process, tmp_path / "out")[1], signal.SIGTERM)
+    _, printed = process.communicate(timeout=60)
+    assert process.returncode == 143
+    lines = printed.splitlines()
+    (message,) = [line for line in lines if "interrupted" in line]
+    assert message.startswith(f"interrupted by SIGTERM to rank 1: {tmp_path / 'out'} keeps the run")
+    assert "nothing was changed" not in printed
+    assert read_record(tmp_path / "out").status == "interrupted"

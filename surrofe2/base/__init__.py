@@ -9,6 +9,7 @@ In reading order:
     locks            flock, where the file system has it
     settings         bounds of settings, stated once at the field
     interruption     signals
+    launcher         whether mpiexec or srun started the process
     versions         of all that is used, and the machine
     environment      cores, and what the command line sets in its process
     clock            clocks that stand while kernels are compiled

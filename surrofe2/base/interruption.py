@@ -1,5 +1,9 @@
 """SIGINT (Ctrl-C), SIGTERM and SIGHUP end a command soon, once, and wherever it is.
 
+So do SIGUSR1, SIGUSR2 and SIGXCPU, by which batch systems warn before the time of a job is over. A
+second SIGINT, SIGTERM or SIGHUP ends it at once. Signals that are ignored when the command starts,
+as by nohup and in the background of a shell, stay ignored.
+
 While a command starts, there is nothing to keep, and it ends at once. Later a signal becomes a
 KeyboardInterrupt, so that work stores what it has. Where a library swallows that, it is raised
 again, unless it is being handled. It is put off
@@ -14,13 +18,21 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from select import select
+from threading import Thread
+from time import monotonic
 from types import FrameType
 from typing import Any
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+SIGNALS = (*ENDING, signal.SIGUSR1, signal.SIGUSR2, signal.SIGXCPU)
+_APART = 1.0
+"""s between a signal and the next one of its own; launchers of MPI pass on what ranks have got."""
+_PATIENCE = 5.0
+"""s after which a signal that could not be taken yet is answered by a line."""
 _AGAIN = 0.25
 """s until an interruption that was swallowed or put off is raised again."""
 NOT_CUT = ("_numba_unpickle", "_raw_object_cache_getbuffer", "_raw_object_cache_notify")
@@ -31,17 +43,26 @@ NOT_CUT = ("_numba_unpickle", "_raw_object_cache_getbuffer", "_raw_object_cache_
 class _State:
     is_working: bool = False
     number: int = 0
+    source: str = ""
     held: int = 0
+    end: Callable[[int], Any] = os._exit
 
 
 _state = _State()
 
 
 def watch() -> None:
-    """Take these signals from now on; the command starts. An ignored SIGHUP (nohup) stays so."""
+    """Take these signals from now on; the command starts."""
     for number in SIGNALS:
-        if (number, signal.getsignal(number)) != (signal.SIGHUP, signal.SIG_IGN):
+        if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, _take)
+    fill_standard_streams()
+    # Python takes signals between its own instructions alone. A thread learns of them at once, also
+    # where the main thread waits in a library, as for a rank that does not answer.
+    receiver, sender = os.pipe()
+    os.set_blocking(sender, False)
+    signal.set_wakeup_fd(sender, warn_on_full_buffer=False)
+    Thread(target=_end_at_the_second, args=(receiver,), daemon=True).start()
 
 
 def begin_work() -> None:
@@ -55,6 +76,52 @@ def end_work() -> None:
     for number in SIGNALS:
         if signal.getsignal(number) is _take:
             signal.signal(number, signal.SIG_IGN)
+
+
+def fill_standard_streams() -> None:
+    """Let no file get the number of a standard stream that was closed before the process began."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_RDWR), number)  # the first of them is the lowest free
+
+
+def end_by(end: Callable[[int], Any]) -> None:
+    """From now on a second signal ends the process by this call with its exit code."""
+    _state.end = end
+
+
+@contextmanager
+def uncaught() -> Iterator[None]:
+    """A signal ends the process at once, also within a library that does not come back."""
+    taken = [number for number in SIGNALS if signal.getsignal(number) is _take]
+    for number in taken:
+        signal.signal(number, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, _take)
+
+
+def received() -> int:
+    """The signal that interrupts this process, or 0."""
+    return _state.number
+
+
+def pass_on(number: int, source: str) -> None:
+    """Interrupt this process by a signal that another one has got, which the message names."""
+    if not _state.number:
+        _state.source = f" to {source}"
+        os.kill(os.getpid(), number)
+
+
+def cause() -> str:
+    """How a message says that the command was interrupted, and by what if not by Ctrl-C."""
+    if _state.number in (0, signal.SIGINT) and not _state.source:
+        return "interrupted"
+    return f"interrupted by {signal.Signals(_state.number or signal.SIGINT).name}{_state.source}"
 
 
 @contextmanager
@@ -109,6 +176,28 @@ def _raise_again(number: int, frame: FrameType | None) -> None:
             return
         error = error.__context__
     raise KeyboardInterrupt
+
+
+def _end_at_the_second(receiver: int) -> None:
+    """End the process at the second signal that asks for it; a thread, which nothing holds up."""
+    first: float | None = None
+    is_reported = False
+    while True:
+        waiting = first is not None and not (_state.number or is_reported)
+        if not select([receiver], [], [], _PATIENCE if waiting else None)[0]:
+            is_reported = True
+            if not _state.number:
+                os.write(2, b"interrupted: waiting for work; another signal ends it at once\n")
+            continue
+        for number in os.read(receiver, 64):
+            if number not in ENDING:
+                continue
+            if first is None:
+                first = monotonic()
+            elif monotonic() - first >= _APART:
+                os.write(2, b"ended at once; files are whole, and what was kept last stays\n")
+                _state.end(128 + number)
+                os._exit(128 + number)
 
 
 def _report_others(unraisable: Any) -> None:

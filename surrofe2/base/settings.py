@@ -16,6 +16,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import MISSING, asdict, field, fields, is_dataclass
 from functools import cache
+from numbers import Integral, Real
 from operator import attrgetter
 from types import NoneType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
@@ -250,7 +251,7 @@ def check_value(name: str, value: Any, hint: Any, bounds: Mapping[str, Any]) -> 
     if isinstance(value, str) and not bounds.get("is_file"):
         value = with_micro_sign(value)
     one_of = options if get_origin(hint) is Literal else bounds.get("one_of", ())
-    if one_of and value not in one_of:
+    if one_of and not (isinstance(value, Hashable) and value in one_of):  # an array is neither
         raise _refusal(name, value, f"one of {', '.join(map(str, one_of))}", {})
     if one_of or isinstance(value, hint):
         return value
@@ -274,7 +275,7 @@ def _list(name: str, value: Any, options: tuple[Any, ...], bounds: Mapping[str, 
 
 
 def _number(name: str, value: Any, kind: type, bounds: Mapping[str, Any]) -> Any:
-    numeric = isinstance(value, int if kind is int else int | float)
+    numeric = isinstance(value, Integral if kind is int else Real)  # numpy's, too
     if not numeric or isinstance(value, bool):
         raise _refusal(name, value, "an integer" if kind is int else "a number", bounds)
     least, most = bounds.get("least", -math.inf), bounds.get("most", math.inf)

@@ -17,7 +17,7 @@ import errno
 import gc
 import logging
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.metadata import version
@@ -28,8 +28,9 @@ import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from surrofe2.base.environment import LONG_SPIN, SPIN, take_process
-from surrofe2.base.errors import Surrofe2Error, printable, shortened
-from surrofe2.base.interruption import begin_work, end_work, exit_code, interruptible
+from surrofe2.base.errors import InputError, Surrofe2Error, printable, shortened
+from surrofe2.base.interruption import begin_work, cause, end_work, exit_code, interruptible
+from surrofe2.base.launcher import ALONE, rank, world_size
 from surrofe2.cli import console
 
 COMMANDS = {
@@ -50,6 +51,9 @@ COMMANDS = {
     "moduli": ("cells", "Physics"),
 }
 """Module and group of each command, in the order of help."""
+
+ON_RANKS = ("run",)
+"""Commands whose work MPI ranks share."""
 
 SHARED = {
     "--quiet": "Print nothing but warnings and errors.",
@@ -93,6 +97,7 @@ class Commands(TyperGroup):
         name, shown, rest = super().resolve_command(ctx, args)
         if name is None or shown is None:
             return name, shown, rest
+        _check_ranks(name, rest)
         take_process(LONG_SPIN if name == "tissue" else SPIN)
         function = getattr(import_module(f"surrofe2.cli.{COMMANDS[name][0]}"), name)
         single = typer.Typer(rich_markup_mode="rich", add_completion=False)
@@ -139,11 +144,28 @@ class Commands(TyperGroup):
             kept, has_begun = work.args
             words = [each for each in ctx.meta["arguments"] if each != "--fresh" or not has_begun]
             again = console.command_line(words)
-            message, code = f"interrupted: {kept}; resume with: {again}", exit_code()
+            message, code = f"{cause()}: {kept}; resume with: {again}", exit_code()
         except KeyboardInterrupt:
-            message, code = "interrupted: nothing was changed", exit_code()
+            message, code = f"{cause()}: nothing was changed", exit_code()
         console.print_warning(message)
         raise typer.Exit(code)
+
+
+def _check_ranks(command: str, arguments: Iterable[str]) -> None:
+    """Refuse to do the same work several times where a launcher started this process with others.
+
+    Raises:
+        InputError: the command does not share its work among ranks. Other ranks than 0 exit.
+    """
+    if world_size() < 2 or command in ON_RANKS or {"-h", "--help"} & {*arguments}:
+        return
+    if rank() > 0:
+        raise typer.Exit(1)
+    raise InputError(
+        f"{command}: {world_size()} ranks were started, and only {', '.join(ON_RANKS)} shares its "
+        f"work among them; call it without mpiexec or srun, or with {ALONE}=1 in the environment, "
+        "which lets each rank work for itself on a recipe and output of its own"
+    )
 
 
 @contextmanager

@@ -25,7 +25,7 @@ from rich.table import Table as ShownTable
 from rich.text import Text
 
 from surrofe2.base.errors import printable
-from surrofe2.base.interruption import interruptible
+from surrofe2.base.interruption import fill_standard_streams, interruptible
 from surrofe2.base.units import time_text
 from surrofe2.run.loop import Report, Stage
 
@@ -195,12 +195,19 @@ def show_table(title: str, table: Table[Any]) -> None:
         console.print(drawn)
 
 
+_CLOSED = OSError(errno.EBADF, "closed before the command began")
+
+
 class _Noting(io.FileIO):
     """A descriptor whose first error of writing is kept, and what follows it is lost."""
 
     error: OSError | None = None
+    is_closed = False
 
     def write(self, content: bytes) -> int:  # type: ignore[override]
+        if self.is_closed:
+            self.error = _CLOSED
+            return len(content)
         try:
             return super().write(content)
         except OSError as error:
@@ -247,12 +254,19 @@ _raw: dict[str, _Noting] = {}
 def note_errors() -> None:
     """From now on stdout and stderr never fail and obey nothing that names hold.
 
-    What a terminal has no sign for becomes "?".
+    What a terminal has no sign for becomes "?". A stream that was closed before the command began
+    loses what is written to it, and no file gets its number.
     """
-    for name, stream in (("stdout", sys.stdout), ("stderr", sys.stderr)):
+    fill_standard_streams()
+    for number, name in ((1, "stdout"), (2, "stderr")):
+        stream = getattr(sys, name)
+        is_closed = stream is None
+        if is_closed:
+            stream = os.fdopen(number, "w", encoding="utf-8", closefd=False)
         if isinstance(stream, io.TextIOWrapper):
             stream.flush()
             _raw[name] = _Noting(stream.fileno(), "w", closefd=False)
+            _raw[name].is_closed = is_closed
             noted = _Escaping(
                 io.BufferedWriter(_raw[name]),  # type: ignore[type-var]
                 encoding=stream.encoding,

@@ -10,8 +10,7 @@ import typer
 from surrofe2.base.errors import InputError
 from surrofe2.cli import console
 from surrofe2.report.tables import Quantity, Table, percent
-from surrofe2.store.c_source import c_header, c_source
-from surrofe2.store.store import read_bytes, write_text
+from surrofe2.store.c_source import write_c
 from surrofe2.store.surrogates import read_surrogate
 from surrofe2.workflow.generate import data_summary, generate_data_set, wanted_count
 from surrofe2.workflow.laws import open_study, recipe_notes
@@ -182,9 +181,5 @@ def export(
     Example: surrofe2 export training/bending-bar.h5 --to c
     """
     law, path = read_surrogate(surrogate), out or surrogate.with_suffix(f".{to}")
-    text = c_source(law, name)
-    if path.exists() and not fresh and read_bytes(path) != text.encode("utf-8"):
-        raise InputError(f"{path}: another source is there; --fresh writes this one instead")
-    write_text(path, text)
-    write_text(path.with_suffix(".h"), c_header(law, name))
+    text = write_c(law, path, name, fresh=fresh)
     console.done(path, f"{len(text.splitlines())} lines of C, {len(text.encode()) / 1e3:.0f} kB")

@@ -14,17 +14,17 @@ from typing import Annotated, Literal
 import typer
 
 from surrofe2.base.errors import printable
+from surrofe2.base.interruption import end_work, held
+from surrofe2.base.launcher import rank, world_size
 from surrofe2.base.units import time_text
 from surrofe2.cli import console
 from surrofe2.ranks.driver import (
     Driver,
-    is_first,
     leave,
     own_threads,
     serve,
     watched,
     world,
-    world_size,
 )
 from surrofe2.recipe.recipe import changed
 from surrofe2.workflow.laws import open_study, recipe_notes, surrogates_by_cell, use_threads
@@ -149,10 +149,13 @@ def all_ranks(threads: int | None, what: str) -> Iterator[int | None]:
     use_threads(threads)
     again = console.command_line(each for each in sys.argv[1:] if each != "--fresh")
     message = f"error: a rank died; {what}; any number of ranks resumes with: {again}"
-    with watched(printable(message)) if is_first() else nullcontext():
+    with watched(printable(message)) if rank() == 0 else nullcontext():
         comm = world()
         atexit.register(leave)  # when all is said: a launcher may not listen any longer
         if comm.rank:
-            raise typer.Exit(serve(comm))
-        with Driver(comm):
+            with held():
+                code = serve(comm, sys.argv[1:])
+                end_work()  # rank 0 has said what became of the run
+            raise typer.Exit(code)
+        with Driver(comm, sys.argv[1:]):
             yield threads

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import SamplingRange
+from surrofe2.law.stress_law import Status
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.run.views import Facts, Viewed
 
@@ -60,6 +61,10 @@ class StressSamples(Viewed):
             array, wanted = getattr(self, name), (len(self.F), *shape)
             if array is not None and np.shape(array) != wanted:
                 raise InputError(f"samples.{name}: shape {np.shape(array)}; it must be {wanted}")
+        unknown = np.setdiff1d(self.status, [*Status])
+        if unknown.size:
+            known = ", ".join(str(int(status)) for status in Status)
+            raise InputError(f"samples.status: {unknown[0]}; it must be one of {known}")
         for name, array in self._float_arrays.items():
             if not np.isfinite(array[self.status == 0]).all():
                 raise InputError(f"samples.{name}: not finite at a sample whose status is 0")

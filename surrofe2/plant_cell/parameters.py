@@ -141,7 +141,7 @@ class CellParameters:
         Living plant cells have a uniform fluid unless `fluid` is "sph", which has its own sound
         speed for the same turgor.
         """
-        if name not in PRESETS:
+        if not isinstance(name, str) or name not in PRESETS:
             raise InputError(
                 "cell.preset", f"{quoted(name)}; it must be one of {', '.join(PRESETS)}"
             )

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import difflib
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,9 +25,10 @@ from scipy.spatial import cKDTree
 from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import InputError, quoted
 from surrofe2.base.settings import build_only, check_settings, check_value, setting, with_kind
-from surrofe2.base.units import LENGTH
+from surrofe2.base.units import LENGTH, with_micro_sign
 
 MOST_ELEMENTS = 10_000_000
+_CORNER: Mapping[str, Any] = {"unit": LENGTH, "inf": True}
 _ELEMENTS = skfem.ElementQuad1, skfem.ElementTriP1, skfem.ElementTriP2
 DIGITS = 1e-6
 """Of the largest coordinate: what files of single precision or of six digits may lose."""
@@ -61,6 +62,11 @@ class Box(Part):
 
     low: tuple[float, float]
     high: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        for name in ("low", "high"):
+            corner = check_value(f"box.{name}", getattr(self, name), tuple[float, float], _CORNER)
+            object.__setattr__(self, name, corner)
 
     def holds(self, points: Array, slack: float = 0.0) -> Flags:
         low, high = np.array(self.low), np.array(self.high)
@@ -122,15 +128,13 @@ def rectangle(width: float, height: float, elements: tuple[int, int]) -> skfem.M
 
     Its sides are the boundaries left, right, bottom and top.
     """
-    nx, ny = elements
+    nx, ny = check_value("mesh.elements", elements, tuple[int, int], {})
+    width = check_value("mesh.width", width, float, {"unit": LENGTH, "above": 0.0})
+    height = check_value("mesh.height", height, float, {"unit": LENGTH, "above": 0.0})
     if not (min(nx, ny) >= 1 and nx * ny <= MOST_ELEMENTS):
         raise InputError(
             f"mesh.elements: {quoted([nx, ny])}; there must be at least 1 each way and "
             f"{MOST_ELEMENTS} in all at most"
-        )
-    if not (0.0 < width < np.inf and 0.0 < height < np.inf):
-        raise InputError(
-            f"mesh.width, mesh.height: {width}, {height}; they must be positive and finite (µm)"
         )
     mesh = skfem.MeshQuad1.init_tensor(
         np.linspace(0.0, width, nx + 1), np.linspace(0.0, height, ny + 1)
@@ -156,7 +160,7 @@ def with_boundaries(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
         return mesh
     outer, slack = mesh.boundary_facets(), precision(mesh)
     sides, named = facet_nodes(mesh, outer), {}
-    for name, part in parts.items():
+    for name, part in _by_name("mesh.boundaries", parts):
         named[name] = outer[part.holds(mesh.p.T, slack)[sides].all(axis=1)]
         if not named[name].size:
             raise InputError(
@@ -176,7 +180,7 @@ def with_regions(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
     if not parts:
         return mesh
     centres, slack, named = mesh.p.T[element_nodes(mesh)].mean(axis=1), precision(mesh), {}
-    for name, part in parts.items():
+    for name, part in _by_name("mesh.regions", parts):
         named[name] = np.flatnonzero(part.holds(centres, slack))
         if not named[name].size:
             raise InputError(
@@ -184,6 +188,16 @@ def with_regions(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
                 f"{_reach(mesh)}"
             )
     return mesh.with_subdomains(named)
+
+
+def _by_name(where: str, parts: Mapping[str, Part]) -> Iterator[tuple[str, Part]]:
+    """Names, in which Python makes Greek mu of the micro sign, and their parts."""
+    for name, part in parts.items():
+        if not isinstance(part, Part):
+            raise InputError(
+                f"{where}.{name}", f"{quoted(part)}; it must be a Box, a HalfPlane or a Disc"
+            )
+        yield with_micro_sign(name), part
 
 
 def precision(mesh: skfem.Mesh) -> float:

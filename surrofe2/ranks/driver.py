@@ -1,66 +1,67 @@
-"""Whether there are ranks of MPI, seen without loading it, and how rank 0 scatters them tasks."""
+"""How rank 0 scatters tasks to all ranks of MPI, which are the same program or none."""
 
 from __future__ import annotations
 
+import hashlib
+import logging
 import os
+import platform
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import version
 from itertools import count
+from pathlib import Path
 from typing import Any
 
 import numba
 
 from surrofe2.base.clock import clock
 from surrofe2.base.environment import cores
-from surrofe2.base.errors import InputError, SimulationError, Surrofe2Error
-from surrofe2.base.interruption import exit_code, held
+from surrofe2.base.errors import InputError, SimulationError, Surrofe2Error, quoted, shortened
+from surrofe2.base.interruption import end_by, exit_code, held, pass_on, received, uncaught
+from surrofe2.base.launcher import ALONE, end_job, rank, world_size
 from surrofe2.rve.rve_law import RveLaw
 from surrofe2.rve.rve_state import RveState
 
-_SIZES = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE")
-_RANKS = ("PMI_RANK", "OMPI_COMM_WORLD_RANK", "MV2_COMM_WORLD_RANK", "PMIX_RANK")
+log = logging.getLogger(__name__)
+
 _LOCAL_SIZES = ("MPI_LOCALNRANKS", "OMPI_COMM_WORLD_LOCAL_SIZE", "MV2_COMM_WORLD_LOCAL_SIZE")
 _WATCH = """read done || printf '%s\\n' "$0" >&2"""
 """Prints its message where its input ends without a line, whoever had the other end."""
 _Task = tuple[Callable[..., Any], tuple[Any, ...] | None, list[int]]
 """work(worker, *arguments) of one rank, no arguments where it has nothing to do, and the states to
 forget before."""
-_Result = tuple[Any, float, str | None]
-"""What the task of a rank returned, its seconds, and its error message."""
+_Result = tuple[Any, float, str | None, int]
+"""What the task of a rank returned, its seconds, its error message, and the signal it got or 0."""
 _drivers = list["Driver"]()
-
-
-def world_size() -> int:
-    """How many ranks were started with this process; 1 without MPI."""
-    known = [os.environ[name] for name in _SIZES if name in os.environ]
-    if not known and "PMIX_RANK" in os.environ:
-        known = [os.environ.get("SLURM_STEP_NUM_TASKS", "1")]
-    return int(known[0]) if known and known[0].isdigit() else 1
-
-
-def is_first() -> bool:
-    """Whether this is rank 0, for what must be done before MPI is loaded."""
-    return "0" in [os.environ[name] for name in _RANKS if name in os.environ][:1]
+_PACKAGE = Path(__file__).parents[1]
 
 
 def world() -> Any:
     """The communicator of all ranks; None where this process is alone.
 
     Raises:
-        InputError: there are several, and mpi4py is not installed.
+        InputError: MPI sees another number of ranks than the launcher started.
     """
     if world_size() < 2:
         return None
     try:
-        from mpi4py import MPI
-    except ImportError as error:
-        raise InputError(
-            f"mpiexec: {world_size()} ranks, but mpi4py cannot be loaded ({error}); "
-            "install surrofe2[mpi]"
-        ) from None
+        # Loading it waits for all ranks, and nothing needs to be kept yet.
+        with uncaught():
+            from mpi4py import MPI
+    except (ImportError, RuntimeError, OSError) as error:
+        reason = shortened(" ".join(str(error).split()), 150)
+        log.error(
+            "error: mpiexec: rank %d of %d: mpi4py cannot be loaded (%s); install surrofe2[mpi]",
+            rank(),
+            world_size(),
+            reason,
+        )
+        end_job()
     if MPI.COMM_WORLD.size != world_size():
         raise InputError(
             f"mpiexec: it started {world_size()} ranks, and mpi4py sees {MPI.COMM_WORLD.size}; "
@@ -113,7 +114,15 @@ class Worker:
 class Driver(AbstractContextManager["Driver"]):
     """Sends tasks from rank 0 to all ranks and collects their results.
 
-    An interruption waits while ranks exchange messages, so that they stay in step.
+    An interruption waits while ranks exchange messages, so that they stay in step. A signal that
+    another rank gets interrupts rank 0.
+
+    Args:
+        comm: the communicator of all ranks.
+        arguments: of the command; all ranks must have the same.
+
+    Raises:
+        InputError: ranks are not of the same sources, versions or arguments; all of them end.
 
     Attributes:
         ranks: how many there are.
@@ -123,8 +132,14 @@ class Driver(AbstractContextManager["Driver"]):
         tasks: how many there were.
     """
 
-    def __init__(self, comm: Any) -> None:
+    def __init__(self, comm: Any, arguments: Sequence[str] = ()) -> None:
         self._comm = comm
+        end_by(comm.Abort)
+        with held():
+            problem = _disagreement(comm.gather(_identity(arguments)))
+            if problem:
+                comm.scatter([1] * int(comm.size))
+                raise InputError(f"mpiexec: {problem}")
         self.ranks = int(comm.size)
         self.tasks, self.seconds = 0, {"computing": 0.0, "messages": 0.0}
         self.numbers, self.dropped = count(), list[int]()
@@ -152,14 +167,17 @@ class Driver(AbstractContextManager["Driver"]):
             own = self._comm.scatter([(work, each, dropped) for each in arguments])
             results: list[_Result] = self._comm.gather(_done(self._worker, own))
             elapsed = clock() - began
-        slowest = max(seconds for _, seconds, _ in results)
+        slowest = max(seconds for _, seconds, _, _ in results)
         self.tasks += 1
         self.seconds["computing"] += slowest
         self.seconds["messages"] += max(0.0, elapsed - slowest)
-        for rank, (_, _, error) in enumerate(results):
+        for number, (_, _, error, _) in enumerate(results):
             if error is not None:
-                raise SimulationError(f"rank {rank} of {self.ranks} gave up: {error}")
-        return [value for value, _, _ in results]
+                raise SimulationError(f"rank {number} of {self.ranks} gave up: {error}")
+        for number, (_, _, _, signal) in enumerate(results):
+            if signal and number:
+                pass_on(signal, f"rank {number}")
+        return [value for value, _, _, _ in results]
 
     def report(self) -> dict[str, Any]:
         """Plain values for run.json."""
@@ -167,13 +185,93 @@ class Driver(AbstractContextManager["Driver"]):
         return {"ranks": self.ranks, "threads": threads, "tasks": self.tasks, **self.seconds}
 
 
-def serve(comm: Any) -> int:
-    """Work on all ranks but 0: task after task, until the driver ends it with this exit code."""
+def serve(comm: Any, arguments: Sequence[str] = ()) -> int:
+    """Work on all ranks but 0: task after task, until the driver ends it with this exit code.
+
+    Where this rank fails outside a task, all ranks end, since they would wait for it.
+
+    Args:
+        arguments: as of `Driver`.
+    """
     worker = Worker()
-    with held():  # rank 0 decides when it is over
-        while not isinstance(task := comm.scatter(None), int):
-            comm.gather(_done(worker, task))
+    end_by(comm.Abort)
+    try:
+        with held():  # rank 0 decides when it is over
+            comm.gather(_identity(arguments))
+            while not isinstance(task := comm.scatter(None), int):
+                comm.gather(_done(worker, task))
+    except BaseException as error:
+        log.error(
+            "error: rank %d of %d gave up outside a task: %s: %s",
+            comm.rank,
+            comm.size,
+            type(error).__name__,
+            shortened(str(error)),
+        )
+        comm.Abort(1)
+        raise
     return task
+
+
+@dataclass(frozen=True, slots=True)
+class _Identity:
+    """What must be the same on all ranks, and where this one is.
+
+    Attributes:
+        arguments: of the command.
+        sources: SHA-256 of the package's files.
+        versions: of Python and the libraries that compute, by name.
+        place: host and folder of the package.
+    """
+
+    arguments: tuple[str, ...]
+    sources: str
+    versions: dict[str, str]
+    place: str
+
+
+def _identity(arguments: Sequence[str]) -> _Identity:
+    versions = {name: version(name) for name in ("surrofe2", "numpy", "numba", "scipy")}
+    versions["python"] = platform.python_version()
+    place = f"{platform.node()}:{_PACKAGE}"
+    return _Identity(tuple(arguments), _sources(), versions, place)
+
+
+@cache
+def _sources() -> str:
+    """Digest of names and contents of all that the package computes by."""
+    sources = hashlib.sha256()
+    for path in sorted(_PACKAGE.rglob("*")):
+        if path.suffix in (".py", ".json"):
+            content = path.read_bytes()
+            sources.update(f"{path.relative_to(_PACKAGE)} {len(content)} ".encode() + content)
+    return sources.hexdigest()
+
+
+def _disagreement(identities: Sequence[_Identity]) -> str:
+    """What is not the same on all ranks; empty where everything is."""
+    first = identities[0]
+    for number, other in enumerate(identities):
+        if other.arguments != first.arguments:
+            pairs = zip((*first.arguments, ""), (*other.arguments, ""), strict=False)
+            mine, theirs = next(pair for pair in pairs if pair[0] != pair[1])
+            return (
+                f"rank {number} was called with {quoted(theirs)}, rank 0 with {quoted(mine)}; "
+                f"ranks share one run: give all the same arguments, or set {ALONE}=1, by which "
+                "each rank makes a run of its own"
+            )
+        for name, mine in first.versions.items():
+            if other.versions[name] != mine:
+                return (
+                    f"rank {number} has {name} {other.versions[name]} ({other.place}), rank 0 has "
+                    f"{mine} ({first.place}); install the same on all machines"
+                )
+        if other.sources != first.sources:
+            return (
+                f"rank {number} has other sources of surrofe2 ({other.place}) than rank 0 "
+                f"({first.place}); install the same on all machines"
+            )
+    return ""
 
 
 def driver_at_work() -> Driver | None:
@@ -189,6 +287,6 @@ def _done(worker: Worker, task: _Task) -> _Result:
     try:
         if arguments is not None:
             value = work(worker, *arguments)
-    except Exception as problem:
+    except (Exception, SystemExit) as problem:
         error = f"{type(problem).__name__}: {problem}"
-    return value, clock() - began, error
+    return value, clock() - began, error, received()

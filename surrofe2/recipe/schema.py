@@ -25,7 +25,7 @@ from surrofe2.problem.mesh import PARTS, Box, Part
 from surrofe2.problem.problem import Point
 from surrofe2.problem.rigid_bodies import SHAPES, RigidBody
 from surrofe2.recipe.recipe import ALIASES, CELL_SECTIONS, SECTIONS, MeshSettings, TimeSettings
-from surrofe2.store.store import read_bytes, write_text
+from surrofe2.store.store import check_replaceable, read_bytes, write_text
 
 Schema = dict[str, Any]
 
@@ -163,21 +163,27 @@ def write_recipe(path: Path, kind: str, *, fresh: bool = False) -> list[Path]:
     TOML read it; so it stays valid where the folder moves, and needs no network.
 
     Raises:
-        InputError: there is no such kind, or another file is there, and not `fresh`.
+        InputError: there is no such kind, or another recipe is there, and not `fresh`.
+        FileError: a file is there that `fresh` does not replace.
     """
     if kind not in TEMPLATES:
         raise unknown(f"--example: {kind!r}", kind, "kind", TEMPLATES)
     templates = resources.files("surrofe2") / "templates"
-    text = (templates / f"{kind}.toml").read_text(encoding="utf-8").replace("NAME", path.stem)
+    stem = json.dumps(path.stem, ensure_ascii=False)[1:-1]  # as it stands in quotes, also in TOML
+    text = (templates / f"{kind}.toml").read_text(encoding="utf-8").replace("NAME", stem)
     files = {path: f"#:schema ./{SCHEMA}\n\n{text}"}
     if kind == "mesh":
         files[path.with_suffix(".msh")] = (templates / "mesh.msh").read_text(encoding="utf-8")
     for each, text in files.items():
-        if each.exists() and not fresh and read_bytes(each) != text.encode("utf-8"):
+        if not each.exists() or read_bytes(each) == text.encode("utf-8"):
+            continue
+        # A recipe names its schema in the first line; a mesh of other content is somebody's own.
+        is_mesh = each.suffix == ".msh"
+        check_replaceable(each, "recipe that `new` wrote", "#:schema" if not is_mesh else text)
+        if not fresh:
             raise InputError(f"{each}: another file is there; --fresh writes this one in its place")
     schema = path.with_name(SCHEMA)
-    if schema.exists() and not fresh and TITLE.encode() not in read_bytes(schema):
-        raise InputError(f"{schema}: another file is there; --fresh writes a schema in its place")
+    check_replaceable(schema, "schema of recipes", TITLE)
     files[schema] = json.dumps(recipe_schema(), indent=1, ensure_ascii=False) + "\n"
     for each, text in files.items():
         write_text(each, text)

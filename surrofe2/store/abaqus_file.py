@@ -68,7 +68,7 @@ def read_abaqus(path: str) -> StoredMesh:
     """
     contents = _Contents()
     scope, parts, instances = "", 0, 0
-    for keyword, options, lines in _blocks(Path(path).read_bytes().decode("utf-8", "replace")):
+    for keyword, options, lines in _blocks(Path(path).read_bytes().decode("utf-8-sig", "replace")):
         match keyword:
             case "PART" | "INSTANCE" | "ASSEMBLY":
                 scope = keyword

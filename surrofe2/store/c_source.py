@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
+from pathlib import Path
 from textwrap import wrap
 from types import MappingProxyType
 from typing import Any
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from surrofe2.base.errors import InputError, quoted
 from surrofe2.base.tensors import INPUTS
 from surrofe2.law.stress_law import Status
-from surrofe2.store.store import WORD
+from surrofe2.store.store import WORD, check_replaceable, read_bytes, write_text
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.domain import ALL_INPUTS, COMPRESSION, NEAR, NORM, REACH, SQUARES
 from surrofe2.surrogate.features import BEND, BENT, COMPONENTS, NETWORK_INPUTS
@@ -35,6 +36,8 @@ _SUMS = "\n            ".join(
     for i in range(COMPONENTS)
 )
 
+_MARK = "a surrogate of surrofe2"
+"""Stands in the first line of what is written."""
 _HEADER = """\
 /* Stress of plant tissue at a point: a surrogate of surrofe2 {version} in C99, self-contained.
  *
@@ -95,6 +98,28 @@ def c_source(law: SurrogateLaw, name: str = "surrofe2") -> str:
         lines += [*_bound(law, width), *_network(law, width)]
         lines += [answers.replace("@SUMS@", _SUMS).replace("@L@", str(width))]
     return "\n".join([*lines, calls.replace("@NAME@", name)])
+
+
+def write_c(law: SurrogateLaw, path: Path, name: str = "surrofe2", *, fresh: bool = False) -> str:
+    """Write `c_source` into a file, and `c_header` beside it; the source.
+
+    Raises:
+        InputError: another source is there, and not `fresh`; or the file's name ends as a header's.
+        FileError: a file is there that is no source of a surrogate.
+    """
+    header = path.with_suffix(".h")
+    if header == path:
+        raise InputError(f"{path}: the header goes there; give the source another ending, .c")
+    texts = {path: c_source(law, name), header: c_header(law, name)}
+    for each, text in texts.items():
+        if not each.exists() or read_bytes(each) == text.encode("utf-8"):
+            continue
+        check_replaceable(each, "C source of a surrogate", _MARK)
+        if not fresh:
+            raise InputError(f"{each}: another source is there; --fresh writes this one instead")
+    for each, text in texts.items():
+        write_text(each, text)
+    return texts[path]
 
 
 def c_header(law: SurrogateLaw, name: str = "surrofe2") -> str:

@@ -7,6 +7,7 @@ the chapter "MSH file format" of Gmsh's manual and of the files that Gmsh 4.15 w
 
 from __future__ import annotations
 
+import codecs
 import re
 import warnings
 from dataclasses import dataclass, field
@@ -139,7 +140,7 @@ def read_gmsh(path: str) -> StoredMesh:
         ValueError: it is damaged, or of another format.
         MeshError: it holds a part of a mesh, or none.
     """
-    content = Path(path).read_bytes()
+    content = Path(path).read_bytes().removeprefix(codecs.BOM_UTF8)
     contents = _Contents()
     version, order = 0, ""
     at = 0

@@ -22,7 +22,7 @@ from surrofe2.base.errors import FileError, InputError, shortened
 from surrofe2.base.units import with_micro_sign
 from surrofe2.problem.mesh import check_mesh
 from surrofe2.store.mesh_reader import UNFIT, UNREADABLE
-from surrofe2.store.store import read_bytes, reported
+from surrofe2.store.store import check_not_wide, read_bytes, reported
 
 UNITS = {"µm": 1.0, "um": 1.0, "mm": 1e3, "m": 1e6}
 """µm in each unit of length that a file may have."""
@@ -33,6 +33,8 @@ FORMATS = {
 }  # fmt: skip
 """Formats by the ends of names of files: our parsers' gmsh and abaqus, and modules of meshio."""
 
+_XML = ("vtu", "xdmf")
+"""Formats that say themselves how their letters are encoded."""
 _MOST = 2**28
 """Bytes of a file."""
 _ELEMENTS = {3: skfem.MeshTri1, 4: skfem.MeshQuad1, 6: skfem.MeshTri2}
@@ -54,12 +56,15 @@ def load_mesh(path: str | Path, length_unit: str = "µm") -> skfem.Mesh:
         InputError: it is no mesh of quadrilaterals or triangles in a plane, or has no such unit.
     """
     path = Path(path)
-    if with_micro_sign(length_unit) not in UNITS:
+    if not isinstance(length_unit, str) or with_micro_sign(length_unit) not in UNITS:
         raise InputError(f"length_unit: {length_unit!r}; it must be one of {', '.join(UNITS)}")
     kind = FORMATS.get(path.suffix.lower())
     if kind is None:
         raise FileError(f"{path}: not a mesh file: its name must end in {', '.join(FORMATS)}")
-    size = len(read_bytes(path, _MOST))  # a file, and no more than that
+    content = read_bytes(path, _MOST)  # of a file, and no more than that
+    if kind not in _XML:
+        check_not_wide(path, content)
+    size = len(content)
     memory = _limit(resource.RLIMIT_AS, 2 * 10**9 + 20 * size)
     # A process is killed at the hard limit; a second before, it ends by a signal that says why.
     seconds = max(1, _limit(resource.RLIMIT_CPU, 21 + size // 10**6) - 1)

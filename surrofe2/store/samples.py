@@ -8,7 +8,7 @@ has paid for. The settled reference state of an RVE is kept in the cache folder.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -272,6 +272,7 @@ def read_data_set(path: str | Path) -> StressSamples:
         known = stored.header()
         if known["status"] == "finished":
             rows: dict[str, Any] = stored.arrays()
+            _check_codes("left_bifurcation", rows[LEFT], (0, 1))
             rows[LEFT] = rows[LEFT].astype(np.bool_)
             of = {name: known[name] for name in (*ORIGIN, "range", "seed", "rest_length")}
             return StressSamples(**rows, **of)
@@ -316,6 +317,8 @@ def read_harvest(path: str | Path) -> Harvest:
     """The answers in a harvest, each state once, also of a run that was interrupted."""
     with reading(Path(path), HARVEST) as stored:
         arrays, header = stored.arrays(), stored.header()
+        _check_codes("status", arrays["status"], [*Status])
+        _check_codes("why", arrays["why"], [*WHY])
         if not np.isfinite(arrays["stress"][arrays["status"] == 0]).all():
             raise ValueError("stress: not finite where the status is 0")
     states = np.concatenate([arrays["F"], arrays["F_dot"]], axis=1).reshape(-1, 8)
@@ -323,6 +326,13 @@ def read_harvest(path: str | Path) -> Harvest:
     first.sort()
     once: dict[str, Any] = {name: values[first] for name, values in arrays.items()}
     return Harvest(**once, **header)
+
+
+def _check_codes(name: str, codes: NDArray[np.int8], known: Sequence[int]) -> None:
+    """A ValueError at a code of a column that means nothing."""
+    others = np.setdiff1d(codes, known)
+    if others.size:
+        raise ValueError(f"{name}: {others[0]}; known are {', '.join(str(int(k)) for k in known)}")
 
 
 def kept_reference(cell: CellParameters) -> ReferenceState:

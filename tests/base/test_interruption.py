@@ -1,6 +1,7 @@
 """Where an interruption would be taken for another error, it comes a moment later."""
 
 import os
+import signal
 
 import pytest
 
@@ -83,3 +84,76 @@ def test_a_kernel_that_is_being_read_is_read_whole(tmp_path):
     for seconds, wanted in ((0, ["3.0"]), (20, ["3.0", "ended"])):
         env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
         assert python("reading.py", seconds, cwd=tmp_path, env=env).stdout.split() == wanted
+
+
+SIGNALLED = """
+import os, signal, sys, threading, time
+from surrofe2.base import interruption
+
+for name in {ignored}:
+    signal.signal(getattr(signal, name), signal.SIG_IGN)
+interruption.watch()
+interruption.begin_work()
+
+def send():
+    time.sleep(0.2)
+    for number, pause in {signals}:
+        os.kill(os.getpid(), number)
+        time.sleep(pause)
+
+threading.Thread(target=send, daemon=True).start()
+try:
+    with interruption.{how}():
+        time.sleep({seconds})
+    if interruption.received():
+        time.sleep(5.0)  # what was put off comes soon
+    print("whole")
+except KeyboardInterrupt:
+    print(interruption.cause())
+    sys.exit(interruption.exit_code())
+"""
+
+
+def signalled(signals, code, ignored=(), how="interruptible", seconds=20.0):
+    """(standard output, standard error) of a process that sends itself (signal, pause) in turn."""
+    sent = f"[{', '.join(f'(signal.{name}, {pause})' for name, pause in signals)}]"
+    work = SIGNALLED.format(ignored=ignored, signals=sent, how=how, seconds=seconds)
+    done = python("-c", work, code=code, timeout=30)
+    return done.stdout.strip(), done.stderr.strip()
+
+
+@pytest.mark.parametrize(
+    ("name", "cause"),
+    [
+        ("SIGINT", "interrupted"),
+        ("SIGTERM", "interrupted by SIGTERM"),
+        ("SIGHUP", "interrupted by SIGHUP"),
+        ("SIGUSR1", "interrupted by SIGUSR1"),
+        ("SIGUSR2", "interrupted by SIGUSR2"),
+        ("SIGXCPU", "interrupted by SIGXCPU"),
+    ],
+)
+def test_signals_of_people_and_of_batch_systems_interrupt_and_are_named(name, cause):
+    number = getattr(signal, name)
+    assert signalled([(name, 0.0)], 128 + number) == (cause, "")
+
+
+@pytest.mark.parametrize("name", ["SIGHUP", "SIGINT", "SIGUSR1"])
+def test_an_ignored_signal_stays_ignored(name):
+    """As by nohup, and SIGINT in the background of a shell."""
+    assert signalled([(name, 0.0)], 0, ignored=(name,), seconds=0.3) == ("whole", "")
+
+
+AT_ONCE = "ended at once; files are whole, and what was kept last stays"
+
+
+def test_a_second_signal_ends_the_process_at_once_wherever_it_is():
+    for signals in ([("SIGTERM", 1.2), ("SIGTERM", 1)], [("SIGINT", 1.2), ("SIGTERM", 1)]):
+        assert signalled(signals, 143, how="held") == ("", AT_ONCE)
+
+
+def test_warnings_and_repeated_signals_do_not_end_it_at_once():
+    signals = [("SIGUSR1", 1.1), ("SIGTERM", 0.1), ("SIGTERM", 0.1), ("SIGUSR1", 1.1)]
+    signals += [("SIGXCPU", 0.1)]
+    out, error = signalled(signals, 128 + signal.SIGUSR1, how="held", seconds=3.0)
+    assert (out, error) == ("interrupted by SIGUSR1", "")

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from surrofe2.recipe.recipe import load_recipe
-from surrofe2.recipe.schema import TEMPLATES, write_recipe
+from surrofe2.recipe.schema import SCHEMA, TEMPLATES, write_recipe
 from surrofe2.store.run_folder import read_record
 from surrofe2.store.surrogates import write_surrogate
 from tests.conftest import ROOT
@@ -83,12 +83,49 @@ def test_the_source_lies_beside_the_surrogate(surrogate, invoke):
     assert f"{source}: {lines} lines of C, " in done.output
 
 
-def test_what_is_there_stays(surrogate, invoke):
+def test_a_source_that_is_there_stays(surrogate, invoke):
     source = surrogate.with_suffix(".c")
-    source.write_text("mine", encoding="utf-8")
+    invoke("export", surrogate, "--name", "other")
+    whole = source.read_bytes()
     done = invoke("export", surrogate, code=1)
     assert "another source is there; --fresh" in done.output
-    assert source.read_text(encoding="utf-8") == "mine"
+    assert source.read_bytes() == whole
     invoke("export", surrogate, "--fresh")
     invoke("export", surrogate)  # the same, so nothing is lost
-    assert source.read_text(encoding="utf-8").startswith("/*")
+    assert b"int surrofe2_stress(" in source.read_bytes()
+
+
+@pytest.mark.parametrize("ending", [".c", ".h", ".toml"])
+@pytest.mark.parametrize("fresh", [(), ("--fresh",)])
+def test_a_file_that_export_did_not_write_stays(surrogate, invoke, tmp_path, ending, fresh):
+    mine = tmp_path / f"mine{ending}"
+    mine.write_text("int main;\n", encoding="utf-8")
+    out = mine.with_suffix(".c") if ending == ".h" else mine
+    done = invoke("export", surrogate, "--out", out, *fresh, code=1)
+    assert f"{mine}: not a C source of a surrogate, so --fresh does not replace it" in done.stderr
+    assert mine.read_text(encoding="utf-8") == "int main;\n"
+    assert [each.name for each in tmp_path.glob("mine.*")] == [mine.name]
+
+
+def test_a_source_is_no_header(surrogate, invoke, tmp_path):
+    done = invoke("export", surrogate, "--out", tmp_path / "a.h", code=1)
+    assert "the header goes there; give the source another ending, .c" in done.stderr
+
+
+@pytest.mark.parametrize("name", ["mine.toml", "mine.msh", SCHEMA])
+@pytest.mark.parametrize("fresh", [(), ("--fresh",)])
+def test_a_file_that_new_did_not_write_stays(invoke, tmp_path, name, fresh):
+    mine = tmp_path / name
+    mine.write_text("something else\n", encoding="utf-8")
+    path = tmp_path / "mine.toml"
+    done = invoke("new", path, "--example", "mesh", *fresh, code=1)
+    assert f"{mine}: not a " in done.stderr
+    assert "so --fresh does not replace it" in done.stderr
+    assert [each.name for each in tmp_path.iterdir()] == [name]
+    assert mine.read_text(encoding="utf-8") == "something else\n"
+
+
+def test_a_name_may_have_quotes(tmp_path):
+    path = tmp_path / 'a"b\\.toml'
+    write_recipe(path, "bar")
+    assert load_recipe(path).data_path() == tmp_path / 'a"b\\.h5'

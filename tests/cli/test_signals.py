@@ -1,4 +1,4 @@
-"""SIGINT, SIGTERM and SIGHUP at any instant end a command soon, which says how to resume it.
+"""Signals of people and of batch systems end a command soon, which says how to resume it.
 
 `SURROFE2_SIGNALS` is how many signals the long tests send to each command; default: 20.
 """
@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from surrofe2.base import interruption
 from surrofe2.store.run_folder import read_record
 
 SIGNALS = int(os.environ.get("SURROFE2_SIGNALS", "20"))
@@ -70,13 +71,14 @@ def struck(process, number, instant, folder):
     assert "Traceback" not in said, said
     assert "error" not in said, said
     told = said.strip().splitlines()[-1]
-    assert told.startswith("interrupted: "), said
+    cause = "interrupted" if number == signal.SIGINT else f"interrupted by {number.name}"
+    assert told.startswith(f"{cause}: "), said
     assert took < SOON * (1 + os.getloadavg()[0] / 2)
     assert not [*folder.rglob("*.lock"), *folder.rglob("*.partial")]
     for path in folder.rglob("run.json"):
         assert read_record(path.parent).status in ("interrupted", "finished")
     if "resume with: " not in told:
-        assert told == "interrupted: nothing was changed"
+        assert told in ("interrupted: nothing was changed", f"{cause}: nothing was changed")
         return None, took
     again = shlex.split(told.split("resume with: ")[1])
     assert again[0] == "surrofe2"
@@ -113,7 +115,7 @@ def test_signals_at_random_instants_end_every_command(
 
     random, times, wrong, arguments = np.random.default_rng(SIGNALS), [], [], None
     for k, instant in enumerate(random.uniform(0.0, 5.0, size=SIGNALS)):
-        number = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)[random.integers(3)]
+        number = interruption.SIGNALS[random.integers(len(interruption.SIGNALS))]
         begin = forked
         if arguments is None or k % 10 == 0:
             begin, folder = of_its_own, tmp_path / str(k)

@@ -126,3 +126,18 @@ def test_work_goes_on_where_nobody_hears_of_it(tmp_path, ending):
     assert done.stdout + done.stderr == ""
     assert (tmp_path / "a.txt").read_text() == "done"
     assert done.returncode == (1 if "full" in ending else 0)
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&-", ">&- 2>&- <&-"])
+@pytest.mark.parametrize("arguments", ["--version", "check none.toml", "bogus"])
+def test_closed_streams_are_no_traceback(closed, arguments, tmp_path):
+    command = f"{shlex.quote(sys.executable)} -m surrofe2 {arguments} {closed}"
+    done = subprocess.run(
+        ["sh", "-c", command], capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert "Traceback" not in done.stderr
+    loses = closed.startswith(">") and arguments == "--version"
+    wanted = {"--version": 1 if loses else 0, "check none.toml": 1, "bogus": 2}[arguments]
+    assert done.returncode == wanted
+    if loses and "2" not in closed:
+        assert done.stderr == "error: stdout: closed before the command began\n"

@@ -338,7 +338,7 @@ def test_a_body_that_begins_inside_the_tissue_is_refused(shape, position, depth)
 
 def test_wrong_calls_get_a_sentence():
     mesh = rectangle(2.0, 1.0, (2, 1))
-    with pytest.raises(InputError, match=r"mesh.width, mesh.height: -2.0, 1.0; they must be pos"):
+    with pytest.raises(InputError, match=r"mesh.width: -2.0; it must be positive and finite"):
         rectangle(-2.0, 1.0, (2, 1))
     with pytest.raises(
         InputError, match=r"mesh.elements: a very long list; there must be at least"

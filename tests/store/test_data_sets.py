@@ -273,3 +273,21 @@ def test_samples_beyond_a_bifurcation_are_marked_and_not_valid(path):
     assert replace(samples, left_bifurcation=None).fingerprint != samples.fingerprint
     with pytest.raises(InputError, match="left_bifurcation"):
         replace(samples, left_bifurcation=left[:3])
+
+
+@pytest.mark.parametrize("status", [-1, 5, 7, 127])
+def test_a_status_that_means_nothing_is_refused(path, status):
+    F, F_dot = sample(RANGE, 20, 3)
+    answer = SoftLaw().respond(F, F_dot)
+    codes = answer.status.copy()
+    codes[3] = status
+    stress = answer.stress.copy()
+    stress[3] = np.nan
+
+    def write():
+        with writing_data_set(path, HEADER) as data:
+            data.append(F, F_dot, StressResponse(stress, codes))
+            data.finish()  # which reads it
+
+    with pytest.raises(FileError, match=rf"{path.name}: .*status: {status}; it must be one of 0"):
+        write()

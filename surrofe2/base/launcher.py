@@ -1,0 +1,49 @@
+"""Whether a launcher of MPI (mpiexec, srun) started this process, seen without loading MPI."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from contextlib import suppress
+
+ALONE = "SURROFE2_ALONE"
+"""Environment variable by which every process that a launcher starts works for itself."""
+_ENOUGH = 2.0
+"""s that a launcher takes to end its processes, at most."""
+_SIZES = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE")
+_RANKS = ("PMI_RANK", "OMPI_COMM_WORLD_RANK", "MV2_COMM_WORLD_RANK", "PMIX_RANK")
+
+
+def world_size() -> int:
+    """How many ranks were started with this process; 1 without MPI."""
+    if os.environ.get(ALONE):
+        return 1
+    known = [os.environ[name] for name in _SIZES if name in os.environ]
+    if not known and "PMIX_RANK" in os.environ:
+        known = [os.environ.get("SLURM_STEP_NUM_TASKS", "1")]
+    return int(known[0]) if known and known[0].isdigit() else 1
+
+
+def rank() -> int:
+    """Number of this process among the ranks, before MPI is loaded; 0 where no launcher says it."""
+    known = [os.environ[name] for name in _RANKS if name in os.environ]
+    return int(known[0]) if known and known[0].isdigit() else 0
+
+
+def end_job() -> None:
+    """End this process so that the launcher ends the other ranks, too.
+
+    Ranks that load MPI wait for all others, and a launcher lets them wait where one has ended with
+    an exit code before it came to MPI. So this one asks the launcher, by the message that MPI
+    itself would send, to end all; to launchers without such a connection a signal says it.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    with suppress(KeyError, ValueError, OSError):
+        os.write(int(os.environ["PMI_FD"]), b"cmd=abort exitcode=1\n")
+        time.sleep(_ENOUGH)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    os.kill(os.getpid(), signal.SIGTERM)
