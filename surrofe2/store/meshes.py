@@ -125,7 +125,9 @@ def mesh_of(path: Path, content: bytes, unit: float = 1.0) -> skfem.Mesh:
         )
     for note in names["notes"]:
         _log_once(path.name, note)
-    mesh = _ELEMENTS[elements.shape[1]](unit * points.T, elements.T)
+    mesh = _ELEMENTS[elements.shape[1]](
+        np.ascontiguousarray(unit * points.T), np.ascontiguousarray(elements.T)
+    )
     sides = {name: _facets(mesh, ends) for name, ends in boundaries.items()}
     return check_mesh(type(mesh)(mesh.p, mesh.t, sides or None, regions or None))
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from surrofe2.base.errors import FileError, InputError
-from surrofe2.problem.mesh import area_of, element_nodes, length_of, region
+from surrofe2.problem.mesh import area_of, element_nodes, length_of, rectangle, region
 from surrofe2.store import meshes
 from surrofe2.store.fields import CELL, DISPLACEMENT_NAME, write_series
 from surrofe2.store.meshes import load_mesh
@@ -109,15 +109,6 @@ def test_triangles_of_six_nodes_from_any_format(tmp_path, written, kind):
         back.p.T[element_nodes(back)], 1e6 * mesh.p.T[gmsh_order], rtol=1e-12
     )
     assert len(back.boundary_facets()) == 4
-
-
-def test_groups_of_gmsh_2_by_their_numbers(tmp_path, written):
-    stored = meshio.read(written(QUADS))
-    path = tmp_path / "old.msh"
-    stored.cell_sets = {}
-    stored.write(path, file_format="gmsh22", binary=False)
-    assert "2.2 0 8" in path.read_text()
-    assert names(load_mesh(path)) == names(load_mesh(written(QUADS)))
 
 
 MIXED = changed(QUADS, ("5 5 1 5", "5 6 1 6"), ("2 2 3 1\n", "2 2 2 1\n6 2 6 3\n2 2 3 1\n"))
@@ -315,3 +306,14 @@ def test_fields_of_a_run_are_a_mesh(tmp_path, kind, rng):
 def test_greek_mu_in_a_name_is_the_micro_sign(written):
     mesh = load_mesh(written(changed(QUADS, ('"skin"', '"skin of 5 \u03bcm"'))), "\u03bcm")
     assert "skin of 5 \u00b5m" in mesh.subdomains
+
+
+def test_a_large_mesh_is_read_without_a_word(tmp_path, caplog, capfd):
+    """scikit-fem logs a warning where the arrays of more than 1000 nodes are not contiguous."""
+    mesh = rectangle(1.0, 1.0, (40, 40))
+    path = tmp_path / "large.vtu"
+    in_space = np.pad(mesh.p.T, ((0, 0), (0, 1)))
+    meshio.Mesh(in_space, [("quad", mesh.t.T)]).write(path)
+    assert load_mesh(path).nelements == 1600
+    assert not caplog.records
+    assert capfd.readouterr() == ("", "")
