@@ -1,9 +1,10 @@
 """Reads the mesh of an Abaqus input file: plane elements, sets of elements and nodes, surfaces.
 
-Element sets are groups of surfaces. Node sets, and surfaces of element sides, become boundaries.
-Abaqus/CAE writes both sets of one name for a part of the geometry. Of a face the node set holds all
-nodes of the elements, and the element set says it; of an edge the elements are those beside it, and
-the node set says it. Names are the same in capitals and small letters.
+Element sets are groups of surfaces, or of trusses and beams along sides, as Gmsh writes curves.
+Node sets, and surfaces of element sides, become boundaries. Abaqus/CAE writes both sets of one name
+for a part of the geometry. Of a face the node set holds all nodes of the elements, and the element
+set says it; of an edge the elements are those beside it, and the node set says it. Names are the
+same in capitals and small letters.
 """
 
 from __future__ import annotations
@@ -22,8 +23,10 @@ _T = TypeVar("_T")
 
 _PLANE = re.compile(r"(?:CPS|CPEG|CPE|S|STRI|M3D|R3D|SFM3D|DS|DC2D|AC2D|F2D)(\d)")
 """Families of elements in a plane, shells and membranes; then the number of nodes, and variants."""
-_LINES = re.compile(r"(?:T2D|T3D|B2|B3|R2D2|RB|SPRING|DASHPOT|CONN|MASS)")
-"""Families of elements that stand on nodes of others, and are left out."""
+_ALONG = re.compile(r"(?:T2D|T3D|B2|B3|R2D|RB2D|RB3D)(\d)")
+"""Families of trusses, beams and rigid lines; B21 and B31 have two nodes."""
+_APART = re.compile(r"(?:SPRING|DASHPOT|CONN|MASS|ROTARY|DCOUP|GAP)")
+"""Families of elements that are no part of a mesh, and are left out."""
 _KINDS = {"3": "triangle", "4": "quad", "6": "triangle6", "8": "quad8", "9": "quad9"}
 
 
@@ -45,7 +48,8 @@ class _Contents:
 
     Attributes:
         tags, points: number and position of nodes.
-        elements: by kind rows of the number of an element and its nodes.
+        elements: by kind rows of the number of an element and its nodes; of lines both ends.
+        apart: numbers of elements that are left out.
         internal: names of element sets that only surfaces use.
         surfaces: by name an element set, or the number of an element, and a side such as "S2".
     """
@@ -53,6 +57,7 @@ class _Contents:
     tags: list[Index] = field(default_factory=list)
     points: list[Array] = field(default_factory=list)
     elements: dict[str, list[Index]] = field(default_factory=dict)
+    apart: set[int] = field(default_factory=set)
     element_sets: _Sets = field(default_factory=_Sets)
     node_sets: _Sets = field(default_factory=_Sets)
     internal: set[str] = field(default_factory=set)
@@ -143,20 +148,27 @@ def _read_nodes(contents: _Contents, options: dict[str, str], lines: list[list[s
 
 def _read_elements(contents: _Contents, options: dict[str, str], lines: list[list[str]]) -> None:
     stated = options.get("TYPE", "").upper()
-    family = _PLANE.match(stated)
-    kind = _KINDS.get(family[1]) if family else None
-    if kind is None:
-        if _LINES.match(stated):
-            return
+    numbers = [int(word) for line in lines for word in line if word]
+    plane, along = _PLANE.match(stated), _ALONG.match(stated)
+    if _APART.match(stated):
+        contents.apart.update(int(line[0]) for line in lines)
+        return
+    if plane and plane[1] in _KINDS:
+        kind = _KINDS[plane[1]]
+        count = SURFACES[kind]
+    elif along:
+        kind = "line"
+        count = 3 if stated.startswith(("T2D3", "T3D3", "B22", "B32")) else 2
+    else:
         raise MeshError(
             f"{len(lines)} elements of type {stated or '(none)'}; they must be plane, such as "
             "CPS3, CPS4R, CPE6, CPE8R or S4R"
         )
-    numbers = [int(word) for line in lines for word in line if word]
-    width = 1 + SURFACES[kind]
-    if len(numbers) % width:
-        raise ValueError(f"an element of type {stated} must have {width - 1} nodes")
-    rows = np.array(numbers, dtype=np.int64).reshape(-1, width)
+    if len(numbers) % (1 + count):
+        raise ValueError(f"an element of type {stated} must have {count} nodes")
+    rows = np.array(numbers, dtype=np.int64).reshape(-1, 1 + count)
+    if count == 3 and kind == "line":
+        rows = rows[:, [0, 1, 3]]  # the second node is in the middle
     contents.elements.setdefault(kind, []).append(rows)
     if "ELSET" in options:
         contents.element_sets.add(options["ELSET"], rows[:, 0].tolist())
@@ -205,12 +217,22 @@ def _stored(contents: _Contents) -> StoredMesh:
     for name, members in contents.element_sets.items():
         if name in contents.internal:
             continue
+        members_at = {
+            _place(element_at, tag, f"set {name}: element")
+            for tag in members
+            if tag not in contents.apart
+        }
+        lines_of = np.array(sorted(k for kind, k in members_at if kind == "line"), dtype=np.int64)
+        if lines_of.size:
+            groups.append(Group(name, 1, {"line": lines_of}))
         group = Group(name, 2)
-        for kind, k in sorted({_place(element_at, tag, f"set {name}: element") for tag in members}):
-            group.cells[kind] = np.append(group.cells.get(kind, np.zeros(0, np.int64)), k)
-        if not _is_of_an_edge(group, cells, node_sets):
+        for kind, k in sorted(members_at):
+            if kind != "line":
+                before = group.cells.get(kind, np.zeros(0, np.int64))
+                group.cells[kind] = np.append(before, k)
+        if group.cells and not _is_of_an_edge(group, cells, node_sets):
             groups.append(group)
-    lines: list[list[int]] = []
+    lines: list[list[int]] = cells.get("line", np.zeros((0, 2), np.int64)).tolist()
     for name, sides in contents.surfaces.items():
         begin = len(lines)
         for where, side in sides:

@@ -132,7 +132,8 @@ def main() -> None:
     except MemoryError:
         reason = f"reading it takes more than {int(memory) / 1e9:.3g} GB"
     except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
+        # meshio's errors are often without a word, such as those of second order in Medit files.
+        reason = " ".join(str(error).split()) or "meshio cannot; try another format, such as .msh"
     except SystemExit:
         reason = "meshio ended"
     else:

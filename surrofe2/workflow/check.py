@@ -109,9 +109,9 @@ def parts_of_mesh(recipe: Recipe) -> list[str]:
         length = length_of(mesh, facets)
         lines.append(f"boundary {name}: {sides}{within}, {there}, {length:,.6g} µm")
     for name, elements in [*regions.items()][:_MOST_PARTS]:
-        count = len(np.unique(nodes[elements]))
-        area = area_of(mesh, elements)
-        lines.append(f"region {name}: {len(elements):,} elements, {count:,} nodes, {area:,.6g} µm²")
+        there = _counted(len(np.unique(nodes[elements])), "node")
+        inside = _counted(len(elements), "element")
+        lines.append(f"region {name}: {inside}, {there}, {area_of(mesh, elements):,.6g} µm²")
     for what, names in (("boundaries", boundaries), ("regions", regions)):
         if len(names) > _MOST_PARTS:
             lines.append(f"and {len(names) - _MOST_PARTS} more {what}")

@@ -115,6 +115,23 @@ def test_partitioned_meshes_are_whole(tmp_path, version, binary):
         )
 
 
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("recombine", [False, True])
+@pytest.mark.parametrize("draw", [drawn.holed, drawn.layered])
+def test_abaqus_files_of_gmsh_have_its_groups(tmp_path, draw, recombine, order):
+    """Gmsh writes curves as trusses."""
+    drawn.meshed(gmsh, draw, order, recombine=recombine)
+    path = tmp_path / "mesh.inp"
+    gmsh.write(str(path))
+    mesh = mesh_of(path, read("abaqus", str(path)))
+    for (dimension, name), known in drawn.known_groups(gmsh).items():
+        if dimension == 1:
+            size = length_of(mesh, mesh.boundaries[name])
+        else:
+            size = area_of(mesh, mesh.subdomains[name])
+        assert size == pytest.approx(known.size, rel=1e-10)
+
+
 def test_one_file_of_several_parts_is_refused(tmp_path):
     drawn.meshed(gmsh, drawn.layered, 1, recombine=False)
     gmsh.model.mesh.partition(2)
