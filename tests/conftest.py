@@ -2,6 +2,7 @@
 
 import os
 import re
+import signal
 from collections import Counter
 from pathlib import Path
 
@@ -105,6 +106,10 @@ NEXT = ("test_slow_manifold", "test_bound_of_plant_cells", "test_arranged_cells"
 def pytest_configure(config):
     """Of several workers each has its share of the cores, and takes files in the order below."""
     config.option.loadscopereorder = False
+    # Shells let commands in their background ignore SIGINT, and nohup SIGHUP; those of tests would.
+    for number in (signal.SIGINT, signal.SIGHUP):
+        if signal.getsignal(number) == signal.SIG_IGN:
+            signal.signal(number, signal.SIG_DFL)
     take_process()
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     numba.set_num_threads(max(1, numba.config.NUMBA_NUM_THREADS // workers))

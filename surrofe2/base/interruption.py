@@ -23,7 +23,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from select import select
 from threading import Thread
-from time import monotonic
+from time import monotonic, sleep
 from types import FrameType
 from typing import Any
 
@@ -31,6 +31,8 @@ ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 SIGNALS = (*ENDING, signal.SIGUSR1, signal.SIGUSR2, signal.SIGXCPU)
 _APART = 1.0
 """s between a signal and the next one of its own; launchers of MPI pass on what ranks have got."""
+_HEARD = 0.3
+"""s that a launcher of MPI takes to pass on the last line of a rank."""
 _PATIENCE = 5.0
 """s after which a signal that could not be taken yet is answered by a line."""
 _AGAIN = 0.25
@@ -196,6 +198,7 @@ def _end_at_the_second(receiver: int) -> None:
                 first = monotonic()
             elif monotonic() - first >= _APART:
                 os.write(2, b"ended at once; files are whole, and what was kept last stays\n")
+                sleep(_HEARD)
                 _state.end(128 + number)
                 os._exit(128 + number)
 

@@ -14,7 +14,7 @@ from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.base.units import number
 from surrofe2.plant_cell.parameters import PRESETS
 from surrofe2.report.tables import Quantity, Table, percent
-from surrofe2.run.charts import Curve, Panel, draw_panels, encoded
+from surrofe2.run.charts import Curve, Panel, draw_panels, encoded, in_words
 from surrofe2.run.displacement_curve import CurveDifference, DisplacementCurve, difference
 from surrofe2.store.run_folder import RunRecord, StoredRun, read_run
 from surrofe2.store.store import digest, flat, keep, write_bytes
@@ -307,7 +307,7 @@ def displacement_panels(runs: Sequence[StoredRun]) -> list[Panel]:
             for name, what, k, curve in lines
         )
         y_label = f"displacement $u_{'xy'[axis]}$ (µm)"
-        title = "" if panels or len(curves) > 1 else label
+        title = "" if panels or len(curves) > 1 else in_words(label)
         height = 0.55 if panels else 1.0
         panels.append(Panel("time (µs)", y_label, curves, title, height=height))
     return panels
@@ -327,7 +327,7 @@ def difference_panel(runs: Sequence[StoredRun]) -> Panel:
         differences.append(Curve("", run.curve.t, relative, label, markers=False, colour=k))
     names = f"{differences[0].label} and " if len(differences) == 1 else "each run and "
     title = f"Difference of {names}{reference.name}, relative to the largest displacement"
-    return Panel("time (µs)", "difference (%)", tuple(differences), title, height=0.6)
+    return Panel("time (µs)", "difference (%)", tuple(differences), in_words(title), height=0.6)
 
 
 def audit_panels(runs: Sequence[StoredRun]) -> list[Panel]:

@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator
 
 from surrofe2.base.arrays import Array
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape
-from surrofe2.run.charts import VERMILION
+from surrofe2.run.charts import VERMILION, in_words
 from surrofe2.rve.particles import Particles
 from surrofe2.store.fields import StoredFields
 
@@ -304,7 +304,7 @@ def cell_figure(
     columns = min(3, len(chosen))
     rows = -(-len(chosen) // columns)
     figure = Figure(figsize=(3.0 * columns + 1.8, 3.0 * rows + 2.6), layout="constrained")
-    figure.suptitle(title, fontsize=11)
+    figure.suptitle(in_words(title), fontsize=11)
     parts: Any = figure.subfigures(2, 1, height_ratios=(2.2, 3.0 * rows))
     above, below = parts
     place, curve = above.subplots(1, 2, width_ratios=(1.0, 1.4))

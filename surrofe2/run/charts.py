@@ -123,12 +123,31 @@ def draw_panels(
     for place, panel in zip(axes.flat, panels, strict=False):
         _draw_panel(place, panel, int(11 * width / columns))
     legend = _draw_legends(figure, width, columns)
-    lines = [part for line in title.split("\n") for part in wrap(line, int(11 * width))]
+    lines = [part for line in title.split("\n") for part in wrap(in_words(line), int(11 * width))]
     figure.set_size_inches(width, sum(heights) + legend + _TITLE_ROW * len(lines))
     figure.align_ylabels()
     if lines:
         figure.suptitle("\n".join(lines), fontsize=11)
     return figure
+
+
+def in_words(text: str) -> str:
+    """A text that may hold names of folders, as matplotlib draws it literally.
+
+    Dollar signs begin no formula, and a sign that its font lacks is drawn as an escape. Titles of
+    panels may have formulas, so that names in them need this; labels and titles of figures get it.
+    """
+    from matplotlib.font_manager import FontProperties, findfont, get_font
+
+    known = get_font(findfont(FontProperties())).get_charmap()
+    signs = []
+    for sign in text:
+        if ord(sign) in known or sign == "\n":
+            signs.append(sign)
+        else:
+            signs.append(sign.encode("unicode_escape").decode())
+    shown = "".join(signs).replace("$", r"\$")
+    return f" {shown}" if shown.startswith("_") else shown  # such labels would be left out
 
 
 def encoded(figure: Figure, form: str = "svg") -> bytes:
@@ -163,7 +182,7 @@ def _draw_panel(axes: Axes, panel: Panel, letters: int) -> None:
         if curve.dash:
             style["linestyle"] = curve.dash
         y = np.where(np.asarray(curve.y) > 0.0, curve.y, np.nan) if panel.log_y else curve.y
-        axes.plot(curve.x, y, label=curve.label or curve.name, **style)
+        axes.plot(curve.x, y, label=in_words(curve.label or curve.name), **style)
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
     axes.set_title("\n".join(wrap(panel.title, letters)), fontsize=10)
