@@ -317,3 +317,13 @@ def test_a_large_mesh_is_read_without_a_word(tmp_path, caplog, capfd):
     assert load_mesh(path).nelements == 1600
     assert not caplog.records
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_byte_order_mark_is_read_and_utf_16_is_named(tmp_path):
+    path = tmp_path / "mesh.msh"
+    path.write_text(QUADS, encoding="utf-8-sig")
+    assert load_mesh(path, "\u03bcm").nelements > 0
+    for encoding in ("utf-16", "utf-16-le"):
+        path.write_text(QUADS, encoding=encoding)
+        with pytest.raises(FileError, match=r"mesh\.msh: this is UTF-16 text; save it as UTF-8"):
+            load_mesh(path)
