@@ -34,3 +34,20 @@ def test_a_disk_with_less_takes_files(tmp_path, host, warnings):
     assert done.stderr.count(KEEPS_NONE) == len(done.stderr.splitlines()) == warnings
     files = sorted(path.name for path in tmp_path.iterdir() if path.is_file())
     assert files == ["a.toml", "recipe.schema.json", "sitecustomize.py"]
+
+
+LIMITED = """
+import resource, sys
+limit = 1_000_000_000
+resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+sys.argv = ["surrofe2", *sys.argv[1:]]
+from surrofe2.__main__ import main
+main()
+"""
+
+
+def test_a_recipe_is_checked_where_the_address_space_is_limited(recipe_path):
+    """As `ulimit -v` and queues of batch systems limit it, here to 1 GB."""
+    one = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+    done = python("-c", LIMITED, "check", recipe_path, "--only", env=one)
+    assert "no problem found" in done.stdout
