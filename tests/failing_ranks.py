@@ -1,4 +1,5 @@
-"""`mpiexec -n 2 python -m tests.failing_ranks HOW`: rank 1 fails, or never answers."""
+"""`mpiexec -n 2 python -m tests.failing_ranks HOW`: rank 1 fails, or never answers;
+or all work until a signal comes."""
 
 import os
 import sys
@@ -34,14 +35,37 @@ def work(worker, how):
         sys.exit(0)
 
 
+def pid(worker):
+    time.sleep(0.05)
+    return os.getpid()
+
+
+def wait(driver):
+    """Work until a signal comes; print the number of the other process, then what interrupted."""
+    try:
+        _, other = driver.do(pid, [(), ()])
+        sys.stdout.write(f"{other}\n")
+        sys.stdout.flush()
+        while True:
+            driver.do(pid, [(), ()])
+    except KeyboardInterrupt:
+        sys.stdout.write(f"{interruption.cause()}\n")
+        interruption.end_work()
+    return 0
+
+
 def main(how):
     interruption.watch()
     interruption.begin_work()
     if MPI.COMM_WORLD.rank:
-        return serve(MPI.COMM_WORLD)
+        code = serve(MPI.COMM_WORLD)
+        interruption.end_work()
+        return code
     with Driver(MPI.COMM_WORLD) as driver:
         sys.stdout.write(f"{os.getpid()}\n")
         sys.stdout.flush()
+        if how == "wait":
+            return wait(driver)
         driver.do(work, [None, (how if how == "exit in a task" else Task(how),)])
     return 0
 

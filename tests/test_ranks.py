@@ -225,6 +225,14 @@ def test_a_second_signal_ends_ranks_that_wait_for_one_another():
     assert "ended at once; files are whole" in printed
 
 
+def test_a_signal_to_any_rank_interrupts_the_first():
+    process = on_ranks(2, "wait", module="tests.failing_ranks")
+    process.stdout.readline()
+    os.kill(int(process.stdout.readline()), signal.SIGTERM)
+    out, printed = process.communicate(timeout=60)
+    assert out == "interrupted by SIGTERM to rank 1\n", printed
+
+
 def by_shell(ranks, command, folder, **settings):
     """(exit code, standard output, standard error) of a shell's command on ranks, in a folder."""
     words = [MPIEXEC, "-n", str(ranks), "sh", "-c", command]
