@@ -203,7 +203,7 @@ class CachedLaw(Viewed):
         if is_over:
             self._run_audit()
         if not (window.stands or window.failed or trust.is_off):
-            trust.fail(self._counts["steps"], window)
+            trust.fail(self._counts["steps"], window, learns=self.table is not None)
         return False if window.failed else (True if is_over else None)
 
     def roll_back(self, t: float) -> CachedState:
@@ -409,7 +409,7 @@ class CachedLaw(Viewed):
         if window.stands:
             trust.stand()
         else:
-            trust.fail(self._counts["steps"], window)
+            trust.fail(self._counts["steps"], window, learns=self.table is not None)
         self._window = Window(0.0, self._counts["steps"], trust.limit)
 
     def restart_step(

@@ -126,13 +126,16 @@ class Trust:
 
     Attributes:
         factor: by which risks are multiplied before they are compared with 1.
-        reach: of the seven inputs of `tensors`, the sizes up to which they are trusted.
+        least_factor: what violations asked for; the factor does not fall below it.
+        reach: of the seven inputs of `tensors`, the sizes up to which they are trusted; they only
+            become smaller.
         more_audits: by which the fraction of answers that are audited is multiplied.
         failures: windows that failed; standing: that stood since the factor changed.
         events: what was found and done, in order, each with its step.
     """
 
     factor: float = 1.0
+    least_factor: float = 1.0
     reach: list[float] = field(default_factory=lambda: [np.inf] * INPUTS)
     is_off: bool = False
     more_audits: float = 1.0
@@ -145,12 +148,18 @@ class Trust:
         """What a risk may be at most; negative: nothing is trusted."""
         return -1.0 if self.is_off else 1.0 / self.factor
 
-    def fail(self, step: int, window: Window) -> None:
+    def fail(self, step: int, window: Window, *, learns: bool = False) -> None:
         """Answer none of the window's violations any more: raise the factor or narrow the reach,
-        whichever leaves more of what was right, or switch off where neither leaves anything."""
+        whichever leaves more of what was right, or switch off where neither leaves anything.
+
+        Args:
+            learns: the surrogate has taken in the RVE's stress where it was wrong. Then the factor
+                may come down again, but for violations at which the RVE has no stress.
+        """
         window.failed = True
         self.failures += 1
-        self.standing, self.more_audits = 0, MORE_AUDITS
+        self.standing = 0
+        self.more_audits = MORE_AUDITS
         audits = np.array(window.audits)
         is_wrong = audits[:, 1] > 0.0
         wrong, right = audits[is_wrong, 3:], audits[~is_wrong, 3:]
@@ -168,9 +177,13 @@ class Trust:
         finding += "the tolerance; "
         if factor <= LARGEST_FACTOR and not (may_narrow and left[k] > 2.0 * left[0]):
             self.factor = factor
+            unlearnt = audits[is_wrong & np.isnan(audits[:, 2])] if learns else audits[is_wrong]
+            asked = MARGIN / unlearnt[:, 3].min(initial=np.inf)
+            self.least_factor = max(self.least_factor, float(asked))
             does, action = f"the risks count {factor:.3g} times from here on", "tightened"
         elif may_narrow:
-            self.reach[k - 1] = float(most[k])
+            # An answer from before the reach was narrowed may lie farther out than it is now.
+            self.reach[k - 1] = min(self.reach[k - 1], float(most[k]))
             does = f"states with {INPUT_NAMES[k - 1]} of more than {most[k]:.3g} are left to RVEs"
             does, action = f"{does} from here on", "narrowed"
         else:
@@ -180,11 +193,12 @@ class Trust:
 
     def stand(self) -> None:
         """Take note of a window that stood: audits are as many as before, and the factor is halved
-        after as many windows as failed, and one."""
+        after as many windows as failed, and one, but never below what violations asked for."""
         self.standing += 1
         self.more_audits = 1.0
-        if self.standing > self.failures and self.factor > 1.0:
-            self.factor, self.standing = max(1.0, 0.5 * self.factor), 0
+        if self.standing > self.failures and self.factor > self.least_factor:
+            self.factor = max(self.least_factor, 0.5 * self.factor)
+            self.standing = 0
 
     def warn(self, step: int, finding: str) -> None:
         """Report something that changes nothing, once."""

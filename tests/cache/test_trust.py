@@ -151,7 +151,7 @@ def window_of(*audits):
     return Window(0.0, 0, 1.0, audits=rows.tolist())
 
 
-def test_the_factor_is_raised_just_enough_and_comes_back():
+def test_the_factor_is_raised_just_enough_and_never_falls_below_that():
     trust = Trust()
     failed = window(risk=0.4)
     assert not failed.stands
@@ -161,24 +161,67 @@ def test_the_factor_is_raised_just_enough_and_comes_back():
     assert trust.more_audits > 1.0
     trust.stand()
     assert trust.more_audits == 1.0
+    for _ in range(20):
+        trust.stand()
+        assert trust.factor == pytest.approx(2.75)
+    assert not trust.is_off
+
+
+def test_a_factor_that_was_raised_farther_than_asked_comes_back_to_what_was_asked():
+    """1.1/0.9 is asked for, twice the factor is the least raise; the second time 2.4 and 1.1/0.6."""
+    trust, factors = Trust(), []
+    trust.fail(1, window(risk=0.9))
+    for _ in range(3):
+        factors.append(trust.factor)
+        trust.stand()
+    trust.fail(2, window(risk=0.6))
+    for _ in range(8):
+        factors.append(trust.factor)
+        trust.stand()
+    asked, again = 1.1 / 0.9, 1.1 / 0.6
+    later = [2.0 * asked] * 3 + [again] * 5
+    assert factors == pytest.approx([2.0, 2.0, asked, *later])
+
+
+@pytest.mark.parametrize("is_solved", [True, False])
+def test_a_surrogate_that_learnt_what_it_was_wrong_about_gets_its_trust_back(is_solved):
+    """Where the RVE has no stress there was nothing to learn."""
+    trust, failed = Trust(), window(risk=0.4)
+    if not is_solved:
+        failed.audits[1][2] = np.nan
+    trust.fail(1, failed, learns=True)
     factors = []
     for _ in range(6):
         trust.stand()
         factors.append(trust.factor)
-    assert factors == pytest.approx([1.375, 1.375, 1.0, 1.0, 1.0, 1.0])
-    assert not trust.is_off
+    expected = [2.75, 1.375, 1.375, 1.0, 1.0, 1.0] if is_solved else [2.75] * 6
+    assert factors == pytest.approx(expected)
 
 
 def test_a_fault_that_comes_again_makes_trust_return_more_slowly():
     trust, waited = Trust(), []
     for _ in range(3):
-        trust.fail(1, window())
+        trust.fail(1, window(), learns=True)
         waited.append(0)
         raised = trust.factor
         while trust.factor == raised:
             trust.stand()
             waited[-1] += 1
     assert waited == [2, 3, 4]
+
+
+def test_a_narrowed_reach_is_never_widened():
+    """By audits of answers from before it was narrowed, which lie farther out, neither."""
+    trust, reached = Trust(), []
+    for least in (0.3, 0.6, 0.2):
+        x = np.zeros((100, 7))
+        x[:, 3] = np.linspace(0.0, 1.0, 100)
+        is_wrong = x[:, 3] > least
+        trust.fail(1, window_of(is_wrong, np.where(is_wrong, 0.2, 0.01), np.full(100, 1e-4), x))
+        reached.append(trust.reach[3])
+    assert [event["action"] for event in trust.events] == ["narrowed"] * 3
+    assert reached[0] == reached[1] == pytest.approx(0.3 / 1.1, rel=0.02)
+    assert reached[2] == pytest.approx(0.2 / 1.1, rel=0.03)
 
 
 def test_a_fault_that_no_risk_tells_narrows_one_input():
