@@ -168,7 +168,7 @@ def test_the_factor_is_raised_just_enough_and_never_falls_below_that():
 
 
 def test_a_factor_that_was_raised_farther_than_asked_comes_back_to_what_was_asked():
-    """1.1/0.9 is asked for, twice the factor is the least raise; the second time 2.4 and 1.1/0.6."""
+    """Asked for are 1.1/0.9 and then 1.1/0.6, less than twice the factor, the least raise."""
     trust, factors = Trust(), []
     trust.fail(1, window(risk=0.9))
     for _ in range(3):
