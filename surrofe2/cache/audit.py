@@ -20,7 +20,7 @@ from surrofe2.base.simd import TILE
 from surrofe2.base.tensors import stress_error
 from surrofe2.cache.branches import are_unique
 from surrofe2.cache.protocols import Fallback, Surrogate
-from surrofe2.cache.trust import AUDITS, wrong_at_most
+from surrofe2.cache.trust import AUDITS
 from surrofe2.law.stress_law import StressResponse, state_arrays, state_of
 from surrofe2.run.journal import part_of, within
 
@@ -112,7 +112,6 @@ class ErrorRecord:
             "rolled_back": self.rolled_back,
             "unsolved": self.unsolved,
             "violations": self.violations,
-            "wrong_at_most": wrong_at_most(self.violations, self.audited) if self.audited else None,
             "tolerance": self.tolerance,
             "rms": float(np.sqrt(self.sum_of_squares / solved)) if solved else None,
             "largest": self.largest if solved else None,
@@ -162,6 +161,53 @@ class Finding(NamedTuple):
     broken: Flags
 
 
+class Starts(NamedTuple):
+    """Where RVEs of an audit may start from: `points` of the last batch that were stable and on the
+    branch of the reference, where each was in (F, Ḟ times 1 µs) (k, 8), and the fallback's state.
+    """
+
+    points: Index
+    at: Array
+    state: Any
+
+    def to_arrays(self, fallback: Fallback) -> dict[str, NDArray]:
+        state = within("last", state_arrays(fallback, self.state))
+        return {"last_points": self.points, "last_at": self.at, **state}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray], fallback: Fallback) -> Starts | None:
+        """What `to_arrays` gave; None where there is nothing."""
+        if "last_points" not in arrays:
+            return None
+        state = state_of(fallback, part_of(arrays, "last"))
+        return cls(arrays["last_points"].astype(np.intp), arrays["last_at"], state)
+
+
+def solve(
+    fallback: Fallback, asked: Question, last: Starts | None
+) -> tuple[StressResponse, Starts | None]:
+    """The RVEs' answer to what was asked, and where the next batch may start from.
+
+    RVEs start from the last batch: each from that of the same point where the points are the same,
+    else from the one that is nearest in (F, Ḟ times 1 µs); without a batch from the reference.
+    """
+    F, F_dot = asked.F, asked.F_dot
+    at = np.concatenate([F.reshape(-1, 4), F_dot.reshape(-1, 4)], axis=1)
+    start = None
+    if last is not None:
+        start = last.state
+        if not np.array_equal(last.points, asked.points):
+            nearest = [((last.at - each) ** 2).sum(axis=1).argmin() for each in at]
+            start = start.take(np.array(nearest))
+    answer = fallback.respond(F, F_dot, start)
+    accepted = fallback.accept(F, F_dot, answer)
+    status, state = accepted.status, accepted.state
+    good = ((status == 0) & are_unique(state, len(at))).nonzero()[0]
+    if state is not None and len(good):
+        last = Starts(asked.points[good], at[good], state.take(good))
+    return StressResponse(answer.stress, status, state), last
+
+
 class Audit:
     """Chooses answers at random and compares them batch by batch; `record` is of all so far.
 
@@ -184,7 +230,7 @@ class Audit:
         self._random = np.random.default_rng(seed)
         self._waiting = self._spare = NO_QUESTION
         self._below = 1.0  # u of answers that may still be among the remembered
-        self._last: tuple[Index, Array, Any] | None = None
+        self._last: Starts | None = None
 
     def choose(
         self,
@@ -244,7 +290,7 @@ class Audit:
         if not whole and asked.step[0] < asked.step[-1]:
             count -= count % TILE
         asked, self._waiting = asked.only(slice(count)), asked.only(slice(count, None))
-        truth = self._solve(asked)
+        truth, self._last = solve(self._fallback, asked, self._last)
         local = self._surrogate.local_tolerance(asked.F, asked.F_dot)
         return Finding(asked, truth, *self.record.add(asked, truth, local))
 
@@ -261,9 +307,7 @@ class Audit:
             if len(asked.step):
                 arrays |= within(name, asked._asdict())
         if self._last is not None:
-            points, at, state = self._last
-            arrays |= {"last_points": points, "last_at": at}
-            arrays |= within("last", state_arrays(self._fallback, state))
+            arrays |= self._last.to_arrays(self._fallback)
         return arrays
 
     def to_values(self) -> dict[str, Any]:
@@ -277,29 +321,7 @@ class Audit:
             Question(**part) if (part := part_of(arrays, name)) else NO_QUESTION
             for name in ("waiting", "spare")
         )
-        self._last = None
-        if "last_points" in arrays:
-            state = state_of(self._fallback, part_of(arrays, "last"))
-            self._last = arrays["last_points"].astype(np.intp), arrays["last_at"], state
+        self._last = Starts.from_arrays(arrays, self._fallback)
         self.record = ErrorRecord(**record)
         self._below = float(values["below"])
         self._random.bit_generator.state = values["random"]
-
-    def _solve(self, asked: Question) -> StressResponse:
-        """The RVE, from the last batch: of the same points, or else of nearest (F, Ḟ times 1 µs).
-
-        What can be started from is kept: stable, on the branch of the reference."""
-        F, F_dot, start = asked.F, asked.F_dot, None
-        at = np.concatenate([F.reshape(-1, 4), F_dot.reshape(-1, 4)], axis=1)
-        if self._last is not None:
-            points, known, start = self._last
-            if not np.array_equal(points, asked.points):
-                nearest = [((known - each) ** 2).sum(axis=1).argmin() for each in at]
-                start = start.take(np.array(nearest))
-        answer = self._fallback.respond(F, F_dot, start)
-        accepted = self._fallback.accept(F, F_dot, answer)
-        status, state = accepted.status, accepted.state
-        good = ((status == 0) & are_unique(state, len(at))).nonzero()[0]
-        if state is not None and len(good):
-            self._last = asked.points[good], at[good], state.take(good)
-        return StressResponse(answer.stress, status, state)

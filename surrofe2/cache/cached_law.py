@@ -26,6 +26,7 @@ from surrofe2.cache.branches import (
     choose_branches,
     look_up_free,
 )
+from surrofe2.cache.closing_audit import ClosingAudit, Solved
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate, check_parts
 from surrofe2.cache.settings import CacheSettings
 from surrofe2.cache.table.stress_table import StressTable
@@ -97,6 +98,7 @@ class CachedLaw(Viewed):
         self.fallback = fallback
         self.density = fallback.density
         self.on_true_answer = on_true_answer
+        self._restored: CachedState | None = None  # by `state_from_arrays`, until a run begins
         self.reset_counts()
 
     def facts(self) -> Facts:
@@ -123,12 +125,28 @@ class CachedLaw(Viewed):
 
     def reset_counts(self) -> None:
         """Begin as if nothing had been asked: counts, audits and trust."""
+        self._begin(Trust())
+
+    def begin_run(self, state: CachedState | None) -> bool:
+        """Count and audit from here on for one run alone, with the trust that earlier ones left;
+        but continue where `state` is what `state_from_arrays` gave last. Whether it is."""
+        resumes = state is not None and state is self._restored
+        self._restored = None
+        if not resumes:
+            self._begin(self._trust.of_next_run())
+        return resumes
+
+    def _begin(self, trust: Trust) -> None:
+        """Count and audit anew, with this trust."""
         surrogate, own = self.surrogate, self.settings
         allowed = own.tolerance * surrogate.stress_spread
         self._counts = Counter({**NO_EFFORT, "in_domain": 0, "steps": 0, "switched": 0})
         self._left_range: dict[str, dict[str, float]] = {}
         self._audit = Audit(surrogate, self.fallback, own.audit, own.seed, allowed)
-        self._trust = Trust()
+        self._closing = ClosingAudit(
+            surrogate, self.fallback, own.seed, allowed, is_wanted=own.audit > 0.0
+        )
+        self._trust = trust
         self._window = Window(0.0, 0, self._trust.limit)
         self._decisions: list[dict[str, Any]] = []
         self._marked: CachedState | None = None  # also of a run that resumed cold at its mark
@@ -154,13 +172,16 @@ class CachedLaw(Viewed):
             "accepted": dict(self._counts),
             "left_range": deepcopy(self._left_range),
             "audit": {"share": own.audit, "seed": own.seed, **record.to_dict()},
+            "closing_audit": self._closing.to_dict(),
             "trust": self._trust.to_dict(),
         }
 
     def report(self) -> dict[str, Any]:
-        """`history` at the end of a run: what still waits is audited."""
+        """`history` at the end of a run: what still waits is audited, then the closing sample."""
         self._audit.end()
         self._run_audit()
+        while (solved := self.next_closing()) is not None:
+            self.commit_closing(solved)
         if self._audit.record.says_little:
             self._trust.warn(
                 self._counts["steps"],
@@ -168,6 +189,21 @@ class CachedLaw(Viewed):
                 "allow a smaller one",
             )
         return self.history()
+
+    @property
+    def closing_progress(self) -> tuple[int, int]:
+        """How many answers of the closing audit are solved, and of how many."""
+        return self._closing.progress
+
+    def next_closing(self) -> Solved | None:
+        """The next batch of the closing audit, by RVEs; None where it is complete. Pure."""
+        return self._closing.next_batch()
+
+    def commit_closing(self, solved: Solved) -> None:
+        """Record a batch of the closing audit, keep the RVEs' answers and learn what was wrong."""
+        asked = solved.asked
+        is_wrong = self._closing.commit(solved)
+        self._keep(asked.F, asked.F_dot, solved.truth, AUDIT, is_wrong)
 
     @property
     def is_audited(self) -> bool:
@@ -192,6 +228,7 @@ class CachedLaw(Viewed):
         before = {"carried": carried, **self._counted()}
         self._window = Window(t, self._counts["steps"], self._trust.limit, before, list(carried))
         self._audit.begin()
+        self._closing.mark()
         self._marked = state
 
     def verdict(self, *, final: bool = False) -> bool | None:
@@ -214,10 +251,17 @@ class CachedLaw(Viewed):
         self._decide(t, "rolled back")
         self._counts, self._left_range = Counter(before["counts"]), deepcopy(before["left_range"])
         self._audit.go_back(window.step, before["record"])
+        self._closing.go_back()
         if window.failed:
             before["carried"] = []  # under another factor it says nothing
-        at = window.begin, window.step, self._trust.limit
-        self._window = Window(*at, before, list(before["carried"]))
+        self._window = Window(
+            window.begin,
+            window.step,
+            self._trust.limit,
+            before,
+            list(before["carried"]),
+            tries=window.tries + int(window.failed),
+        )
         limit, reach = self._trust.limit, np.array(self._trust.reach)
         if self._marked is None:
             return CachedState(self._points, NO_POINTS, limit, reach)
@@ -238,6 +282,7 @@ class CachedLaw(Viewed):
             **self._counted(),
             "trust": asdict(self._trust),
             "audit": self._audit.to_values(),
+            "closing": self._closing.to_values(),
             "window": asdict(self._window),
             "decisions": self._decisions,
         }
@@ -247,6 +292,7 @@ class CachedLaw(Viewed):
             **within("state", state.to_arrays(self.fallback)),
             **within("marked", marked),
             **within("audit", self._audit.to_arrays()),
+            **within("closing", self._closing.to_arrays()),
             **within("table", {} if self.table is None else self.table.to_arrays()),
         }
 
@@ -258,12 +304,14 @@ class CachedLaw(Viewed):
         self._window = Window(**values["window"])
         self._decisions = values["decisions"]
         self._audit.restore(part_of(arrays, "audit"), values["audit"], values["record"])
+        self._closing.restore(part_of(arrays, "closing"), values["closing"])
         if self.table is not None:
             self.table.from_arrays(part_of(arrays, "table"))
         marked = part_of(arrays, "marked")
         self._marked = CachedState.from_arrays(marked, self.fallback) if marked else None
         state = CachedState.from_arrays(part_of(arrays, "state"), self.fallback)
         self._points = state.count
+        self._restored = state
         return state
 
     def respond(
@@ -356,6 +404,7 @@ class CachedLaw(Viewed):
             self._distribute(F, F_dot, checked.stress, known)
         if not self._trust.is_off and state.risk is not None:
             answers, more = (F, F_dot, checked.stress, state.risk), self._trust.more_audits
+            self._closing.take(counts["steps"], hits, *answers)
             if self._audit.choose(counts["steps"], hits, *answers, more):
                 self._run_audit(whole=False)
         return self._choose_branches(F, F_dot, checked)

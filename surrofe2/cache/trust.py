@@ -2,20 +2,26 @@
 
 Answers of the cache are audited at random, and errors above the tolerance are violations. A window
 of n audits with k violations stands where the exact upper bound of Clopper and Pearson (1934) on
-the share w of wrong answers, at the confidence C, is at most W,
+the share w of wrong answers is at most W, at a confidence that depends on how often the window has
+been tried: the try number m has the consumer's risk α/2^m, so that all tries have α together,
 
-    P(Bin(n, W) ≤ k) ≤ 1 − C,
+    P(Bin(n, W) ≤ k) ≤ α/2^m,    α = 1 − C,
 
-and while it has no more than the k that `AUDITS` audits may have. A window that fails is rolled
-back where a time loop can. From there on none of its violations would be answered: risks count more
-often, or, where the fault is a local one that the risk does not tell from what was right, one input
-of `tensors` is trusted less far. Only where neither leaves anything the cache is off.
+and while it has no more than the k that `audits_of(m)` audits may have. A window that fails is
+rolled back where a time loop can. From there on none of its violations would be answered: risks
+count more often, or, where the fault is a local one that the risk does not tell from what was
+right, one input of `tensors` is trusted less far. Only where neither leaves anything the cache is
+off. Both hold for the rest of the run, unless the surrogate has learnt what it was wrong about.
+
+What stands was selected by these audits, so they state no bound: `closing_audit` does.
 """
 
 from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field
+from functools import cache
+from math import comb
 from typing import Any
 
 import numpy as np
@@ -25,11 +31,36 @@ from surrofe2.base.tensors import INPUTS
 
 WRONG, CONFIDENCE = 0.02, 0.95
 """W and C: a window of which 2 % of the answers are wrong stands with a probability of at most 5 %,
-the consumer's risk."""
-AUDITS, VIOLATIONS = 320, 2
-"""n and k of a window. (313, 2) is the smallest plan by which besides a window with 0.1 % of wrong
-answers stands with a probability of at least 99.5 %, the producer's risk; 320 are ten batches of
-RVEs more than nothing: n may be larger, k then follows from the bound. No run has fewer audits."""
+the consumer's risk, however often it is tried."""
+VIOLATIONS = 2
+"""k of a window of `audits_of` audits; more violations stand among so many more audits that the
+bound is kept. (359, 2) is the smallest plan of a first try by which besides a window with 0.1 % of
+wrong answers stands with a probability of at least 99 %, the producer's risk."""
+_WHOLE = 8  # audits that are solved together
+
+
+def binomial(violations: int, audits: int, wrong: float) -> float:
+    """P(Bin(audits, wrong) ≤ violations), of a few violations."""
+    counts = range(violations + 1)
+    return sum(comb(audits, k) * wrong**k * (1.0 - wrong) ** (audits - k) for k in counts)
+
+
+@cache
+def audits_of(tries: int) -> int:
+    """n of a window at its try of this number, from 1: the smallest, in whole tiles of RVEs, by
+    which `VIOLATIONS` keep the consumer's risk of that try."""
+    risk = _risk_of(tries)
+    audits = _WHOLE
+    while binomial(VIOLATIONS, audits, WRONG) > risk:
+        audits += _WHOLE
+    return audits
+
+
+def _risk_of(tries: int) -> float:
+    """The consumer's risk of the try of this number, from 1."""
+    return float((1.0 - CONFIDENCE) / 2.0**tries)
+
+
 MARGIN = 1.1
 """By so much the risks of the violations exceed the limit after the factor was raised, or one of
 their inputs its reach after that was narrowed."""
@@ -64,9 +95,15 @@ def wrong_at_most(violations: int, audits: int, confidence: float = CONFIDENCE) 
     return float(scipy.special.betaincinv(violations + 1, audits - violations, confidence))
 
 
-def stands(violations: int, audits: int) -> bool:
-    """Whether a window with so many violations among so many audits stands, see the module."""
-    return violations <= VIOLATIONS or wrong_at_most(violations, audits) <= WRONG
+def stands(violations: int, audits: int, tries: int = 1) -> bool:
+    """Whether a window with so many violations among so many audits stands at its try of this
+    number, see the module."""
+    confidence = 1.0 - _risk_of(tries)
+    return violations <= VIOLATIONS or wrong_at_most(violations, audits, confidence) <= WRONG
+
+
+AUDITS = audits_of(1)
+"""Audits of a window that is tried for the first time. No run has fewer."""
 
 
 @dataclass
@@ -79,6 +116,7 @@ class Window:
         before: what a law has to know that goes back to its begin; None where none can.
         audits: of each the point, whether it is a violation, error in µN/µm (NaN where the RVE has
             no stress), risk, and the sizes of the seven inputs of `tensors`.
+        tries: how often it has been tried, with this time.
     """
 
     begin: float
@@ -87,6 +125,7 @@ class Window:
     before: dict[str, Any] | None = None
     audits: list[list[float]] = field(default_factory=list)
     failed: bool = False
+    tries: int = 1
 
     @property
     def wrong(self) -> list[list[float]]:
@@ -94,12 +133,12 @@ class Window:
 
     @property
     def is_full(self) -> bool:
-        return len(self.audits) >= AUDITS
+        return len(self.audits) >= audits_of(self.tries)
 
     @property
     def stands(self) -> bool:
-        """Whether it does by its audits so far, of which it will have at least `AUDITS`."""
-        return stands(len(self.wrong), len(self.audits))
+        """Whether it does by its audits so far, of which it will have at least `audits_of`."""
+        return stands(len(self.wrong), len(self.audits), self.tries)
 
     def decision(self, t: float, step: int, limit: float, decision: str) -> dict[str, Any]:
         """A line of the event log, of a window that ends at t after so many accepted steps."""
@@ -110,6 +149,7 @@ class Window:
             "t": t,
             "from_t": self.begin,
             "steps": step - self.step,
+            "try": self.tries,
             "audits": len(self.audits),
             "violations": len(self.wrong),
             "points": [int(each[0]) for each in self.wrong[:_MOST_NAMED]],
@@ -131,6 +171,7 @@ class Trust:
             become smaller.
         more_audits: by which the fraction of answers that are audited is multiplied.
         failures: windows that failed; standing: that stood since the factor changed.
+        narrowed: how often the reach was narrowed.
         events: what was found and done, in order, each with its step.
     """
 
@@ -141,6 +182,7 @@ class Trust:
     more_audits: float = 1.0
     failures: int = 0
     standing: int = 0
+    narrowed: int = 0
     events: list[dict[str, Any]] = field(default_factory=list)
 
     @property
@@ -171,8 +213,7 @@ class Trust:
         left = (right <= most).mean(axis=0) if len(right) else np.zeros(len(most))
         left *= usable
         k = 1 + int(left[1:].argmax())
-        narrowed = sum(event["action"] == "narrowed" for event in self.events)
-        may_narrow = left[k] >= LEAST_KEPT and narrowed < MOST_NARROWED
+        may_narrow = left[k] >= LEAST_KEPT and self.narrowed < MOST_NARROWED
         finding = f"{len(wrong)} of {len(wrong) + len(right)} audited answers are off by more than "
         finding += "the tolerance; "
         if factor <= LARGEST_FACTOR and not (may_narrow and left[k] > 2.0 * left[0]):
@@ -184,6 +225,7 @@ class Trust:
         elif may_narrow:
             # An answer from before the reach was narrowed may lie farther out than it is now.
             self.reach[k - 1] = min(self.reach[k - 1], float(most[k]))
+            self.narrowed += 1
             does = f"states with {INPUT_NAMES[k - 1]} of more than {most[k]:.3g} are left to RVEs"
             does, action = f"{does} from here on", "narrowed"
         else:
@@ -199,6 +241,28 @@ class Trust:
         if self.standing > self.failures and self.factor > self.least_factor:
             self.factor = max(self.least_factor, 0.5 * self.factor)
             self.standing = 0
+
+    def of_next_run(self) -> Trust:
+        """What is known of the surrogate when the same law begins another run: all that its audits
+        have shown, and one event that says so."""
+        trust = Trust(
+            self.factor,
+            self.least_factor,
+            list(self.reach),
+            self.is_off,
+            failures=self.failures,
+            narrowed=self.narrowed,
+        )
+        if self.failures:
+            does = f"risks count {self.factor:.3g} times"
+            for name, size in zip(INPUT_NAMES, self.reach, strict=True):
+                if np.isfinite(size):
+                    does += f", states with {name} of more than {size:.3g} are left to RVEs"
+            if self.is_off:
+                does = "RVEs answer"
+            finding = f"audits of an earlier run by this law found wrong answers; {does}"
+            trust._note(0, f"{finding} (reset_counts begins anew)", "none")
+        return trust
 
     def warn(self, step: int, finding: str) -> None:
         """Report something that changes nothing, once."""

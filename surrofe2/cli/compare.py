@@ -8,7 +8,13 @@ from typing import Annotated
 import typer
 
 from surrofe2.cli import console
-from surrofe2.report.comparison import COMPARISON_FILES, Comparison, audit_sentence, compare_runs
+from surrofe2.report.comparison import (
+    COMPARISON_FILES,
+    Comparison,
+    audit_sentence,
+    closing_sentence,
+    compare_runs,
+)
 from surrofe2.store.run_folder import caches_of
 
 REPORT = "report.html"
@@ -55,6 +61,9 @@ def show_comparison(result: Comparison) -> None:
         if run.balance is not None:
             console.print_line(f"{run.name}: {run.balance.sentence}")
         for name, cache in caches_of(run.cache).items():
+            of = f"{run.name}, {name}" if name else run.name
             if cache["audit"]["audited"]:
-                of = f"{run.name}, {name}" if name else run.name
                 console.print_line(f"{of}: audit: {audit_sentence(cache)}")
+            sentence = closing_sentence(cache)
+            if sentence:
+                console.print_line(f"{of}: closing audit: {sentence}")

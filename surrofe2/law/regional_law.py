@@ -112,6 +112,13 @@ class RegionalLaw(Viewed):
         """Whether all laws are."""
         return len(self._audited) == len(self.laws) and all(law.is_audited for law in self._audited)
 
+    def begin_run(self, state: Any) -> bool:
+        """As of `AuditedLaw`; whether all laws know the state that they go on from."""
+        states = (None,) * len(self.laws) if state is None else state
+        pairs = zip(self.laws.values(), states, strict=True)
+        known = [law.begin_run(part) for law, part in pairs if isinstance(law, AuditedLaw)]
+        return all(known)
+
     def mark(self, t: float, state: Any) -> None:
         states = (None,) * len(self._audited) if state is None else state
         for law, part in zip(self._audited, states, strict=True):
@@ -127,6 +134,24 @@ class RegionalLaw(Viewed):
     def roll_back(self, t: float) -> Any:
         """As of `AuditedLaw`, of all laws; only those that failed are then more cautious."""
         return tuple(law.roll_back(t) for law in self._audited)
+
+    @property
+    def closing_progress(self) -> tuple[int, int]:
+        """As of `AuditedLaw`, of all laws together."""
+        parts = [law.closing_progress for law in self._audited]
+        return sum(done for done, _ in parts), sum(count for _, count in parts)
+
+    def next_closing(self) -> list[Any] | None:
+        """A batch of each law, None of one whose closing audit is complete; None where all are."""
+        if len(self._audited) < len(self.laws):
+            return None  # nothing would be reported
+        solved = [law.next_closing() for law in self._audited]
+        return None if all(each is None for each in solved) else solved
+
+    def commit_closing(self, solved: Sequence[Any]) -> None:
+        for law, each in zip(self._audited, solved, strict=True):
+            if each is not None:
+                law.commit_closing(each)
 
     def state_to_arrays(self, state: Any) -> dict[str, NDArray]:
         arrays: dict[str, NDArray] = {}

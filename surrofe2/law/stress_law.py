@@ -272,8 +272,14 @@ class AuditedLaw(StressLaw, Protocol):
 
     Whoever steps marks where a window of steps begins, and asks for the verdict after every
     accepted step. A window that stands ends there, and the next one begins; one that does not
-    is made again from its mark, by the state that `roll_back` gives.
+    is made again from its mark, by the state that `roll_back` gives. When all stand, a closing
+    audit of a sample of the answers, which decides nothing, says how many are wrong at most.
     """
+
+    def begin_run(self, state: Any) -> bool:
+        """A run begins, or goes on from a committed `state`: count and audit for it alone, unless
+        the state is what `state_from_arrays` gave last. Whether it is, so that the law knows the
+        window that it lies in."""
 
     @property
     def is_audited(self) -> bool:
@@ -289,11 +295,21 @@ class AuditedLaw(StressLaw, Protocol):
     def roll_back(self, t: float) -> Any:
         """The state at the mark, to continue from; t is where the verdict fell."""
 
+    @property
+    def closing_progress(self) -> tuple[int, int]:
+        """How many answers of the closing audit are solved, and of how many."""
+
+    def next_closing(self) -> Any:
+        """The next batch of the closing audit; None where it is complete or there is none. Pure."""
+
+    def commit_closing(self, solved: Any) -> None:
+        """Take down what `next_closing` gave."""
+
     def history(self) -> dict[str, Any] | None:
         """How it has done so far, as plain values for run.json; None: it has nothing to report."""
 
     def report(self) -> dict[str, Any] | None:
-        """`history` at the end of a run, when no audit waits any longer."""
+        """`history` at the end of a run, when no audit waits and the closing one is complete."""
 
     @property
     def decisions(self) -> list[dict[str, Any]] | None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -234,6 +235,14 @@ class MacroState(RunState):
         return replace(self, journal=self.journal.copy(), mark=mark)
 
 
+class Report(NamedTuple):
+    """What an audited law says of a run: `cache`, plain values for run.json, and its decisions on
+    windows of steps; None of other laws."""
+
+    cache: dict[str, Any] | None
+    decisions: list[dict[str, Any]] | None
+
+
 def columns_of(system: System) -> list[str]:
     """What a row of a run's history holds, in its order.
 
@@ -272,7 +281,13 @@ class Recorder:
         begin = clock() if begin is None else begin
         self._started = begin - (resume.wall_time["total"] if resume else 0.0)
         self._cpu_started = cpu_clock() - (resume.wall_time.get("cpu", 0.0) if resume else 0.0)
+        law = equations.law
+        self._reporting = law if isinstance(law, AuditedLaw) else None
         self._audited: AuditedLaw | None = None
+        # Before the law is asked for the first time: from there on it counts.
+        self._is_window_known = self._reporting is not None and self._reporting.begin_run(
+            None if resume is None else resume.law_state
+        )
         self._state: MacroState
         if resume is not None:
             self._state = resume.copy()
@@ -375,9 +390,9 @@ class Recorder:
         """From here on an audited law is asked after every step whether what was recorded stands;
         the window of the state that the run continues from does so, too, where the law knows it.
         """
-        law = self._equations.law
-        self._audited = law if isinstance(law, AuditedLaw) and law.is_audited else None
-        if resume is None or resume.mark is None or resume.law_state is None:
+        law = self._reporting
+        self._audited = law if law is not None and law.is_audited else None
+        if resume is None or resume.mark is None or not self._is_window_known:
             self._mark()
 
     def settle(self, *, final: bool = False) -> MacroState | None:
@@ -396,6 +411,31 @@ class Recorder:
                 back = self._go_back()
         equations.is_committing = False
         return back
+
+    def close(self, closing: Callable[[int, int], None] | None) -> bool:
+        """Solve a batch of the law's closing audit, and report how many are done of how many;
+        False: there is none, or it is complete."""
+        law, equations = self._reporting, self._equations
+        if law is None:
+            return False
+        began = clock()
+        solved = law.next_closing()  # pure: an interrupt leaves the batch to the resumed run
+        if solved is not None:
+            equations.is_committing = True
+            law.commit_closing(solved)
+            equations.is_committing = False
+        equations.tally.law_seconds += clock() - began
+        if solved is not None and closing is not None:
+            closing(*law.closing_progress)
+        return solved is not None
+
+    def report(self, *, finished: bool) -> Report:
+        """What an audited law has to say of this run: its report, or of a run that is not finished
+        its history; and its decisions."""
+        law = self._reporting
+        if law is None:
+            return Report(None, None)
+        return Report(law.report() if finished else law.history(), law.decisions)
 
     def _mark(self) -> None:
         """What was recorded so far stands."""

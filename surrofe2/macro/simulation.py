@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,6 +64,8 @@ class MacroRun(ViewedRun):
             `dissipation_failures` of the questions for σ(F, 0), which come on top.
         effort: sums of what the law's answers cost, those for dissipation included.
         rolled_back: the same counts and sums, over what an audited law took back.
+        cache: what an audited law reports of this run, as of its end; None of other laws.
+        decisions: of an audited law on windows of steps of this run; None of other laws.
         threads: that numba could use. finished: whether the end of the problem was reached.
         problem, law, settings: as `simulate` was given them."""
 
@@ -81,6 +83,8 @@ class MacroRun(ViewedRun):
     problem: Problem
     law: StressLaw
     settings: MacroSettings
+    cache: Mapping[str, Any] | None = None
+    decisions: Sequence[Mapping[str, Any]] | None = None
 
     def facts(self) -> Facts:
         return {
@@ -139,6 +143,7 @@ def simulate(
     checkpoint: Callable[[MacroState], None] | None = None,
     checkpoint_interval: float = 30.0,
     resume: MacroState | None = None,
+    closing: Callable[[int, int], None] | None = None,
 ) -> MacroRun:
     """Motion of a tissue under all that acts on it (sections 4 and 6.2).
 
@@ -159,6 +164,8 @@ def simulate(
         resume: a state that `checkpoint` was given, of the same problem and density. The results
             are those of the uninterrupted run to the bit where the law resumes from
             `MacroState.law_state`, or has no state; else it starts cold.
+        closing: called with how many answers the closing audit of an audited law has compared, and
+            of how many, after each batch at the end of the run.
 
     Raises:
         InputError: `checkpoint_interval` is negative, the problem names what its mesh has not, or
@@ -185,9 +192,9 @@ def simulate(
     with one_blas_thread():
         stepper = _make_stepper(equations, settings, recorder, resume)
         return carry_out(
-            _steps(stepper, equations, settings, recorder, resume),
+            _steps(stepper, equations, settings, recorder, resume, closing),
             recorder,
-            lambda finished: _make_run(system, recorder.state(), given, finished),
+            lambda finished: _make_run(system, recorder, given, finished),
             problem.duration,
             progress=progress,
             checkpoint=checkpoint,
@@ -201,8 +208,10 @@ def _steps(
     settings: MacroSettings,
     recorder: Recorder,
     resume: MacroState | None,
+    closing: Callable[[int, int], None] | None,
 ) -> Iterator[float]:
-    """Steps to the end of the run, some of them again where an audited law says so."""
+    """Steps to the end of the run, some of them again where an audited law says so, and at the end
+    the batches of its closing audit."""
     recorder.watch(resume)
     equations.is_committing = False
     while stepper.now.t < recorder.end:
@@ -217,6 +226,8 @@ def _steps(
             stepper = _make_stepper(equations, settings, recorder, back)
         elif failure is not None:
             raise failure
+        yield stepper.now.t
+    while recorder.close(closing):
         yield stepper.now.t
 
 
@@ -254,11 +265,13 @@ def _make_stepper(
 
 def _make_run(
     system: System,
-    state: MacroState,
+    recorder: Recorder,
     given: tuple[Problem, StressLaw, MacroSettings],
     finished: bool,
 ) -> MacroRun:
-    """The results that `state` holds of what was `given` to `simulate`."""
+    """The results that were recorded of what was `given` to `simulate`."""
+    report = recorder.report(finished=finished)
+    state = recorder.state()
     problem, law, settings = given
     found = named_columns(columns_of(system), state.journal["rows"])
     t, kinetic, internal = found["t"], found["kinetic"], found["work internal"]
@@ -306,6 +319,8 @@ def _make_run(
         problem=problem,
         law=law,
         settings=settings,
+        cache=report.cache,
+        decisions=report.decisions,
     )
 
 

@@ -257,10 +257,28 @@ def audit_sentence(cache: Mapping[str, Any]) -> str:
         )
     if allowed == float("inf"):
         return f"{text}; no bound, so no tolerance is held"
-    text += f"; {audit['violations']} above the tolerance of {number(allowed, 2)} µN/µm"
-    if audit["wrong_at_most"] is not None:
-        text += f", so with 95 % confidence at most {percent(2)(audit['wrong_at_most'])} of all"
-    return text
+    return f"{text}; {audit['violations']} above the tolerance of {number(allowed, 2)} µN/µm"
+
+
+def closing_sentence(cache: Mapping[str, Any]) -> str:
+    """What the closing audit of a run guarantees, by which formula and at which confidence; empty
+    where there was none, or it is not complete."""
+    audit = cache.get("closing_audit", {})  # which runs of earlier versions have not
+    bound = audit.get("wrong_at_most")
+    if bound is None:
+        return ""
+    sampled, answers, wrong = audit["sampled"], audit["answers"], audit["violations"]
+    above = f"wrong by more than the tolerance of {number(audit['tolerance'], 2)} µN/µm"
+    if sampled == answers:
+        return f"all {answers:,} answers that stand; {wrong:,} {above}, {percent(2)(bound)} of all"
+    formula = "Clopper–Pearson"
+    if not wrong:
+        formula += f", 1 − 0.05^(1/{sampled})"
+    return (
+        f"{sampled:,} of the {answers:,} answers that stand, drawn at random, which decided "
+        f"nothing; {wrong:,} {above}, so with 95 % confidence at most {percent(2)(bound)} of all "
+        f"are ({formula})"
+    )
 
 
 def fallback_reasons(counts: Mapping[str, int]) -> str:

@@ -33,6 +33,7 @@ from surrofe2.report.comparison import (
     Comparison,
     audit_panels,
     audit_sentence,
+    closing_sentence,
     compare,
     comparison_title,
     difference_panel,
@@ -235,7 +236,7 @@ def _over_time_and_mesh(run: StoredRun, fields: StoredFields) -> str:
 
 
 def _audits(runs: Sequence[StoredRun]) -> Iterator[str]:
-    """Audited errors with the tolerance."""
+    """Audited errors with the tolerance, and what the closing audits guarantee."""
     for of, cache in (each for run in runs for each in run.caches.items()):
         worst = cache["audit"]["worst"]
         yield _paragraph(f"{of}: audited: {audit_sentence(cache)}.")
@@ -244,6 +245,9 @@ def _audits(runs: Sequence[StoredRun]) -> Iterator[str]:
             risk = f"where the risk was {number(worst['risk'])} ({where})"
             error = f"{number(worst['error'])} µN/µm"
             yield _paragraph(f"{of}: the worst error is {error}, {risk}.")
+        sentence = closing_sentence(cache)
+        if sentence:
+            yield _paragraph(f"{of}: closing audit: {sentence}.")
     yield _grid(
         [
             _chart(panel, f"{run.name}: audited errors")

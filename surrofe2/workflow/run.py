@@ -39,7 +39,7 @@ from surrofe2.problem.problem import label, sections_of
 from surrofe2.ranks.distributed_law import own_part
 from surrofe2.ranks.driver import driver_at_work
 from surrofe2.recipe.recipe import Recipe
-from surrofe2.report.comparison import audit_sentence, fallback_reasons
+from surrofe2.report.comparison import audit_sentence, closing_sentence, fallback_reasons
 from surrofe2.run.journal import part_of, within
 from surrofe2.run.loop import Report, no_report
 from surrofe2.rve import RveLaw
@@ -117,7 +117,7 @@ def run_study(
             write_table(folder / of_cell("table.h5", name), table, recipe.to_dict(), seconds)
 
     def store(record: RunRecord, result: MacroRun) -> RunRecord:
-        record = with_results(record, result, learning)  # first: it ends the audits
+        record = with_results(record, result, learning)
         wall = {**record.wall_time, "compilation": seconds_compiling() - before}
         write_learnt(earlier + wall.get("total", 0.0))
         write_results(folder, result)
@@ -129,7 +129,7 @@ def run_study(
         for cell, writer in harvests.items():
             arrays |= within(f"harvest of {cell}", writer.to_arrays())
         run.checkpoint(arrays, cache_report(law))
-        _write_decisions(folder, law)
+        _write_decisions(folder, _decisions_of(law))
 
     def restore(arrays: Mapping[str, NDArray]) -> MacroState:
         state = MacroState.from_arrays(part_of(arrays, "macro"))
@@ -154,6 +154,9 @@ def run_study(
                     checkpoint=checkpoint,
                     checkpoint_interval=CHECKPOINT_INTERVAL,
                     resume=state,
+                    closing=lambda done, count: report(
+                        problem.duration, f"closing audit: {done} of {count}"
+                    ),
                 )
         except KeyboardInterrupt:
             write_learnt(0.0)
@@ -168,19 +171,18 @@ def of_cell(file: str, cell: str) -> str:
     return f"{name}-{cell}{dot}{kind}" if cell else file
 
 
-def cache_report(law: StressLaw, *, whole: bool = False) -> dict[str, Any] | None:
-    """What a cached law has to report, of several cells under `cells` by name; None of others.
-
-    Args:
-        whole: the run is over: audit what waits.
-    """
-    if not isinstance(law, AuditedLaw):
-        return None
-    return law.report() if whole else law.history()
+def cache_report(law: StressLaw) -> dict[str, Any] | None:
+    """What a cached law has to report so far, of several cells under `cells` by name; None of
+    others."""
+    return law.history() if isinstance(law, AuditedLaw) else None
 
 
-def _write_decisions(folder: Path, law: StressLaw) -> None:
-    decisions = law.decisions if isinstance(law, AuditedLaw) else None
+def _decisions_of(law: StressLaw) -> list[dict[str, Any]] | None:
+    """The decisions of a law on windows of steps so far; None of one that makes none."""
+    return law.decisions if isinstance(law, AuditedLaw) else None
+
+
+def _write_decisions(folder: Path, decisions: Sequence[Mapping[str, Any]] | None) -> None:
     if decisions is not None:
         write_events(folder, decisions)
 
@@ -233,7 +235,7 @@ def write_results(folder: Path, run: MacroRun) -> None:
     """Write curve.csv, history.csv, energies.csv, fields, points and, of a cached run, events."""
     write_curves(folder, run.curves, run.history, run.energies)
     write_frames(folder, make_discretisation(run.problem.mesh), run.frames, run.law)
-    _write_decisions(folder, run.law)
+    _write_decisions(folder, run.decisions)
 
 
 def write_frames(folder: Path, space: Discretisation, frames: Frames, law: StressLaw) -> None:
@@ -266,12 +268,12 @@ def with_results(
 ) -> RunRecord:
     """The record with what a run, whole or not, met and cost, and what its tables began with."""
     driver, begun = driver_at_work(), sum(table.seconds for table in tables.values())
-    cache = cache_report(run.law, whole=run.finished)  # which audits what still waits
     counts, back = Counter({**run.counts, **run.effort}), Counter(run.rolled_back)
     # audits and what tables learn are RVE solves like others, and named besides
-    for of in caches_of(cache).values():
-        for counter, key in ((counts, "audited"), (back, "rolled_back")):
-            counter.update(rve_solves=of["audit"][key], audits=of["audit"][key])
+    for of in caches_of(run.cache).values():
+        audits = of["audit"]["audited"] + of["closing_audit"]["audited"]
+        counts.update(rve_solves=audits, audits=audits)
+        back.update(rve_solves=of["audit"]["rolled_back"], audits=of["audit"]["rolled_back"])
     for table in tables.values():
         changed = {f"table_{name.removeprefix('table_')}": n for name, n in table.counts.items()}
         counts.update(changed, table_records=table.size)
@@ -290,7 +292,7 @@ def with_results(
         wall_time=wall,
         counts=dict(counts),
         rolled_back={name: n for name, n in back.items() if n},
-        cache=cache,
+        cache=run.cache,
         met=run.met.to_dict(),
         threads=run.threads,
     )
@@ -391,7 +393,8 @@ def _stated_problem(problem: Problem) -> dict[str, Any]:
 
 
 def run_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
-    """Notes on steps, contact, free sides, cache and ranks, each with whether it is a warning."""
+    """Notes on steps, contact, free sides, cache and ranks, each with whether it is a warning; the
+    last one of a cached run is what its closing audit guarantees."""
     steps, of = record.counts["steps"], record.problem
     if recipe.macro.integrator == "implicit" and steps > MOST_IMPLICIT_STEPS:
         yield (
@@ -423,6 +426,11 @@ def run_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
             f"{time_text(total)}; {ranks['tasks']} exchanges",
             False,
         )
+    for name, cache in caches_of(record.cache).items():
+        sentence = closing_sentence(cache)
+        if sentence:
+            whose = f"{name}: " if name else ""
+            yield f"{whose}closing audit: {sentence}", False
 
 
 def run_summary(record: RunRecord) -> str:
