@@ -2,7 +2,8 @@
 
 In reading order: `protocols` is what a cache asks of others, `settings` of its user; `branches`
 says which part answers which point, `audit` finds how wrong the answers were, `trust` draws the
-conclusions, `cached_law` is the law. `table` is a surrogate that learns as it is used.
+conclusions, `closing_audit` states what holds of a whole run, `cached_law` is the law. `table` is a
+surrogate that learns as it is used.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ class CacheSettings:
     )
     audit: float = setting(
         0.005,
-        "fraction of the cache's answers that RVEs compute, too; at least 320 per run; 0: none",
+        "fraction of the cache's answers that RVEs compute, too; at least 360 per run; 0: none",
         least=0.0,
         most=1.0,
     )

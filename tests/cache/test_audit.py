@@ -79,8 +79,9 @@ def test_audits_wait_for_each_other_and_none_is_forgotten():
     assert min(sizes()) >= BATCH
     assert not any(size % TILE for size in sizes())
     before = sum(sizes())
-    audited = cached.report()["audit"]["audited"]
-    assert audited == sum(sizes()) > before
+    report = cached.report()
+    audited, closing = (report[name]["audited"] for name in ("audit", "closing_audit"))
+    assert audited + closing == sum(sizes()) > before
 
 
 @pytest.mark.parametrize("steps", [5, 40, 200])
@@ -113,9 +114,9 @@ def test_every_answer_is_audited_with_the_same_probability():
         assert len(asked.step) == AUDITS
         assert len({*zip(asked.step.tolist(), asked.points.tolist(), strict=True)}) == AUDITS
         by_step += np.bincount(asked.step, minlength=4)
-    # Hypergeometric: 80 of each step with a variance of 320 · ¼ · ¾ · 1,680/1,999 a seed.
-    scatter = np.sqrt(50 * 320 * 3 / 16 * 1680 / 1999)
-    assert (abs(by_step - 50 * 80) < 4.0 * scatter).all()
+    # Hypergeometric: 90 of each step with a variance of 360 · ¼ · ¾ · 1,640/1,999 a seed.
+    scatter = np.sqrt(50 * 360 * 3 / 16 * 1640 / 1999)
+    assert (abs(by_step - 50 * 90) < 4.0 * scatter).all()
 
 
 def test_an_audit_of_other_points_starts_from_the_nearest_of_the_last_batch():

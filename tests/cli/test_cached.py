@@ -96,9 +96,16 @@ def test_the_record_tells_how_wrong_the_cache_was(invoke, recipe_path, tmp_path)
     assert cache["trust"] == {"factor": 1.0, "reach": [], "off": False, "events": []}
     assert f"audit: {cache['audit']['audited']} of {cache['audit']['audited']}" in done.stdout
     assert "0 above the tolerance of 0.02 µN/µm" in done.stdout
-    share = cache["audit"]["wrong_at_most"]
-    assert share == pytest.approx(1.0 - 0.05 ** (1.0 / cache["audit"]["audited"]))
-    assert f"so with 95 % confidence at most {100.0 * share:.2g} % of all" in done.stdout
+    closing = cache["closing_audit"]
+    assert closing["answers"] == cache["accepted"]["hits"]
+    count = closing["sampled"]
+    assert count == min(320, closing["answers"])
+    if count == closing["answers"]:
+        assert closing["wrong_at_most"] == 0.0
+    else:
+        assert closing["wrong_at_most"] == pytest.approx(1.0 - 0.05 ** (1.0 / count))
+    assert done.stdout.splitlines()[-1].startswith("closing audit: ")
+    assert record.counts["audits"] == cache["audit"]["audited"] + count
 
 
 def test_a_corrupted_surrogate_loses_trust_loudly(invoke, recipe_path, tmp_path, bias):
