@@ -72,5 +72,12 @@ def cache_report():
         "accepted": {**effort_of(206, why), "steps": 10},
         "left_range": {},
         "audit": {"share": 0.2, "seed": 1, **audit.to_dict()},
+        "closing_audit": {
+            "answers": 200,
+            "sampled": 40,
+            "wrong_at_most": 1.0 - 0.05 ** (1.0 / 40),
+            "confidence": 0.95,
+            **audit.to_dict(),
+        },
         "trust": {"factor": 1.0, "off": False, "events": [{"step": 3, "finding": "a finding"}]},
     }
