@@ -16,7 +16,7 @@ BIN := .venv/bin
 .PHONY: demo test test-slow test-nightly lint docs bench accept-cache paper clean
 
 demo: .venv/.package
-	$(BIN)/surrofe2 study data/bending-bar.toml --out out/demo
+	$(BIN)/surrofe2 study data/demo.toml --out out/demo
 
 test: .venv/.development
 	$(BIN)/pytest -m "not slow and not nightly" -n 2 --dist loadfile

@@ -74,6 +74,19 @@ def shipped(name: str, out: Path, old: str = "", new: str = "") -> Path:
     return path
 
 
+def changed(recipe: Path, *pairs: str, name: str = "") -> Path:
+    """The recipe with each old text of the pairs (old, new, …) replaced, in place or under another
+    name beside it."""
+    text = recipe.read_text(encoding="utf-8")
+    for old, new in zip(pairs[::2], pairs[1::2], strict=True):
+        if old not in text:
+            raise ValueError(f"{recipe.name} has no {old!r}")
+        text = text.replace(old, new)
+    path = recipe.with_name(name or recipe.name)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
 def made(recipe: Path) -> Recipe:
     """The recipe, its data set and surrogate made unless they are there."""
     surrofe2("generate", recipe)

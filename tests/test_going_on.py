@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from surrofe2.recipe.recipe import load_recipe
+from surrofe2.store.fields import open_fields
 from surrofe2.store.run_folder import caches_of, read_record
 from surrofe2.workflow import rest, run, tissue
 from surrofe2.workflow.generate import generate_data_set
@@ -150,7 +151,7 @@ def test_a_resumed_rest_is_the_uninterrupted_one(written, tmp_path, monkeypatch)
         with pytest.raises(Stop):
             rest_study(recipe, out, report=stop)
         assert read_record(out).status == "interrupted"
-        assert not (out / "fields.h5").exists()  # of thousands of load steps they take seconds
+        assert 0.0 < open_fields(out).t[-1] < 1.0  # what is there can be looked at
 
     whole, twice, here, killed = (tmp_path / name for name in ("whole", "twice", "here", "killed"))
     rest_study(recipe, whole)

@@ -19,6 +19,7 @@ from surrofe2.report.page import write_report
 from surrofe2.run.loop import Stage
 from surrofe2.store.run_folder import RunRecord
 from surrofe2.workflow import check as checking
+from surrofe2.workflow import scale
 from surrofe2.workflow.generate import data_summary
 from surrofe2.workflow.grid import GRID_FILES, run_grid
 from surrofe2.workflow.laws import open_study, recipe_notes, use_threads
@@ -71,7 +72,9 @@ def check(
     the tangents of the RVE at rest, on a coarser mesh where the recipe's takes too long, proposes
     the [range], to be copied into the recipe. It knows neither stiffening nor loss of stability;
     the margin is for that. The number of RVEs to solve and the time of one give the order of
-    magnitude of a run by RVEs. Nothing is written.
+    magnitude of a run by RVEs, beside which stands what all particles of the tissue would take.
+    Elements that are smaller than a plant cell, or than an RVE is wide, are warned of. Nothing is
+    written.
 
     Example: surrofe2 check data/large-bar.toml
 
@@ -99,12 +102,15 @@ def check(
     else:
         for message in checking.study_faults(mesh, ("rve", "cached")):
             console.print_line(f"not by --law cached or surrogate: {message}")
+    for message in scale.scale_warnings(mesh, merged):
+        console.print_warning(message)
     if only:
         console.done(recipe, "no problem found")
         return
     with console.working("dry run", study.duration, "µs", "nothing was changed") as report:
         run = checking.dry_run(study, seconds, report)
         by_rves = checking.seconds_by_rves(study, run)
+        particles = scale.all_particles(mesh)
     for cell, met in run.met.items():
         low, high = met.stretch
         try:
@@ -124,8 +130,12 @@ def check(
         f"{rough_number(run.solves)} RVE solves. The run would take "
         f"about {rough_time(by_rves / 2.0)} to {rough_time(2.0 * by_rves)} by --law rve"
     )
+    console.print_line(scale.particles_sentence(particles))
+    advice = f"use --law {checking.advised_law(study, by_rves)}"
+    if particles.is_possible and particles.seconds < by_rves:
+        advice = f"use `surrofe2 tissue {recipe}`: all particles take less than FE²"
     # without the seconds of the check, which would read as those of the law
-    console.done(recipe, f"use --law {checking.advised_law(study, by_rves)}", timed=False)
+    console.done(recipe, advice, timed=False)
 
 
 def study(

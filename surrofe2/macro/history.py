@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, ClassVar, NamedTuple
 
@@ -132,6 +132,22 @@ class Frames:
     point_source: Array
     point_risk: Array
 
+    def one_by_one(self) -> Iterator[Frames]:
+        """Each of them alone, with its points where they are kept."""
+        point = 0
+        for k, t in enumerate(self.t):
+            row, points = slice(k, k + 1), slice(point, point)
+            if point < len(self.point_t) and self.point_t[point] == t:
+                points = slice(point, point + 1)
+                point += 1
+            values = {item.name: getattr(self, item.name) for item in fields(self)}
+            yield Frames(
+                **{
+                    name: each[points if name.startswith("point_") else row]
+                    for name, each in values.items()
+                }
+            )
+
     @classmethod
     def of(
         cls,
@@ -165,6 +181,10 @@ class Frames:
             point_risk=known[1:][kept],
         )
 
+
+KeepFrame = Callable[[Frames, int, int], None]
+"""Takes whole fields at one time, with how many frames and frames of points there are before it. A
+frame whose number was there already replaces that and those behind it."""
 
 COUNTS = (
     "steps",
@@ -268,8 +288,10 @@ class Recorder:
         settings: MacroSettings,
         resume: MacroState | None = None,
         begin: float | None = None,
+        keep_frame: KeepFrame | None = None,
     ) -> None:
         self._equations, self._system = equations, equations.system
+        self._keep_frame = keep_frame
         problem = self._system.problem
         self.end = problem.duration
         self._t = problem.output_times()
@@ -375,7 +397,12 @@ class Recorder:
             sources = None if now.response.sources is None else now.response.sources()
             kept = (self._frames_due(now.t) - 1) % POINTS_EVERY == 0 or now.t >= self.end
             frame = Frames.of(space, now, sources, density, points=kept)
-            journal = journal.written(frame_series(frame))
+            if self._keep_frame is not None:
+                lengths = journal.lengths
+                counts = lengths.get("frames.t", 0), lengths.get("frames.point_t", 0)
+                self._keep_frame(frame, *counts)
+            times_alone = self._keep_frame is not None
+            journal = journal.written(frame_series(frame, times_alone=times_alone))
         extremes = state.extremes.copy()
         widen_extremes(extremes, now.F, now.F_dot)
         dissipated = np.stack([energy, before])

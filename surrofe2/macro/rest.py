@@ -29,11 +29,11 @@ from surrofe2.macro.equations_of_motion import (
 )
 from surrofe2.macro.forces import Contact, Grip, Slopes
 from surrofe2.macro.free_sides import SurfaceForce
-from surrofe2.macro.history import NO_EXTREMES, Frames, widen_extremes
+from surrofe2.macro.history import NO_EXTREMES, Frames, KeepFrame, widen_extremes
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.system import System, system_of
 from surrofe2.problem.problem import Problem
-from surrofe2.run.journal import Journal, RunState, frame_series
+from surrofe2.run.journal import FRAME_TIMES, Journal, RunState, frame_series
 from surrofe2.run.loop import carry_out
 
 MAX_HALVINGS = 10
@@ -157,6 +157,7 @@ def find_rest(
     checkpoint: Callable[[Rest], None] | None = None,
     checkpoint_interval: float = 30.0,
     resume: RestState | None = None,
+    keep_frame: KeepFrame | None = None,
 ) -> Rest:
     """Equilibrium of all forces at v = 0 and `factor` times the loads, reached from factor 0.
 
@@ -169,6 +170,7 @@ def find_rest(
         load_steps: load steps to begin with.
         progress: called with the factor of each equilibrium on the way, and the last one.
         checkpoint, checkpoint_interval: as of `simulate`; it is called with an equilibrium.
+        keep_frame: as of `simulate`; each load step is a frame.
         resume: such an equilibrium, of the same problem on the way to the same factor; the result
             is that of the uninterrupted way, to the bit.
 
@@ -190,7 +192,7 @@ def find_rest(
     equations = EquationsOfMotion(system, law, clock="load factor {:.6g}")
     if problem.surface is not None:
         begin_at_rest(equations, problem, settings, resume)
-    way = Loading(Newton(equations, settings), factor, factor / load_steps)
+    way = Loading(Newton(equations, settings, keep_frame), factor, factor / load_steps)
     return carry_out(
         way.steps(resume),
         way,
@@ -341,6 +343,7 @@ class Newton:
 
     equations: EquationsOfMotion
     settings: MacroSettings
+    keep_frame: KeepFrame | None = None
 
     def rest_at(self, factor: float, last: Rest | None, next_step: float) -> Rest:
         """The equilibrium at `factor` after the last one; the law commits it. Raises `NoStress`
@@ -367,6 +370,9 @@ class Newton:
         stored = sum(each.energy(now.u) for each in system.contacts)
         row = np.concatenate([[factor], system.probes[0] @ now.u, [stored], works])
         frame = Frames.of(equations.discretisation, now)
+        if self.keep_frame is not None:
+            self.keep_frame(frame, *(journal.lengths.get(name, 0) for name in FRAME_TIMES))
+        of_frame = frame_series(frame, times_alone=self.keep_frame is not None)
         rows = {"rows": row[None], "forces": system.resultants(now.forces, reaction)[None]}
         return Rest(
             factor=factor,
@@ -377,7 +383,7 @@ class Newton:
             extremes=extremes,
             drags={contact.name: contact.drag(now.u) for contact in system.contacts},
             counts={name: equations.tally.counts[name] for name in _COUNTS},
-            journal=journal.written(rows | frame_series(frame)),
+            journal=journal.written(rows | of_frame),
             rest=np.empty((0, 2)) if system.rest is None else system.rest,
             law_state=equations.law_state,
             system=system,

@@ -20,7 +20,15 @@ from surrofe2.law.stress_law import StressLaw
 from surrofe2.macro.elements import displacement_basis
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, NoStress, Switched
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha
-from surrofe2.macro.history import NOTHING, Frames, MacroState, MetRange, Recorder, columns_of
+from surrofe2.macro.history import (
+    NOTHING,
+    Frames,
+    KeepFrame,
+    MacroState,
+    MetRange,
+    Recorder,
+    columns_of,
+)
 from surrofe2.macro.rest import begin_at_rest
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.system import System, system_of
@@ -55,7 +63,8 @@ class MacroRun(ViewedRun):
         nodes: (n_nodes, 2) reference positions, µm; elements: (n_el, 4 or 6) their nodes.
         rest: (n_nodes, 2) displacement of a tissue with free sides when it comes to rest before the
             run, from which all others count, µm; (0, 2) without.
-        frames: whole fields at a few times. met: extremes of deformation and rate.
+        frames: whole fields at a few times; of those that `keep_frame` took the times alone.
+        met: extremes of deformation and rate.
         wall_time: seconds, `total`, `law` (inside the stress law) and `macro` (the rest); and
             `cpu`, of all threads of this process.
         counts: `steps` accepted that stand, on the way to them `rejected_steps` as too inaccurate,
@@ -107,7 +116,7 @@ class MacroRun(ViewedRun):
             found[f"field {name}"] = ("frame", at, *axes), values, {"units": unit}
         found["elements"] = ("element", "corner"), self.elements
         where = {
-            "frame": ("frame", frames.t, {"units": TIME}),
+            "frame": ("frame", frames.t[: len(frames.displacement)], {"units": TIME}),
             "position": (("node", "axis"), self.nodes, {"units": LENGTH}),
         }
         return found, where
@@ -144,6 +153,7 @@ def simulate(
     checkpoint_interval: float = 30.0,
     resume: MacroState | None = None,
     closing: Callable[[int, int], None] | None = None,
+    keep_frame: KeepFrame | None = None,
 ) -> MacroRun:
     """Motion of a tissue under all that acts on it (sections 4 and 6.2).
 
@@ -166,6 +176,8 @@ def simulate(
             `MacroState.law_state`, or has no state; else it starts cold.
         closing: called with how many answers the closing audit of an audited law has compared, and
             of how many, after each batch at the end of the run.
+        keep_frame: takes whole fields as they come, which are then neither in the results nor in
+            the states of checkpoints, but for their times.
 
     Raises:
         InputError: `checkpoint_interval` is negative, the problem names what its mesh has not, or
@@ -187,7 +199,7 @@ def simulate(
         with one_blas_thread():
             begin_at_rest(equations, problem, settings, resume)
         system = equations.system
-    recorder = Recorder(equations, settings, resume, begin)
+    recorder = Recorder(equations, settings, resume, begin, keep_frame)
     # BLAS has vectors to add up here; its threads would stand in the way of those of the law.
     with one_blas_thread():
         stepper = _make_stepper(equations, settings, recorder, resume)

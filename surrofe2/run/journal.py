@@ -134,9 +134,17 @@ def _value(array: NDArray) -> Any:
     return array.item() if np.ndim(array) == 0 else np.array(array, dtype=np.float64)
 
 
-def frame_series(frames: Any) -> dict[str, Array]:
-    """The rows that a dataclass of whole fields at some times adds to a journal."""
-    return {f"frames.{item.name}": getattr(frames, item.name) for item in fields(frames)}
+FRAME_TIMES = ("frames.t", "frames.point_t")
+"""Series that a journal has of whole fields in any case."""
+
+
+def frame_series(frames: Any, *, times_alone: bool = False) -> dict[str, Array]:
+    """The rows that a dataclass of whole fields at some times adds to a journal; of all but the
+    times none where somebody else keeps them."""
+    rows = {f"frames.{item.name}": getattr(frames, item.name) for item in fields(frames)}
+    if not times_alone:
+        return rows
+    return {name: values if name in FRAME_TIMES else values[:0] for name, values in rows.items()}
 
 
 def named_columns(names: Iterable[str], rows: Array) -> dict[str, Array]:

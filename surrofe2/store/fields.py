@@ -1,25 +1,34 @@
-"""Fields over time as XDMF + HDF5, which ParaView opens: of elements, particles, or law points."""
+"""Fields over time as XDMF + HDF5, which ParaView opens: of elements, particles, or law points.
+
+The mesh, and what never changes on it, is in one file; each frame, all values at one time, is in a
+file of its own, written as it comes. A frame is whole or absent and proves itself, and XDMF names
+the frames that are there: a run under way can be looked at, and memory does not grow with them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from time import monotonic
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import FileError
-from surrofe2.store.hdf5 import Kind, reading, store_array, writing
-from surrofe2.store.store import write_text
+from surrofe2.store.hdf5 import Kind, Stored, Template, read, reading, write
+from surrofe2.store.store import remove, write_bytes, write_text
 
 if TYPE_CHECKING:
     from surrofe2.macro.history import Frames
     from surrofe2.rve.particles import Particles
     from surrofe2.tissue.simulation import ParticleFrames
 
+Values = Mapping[str, NDArray[Any]]
+"""Values at one time by name: numbers (n,), vectors (n, 2) or tensors (n, 2, 2)."""
 Series = Mapping[str, NDArray[Any]]
 """Values over time by name: numbers (m, n), vectors (m, n, 2) or tensors (m, n, 2, 2)."""
 F_NAME, F_DOT_NAME = "deformation_gradient", "deformation_rate_1_per_us"
@@ -29,12 +38,46 @@ DISPLACEMENT_NAME, VELOCITY_NAME = "displacement_um", "velocity_um_per_us"
 CELL = "plant_cell"
 _MOTION = (DISPLACEMENT_NAME, VELOCITY_NAME)
 _TENSORS = (STRESS_NAME, F_NAME, F_DOT_NAME)
-FIELDS_FILE = Kind("fields", 1)
+FIELDS_FILE = Kind("fields", 2)
+FRAME_FILE = Kind("frame", 1, {"centres": dict})
 FIELDS, POINTS, PLANT_CELLS = "fields", "points", "plant-cells"
-"""Names of the two files of elements or particles, of points of the law, and of plant cells."""
+"""Names of the files of elements or particles, of points of the law, and of plant cells."""
+FRAMES = "frames"
+"""The folder of the frames of all of them."""
+_MOST_WAITING, _LONGEST_WAIT = 4e6, 2.0
+"""Bytes and seconds of frames that wait to be written together: small ones come quickly."""
 TURGOR_NAME = "turgor_uN_per_um"
 _KINDS = {1: "Polyvertex", 2: "Polyline", 3: "Triangle", 4: "Quadrilateral", 6: "Triangle_6"}
 """What XDMF calls cells of so many points; those of six have the middles of their sides."""
+
+
+def fields_of_elements(frames: Frames, k: int = 0) -> tuple[Values, Values]:
+    """What nodes and elements have at the k-th of the frames, by name."""
+    at_nodes = {DISPLACEMENT_NAME: frames.displacement[k], VELOCITY_NAME: frames.velocity[k]}
+    in_elements = {
+        STRESS_NAME: frames.stress[k],
+        F_NAME: frames.F[k],
+        F_DOT_NAME: frames.F_dot[k],
+        **invariants(frames.stress[k]),
+        SOURCE_NAME: frames.source[k],
+        RISK_NAME: frames.risk[k],
+        "dissipated_energy_pJ_per_um2": frames.dissipated[k],
+    }
+    return at_nodes, in_elements
+
+
+def element_writer(
+    folder: Path, nodes: Array, elements: NDArray[np.integer], cell: Array | None = None
+) -> FrameWriter:
+    """The writer of fields.xdmf: a mesh in µm and what its nodes and elements have.
+
+    Args:
+        nodes: (n, 2) µm.
+        elements: (e, 4) quadrilaterals or (e, 6) triangles with the middles of their sides.
+        cell: (e,) number of each element's plant cell, where there are several.
+    """
+    in_cells = {} if cell is None else {CELL: np.asarray(cell, np.float64)}
+    return FrameWriter(folder, nodes, elements, in_cells=in_cells)
 
 
 def write_fields(
@@ -44,26 +87,10 @@ def write_fields(
     frames: Frames,
     cell: Array | None = None,
 ) -> None:
-    """Write fields.xdmf and fields.h5: a mesh in µm and what its nodes and elements have.
-
-    Args:
-        nodes: (n, 2) µm.
-        elements: (e, 4) quadrilaterals or (e, 6) triangles with the middles of their sides.
-        cell: (e,) number of each element's plant cell, where there are several.
-    """
-    at_nodes = {DISPLACEMENT_NAME: frames.displacement, VELOCITY_NAME: frames.velocity}
-    in_elements = {
-        STRESS_NAME: frames.stress,
-        F_NAME: frames.F,
-        F_DOT_NAME: frames.F_dot,
-        **invariants(frames.stress),
-        SOURCE_NAME: frames.source,
-        RISK_NAME: frames.risk,
-        "dissipated_energy_pJ_per_um2": frames.dissipated,
-    }
-    if cell is not None:
-        in_elements[CELL] = np.broadcast_to(cell, (len(frames.t), len(cell)))
-    write_series(folder, nodes, elements, frames.t, at_nodes, in_elements)
+    """Write fields.xdmf of frames that are in memory; see `element_writer`."""
+    with element_writer(folder, nodes, elements, cell) as writer:
+        for k, t in enumerate(frames.t):
+            writer.write(k, float(t), *fields_of_elements(frames, k))
 
 
 def invariants(stress: Array) -> dict[str, Array]:
@@ -79,32 +106,43 @@ def invariants(stress: Array) -> dict[str, Array]:
     }
 
 
-def write_particle_fields(
-    folder: Path,
-    position: Array,
-    bonds: NDArray[np.integer],
-    is_wall: Flags,
-    frames: ParticleFrames,
-) -> None:
-    """Write fields.xdmf and fields.h5.
+def particle_writer(
+    folder: Path, position: Array, bonds: NDArray[np.integer], is_wall: Flags
+) -> FrameWriter:
+    """The writer of fields.xdmf of a tissue of particles.
 
     Points are particles at `position` (particles, 2) in µm, unloaded; wall springs `bonds` (b, 2)
     are lines between them; `wall` is 1 on wall particles, 0 on fluid.
     """
-    wall = np.broadcast_to(np.asarray(is_wall, np.float64), (len(frames.t), len(is_wall)))
-    motion = {DISPLACEMENT_NAME: frames.displacement, VELOCITY_NAME: frames.velocity}
-    write_series(folder, position, bonds, frames.t, {**motion, "wall": wall}, {})
+    wall = {"wall": np.asarray(is_wall, np.float64)}
+    return FrameWriter(folder, position, bonds, at_points=wall)
+
+
+def fields_of_particles(frames: ParticleFrames) -> tuple[Values, Values]:
+    """What particles and springs have at the first of the frames, by name."""
+    at_points = {
+        DISPLACEMENT_NAME: frames.displacement[0],
+        VELOCITY_NAME: frames.velocity[0],
+    }
+    return at_points, {}
+
+
+def point_writer(folder: Path, position: Array, per_element: int) -> FrameWriter:
+    """The writer of points.xdmf: what the law was asked and answered at its points (n, 2), µm,
+    those of an element one after the other."""
+    each = np.arange(len(position))
+    element = {"element": (each // per_element).astype(np.float64)}
+    return FrameWriter(folder, position, each[:, None], POINTS, at_points=element)
 
 
 def write_point_fields(
     folder: Path, position: Array, t: Array, values: Series, per_element: int
 ) -> None:
-    """Write points.xdmf and points.h5: what the law was asked and answered at its points (n, 2),
-    µm, those of an element one after the other, at times t (m,) µs."""
-    each = np.arange(len(position))
-    element = np.broadcast_to((each // per_element).astype(np.float64), (len(t), len(each)))
-    values = {**values, **invariants(values[STRESS_NAME]), "element": element}
-    write_series(folder, position, each[:, None], t, values, {}, POINTS)
+    """Write points.xdmf of values at times t (m,) µs that are in memory; see `point_writer`."""
+    with point_writer(folder, position, per_element) as writer:
+        for k, time in enumerate(t):
+            now = {name: series[k] for name, series in values.items()}
+            writer.write(k, float(time), now | invariants(now[STRESS_NAME]), {})
 
 
 def write_series(
@@ -116,48 +154,240 @@ def write_series(
     in_cells: Series,
     name: str = FIELDS,
 ) -> None:
-    """Write values of points (n, 2), µm, and cells (e, k) at times t (m,); an empty series (m, 0)
-    is left out. The mesh is stored once; every time is a grid of its own that refers to it."""
-    with writing(folder / f"{name}.h5", FIELDS_FILE, {}) as file:
-
-        def stored(entry: str, values: NDArray[Any]) -> str:
-            store_array(file, entry, values)
-            number = "Int" if values.dtype.kind == "i" else "Float"
-            shape = " ".join(map(str, values.shape))
-            head = f'<DataItem DataType="{number}" Precision="8" Dimensions="{shape}" Format="HDF">'
-            return f"{head}{name}.h5:/{entry}</DataItem>"
-
-        def attribute(what: str, centre: str, k: int, of_plane: NDArray[Any]) -> str:
-            values = _in_space(of_plane, thickness=float(what == F_NAME))
-            kind = {1: "Scalar", 2: "Vector", 3: "Tensor"}[values.ndim]
-            head = f'<Attribute Name="{what}" AttributeType="{kind}" Center="{centre}">'
-            return f"{head}{stored(f'{what}.{k}', values)}</Attribute>\n"
-
-        mesh = (
-            f'<Topology TopologyType="{_KINDS[cells.shape[1]]}" NumberOfElements="{len(cells)}" '
-            f'NodesPerElement="{cells.shape[1]}">'
-            f"{stored('cells', np.asarray(cells, np.int64))}</Topology>\n"
-            f'<Geometry GeometryType="XYZ">{stored("points", _in_space(points))}</Geometry>\n'
-        )
-        grids = []
+    """Write values of points (n, 2), µm, and cells (e, k) at times t (m,), all in memory."""
+    with FrameWriter(folder, points, cells, name) as writer:
         for k, time in enumerate(t):
-            attributes = [
-                attribute(what, centre, k, series[k])
-                for centre, data in (("Node", at_points), ("Cell", in_cells))
-                for what, series in data.items()
-                if series.shape[1]
+            both = ({what: of[k] for what, of in data.items()} for data in (at_points, in_cells))
+            writer.write(k, float(time), *both)
+
+
+class Entry(NamedTuple):
+    """An array that XDMF names: its place ``file:/name``, shape and type, and for values their name
+    and whether "Node" or "Cell" has them."""
+
+    place: str
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    name: str = ""
+    centre: str = ""
+
+
+class FrameWriter:
+    """Writes values of points and cells over time: NAME.h5 has the mesh and what does not change,
+    frames/NAME-0000.h5 and so on what does; NAME.xdmf names all frames, NAME-last.xdmf the last one
+    alone, for programs that read a single mesh.
+
+    A frame that is written again replaces those behind it, as where a run goes back. Small frames
+    wait for each other; `flush` leaves none waiting.
+
+    Args:
+        points: (n, 2) µm. cells: (e, k) points of each cell.
+        at_points, in_cells: values that do not change, by name.
+        name: of the files.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        points: Array,
+        cells: NDArray[np.integer],
+        name: str = FIELDS,
+        at_points: Values = MappingProxyType({}),
+        in_cells: Values = MappingProxyType({}),
+    ) -> None:
+        self._folder, self._name = folder, name
+        self._times: list[float] = []
+        self._waiting: dict[int, bytearray] = {}
+        self._flushed = monotonic()
+        self._template: Template | None = None
+        self._entries: list[Entry] = []
+        self._constants = [
+            Entry(f"{name}.h5:/{what}", in_space.shape, in_space.dtype, what, centre)
+            for what, centre, in_space in _all_in_space(at_points, in_cells)
+        ]
+        self._mesh: dict[str, NDArray[Any]] = {
+            "points": _in_space(points),
+            "cells": np.asarray(cells, np.int64),
+            **{what: in_space for what, _, in_space in _all_in_space(at_points, in_cells)},
+        }
+
+    @property
+    def count(self) -> int:
+        """Frames that were written, those that wait included."""
+        return len(self._times)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self.close()
+
+    def resume(self, times: Sequence[float]) -> None:
+        """Continue behind the frames at these times, which an earlier process wrote; FileError
+        where one is not there. Others are removed."""
+        self._times = [*map(float, times)]
+        for k in range(self.count):
+            if not self._path(k).exists():
+                raise FileError(f"{self._path(k)}: no such file; start over with --fresh")
+        with reading(self._path(0), FRAME_FILE) as first:
+            self._entries = [*_entries(first)]
+        write(self._folder / f"{self._name}.h5", FIELDS_FILE, {}, self._mesh)
+        self._write_names()
+        self._remove_from(self.count)
+
+    def write(self, number: int, t: float, at_points: Values, in_cells: Values) -> None:
+        """Write the frame of this number, at most the `count`; an empty array of values is left
+        out."""
+        if number < self.count:
+            self._go_back(number)
+        arrays: dict[str, NDArray[Any]] = {"t": np.array([t])}
+        centres = {}
+        for what, centre, in_space in _all_in_space(at_points, in_cells):
+            arrays[what] = in_space
+            centres[what] = centre
+        if self._template is None or not self._template.fits(arrays):
+            self._template = Template(FRAME_FILE, {"centres": centres}, arrays)
+            self._entries = [
+                Entry(what, arrays[what].shape, arrays[what].dtype, what, centre)
+                for what, centre in centres.items()
             ]
-            grids.append(
-                f'<Grid Name="{k}" GridType="Uniform">\n<Time Value="{float(time)!r}"/>\n'
-                f"{mesh}{''.join(attributes)}</Grid>\n"
+        self._waiting[number] = self._template.filled(arrays)
+        self._times.append(t)
+        size = sum(map(len, self._waiting.values()))
+        if size > _MOST_WAITING or monotonic() - self._flushed > _LONGEST_WAIT:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what waits, and name it."""
+        if self._waiting:
+            if not self._has_mesh():
+                write(self._folder / f"{self._name}.h5", FIELDS_FILE, {}, self._mesh)
+            for number, content in self._waiting.items():
+                write_bytes(self._path(number), memoryview(content))
+            self._waiting = {}
+            self._write_names()
+        self._flushed = monotonic()
+
+    def close(self) -> None:
+        """All frames are there: write what waits, and how many there are."""
+        self.flush()
+        whole = self._mesh | {"t": np.array(self._times)}
+        write(self._folder / f"{self._name}.h5", FIELDS_FILE, {}, whole)
+        self._write_names()
+
+    def _has_mesh(self) -> bool:
+        return self.count > len(self._waiting) and (self._folder / f"{self._name}.h5").exists()
+
+    def _go_back(self, number: int) -> None:
+        """Forget the frames from this number on; what names them goes first."""
+        is_named = number + len(self._waiting) < self.count
+        self._waiting = {k: content for k, content in self._waiting.items() if k < number}
+        del self._times[number:]
+        if is_named:
+            self._write_names()
+            self._remove_from(number)
+
+    def _remove_from(self, number: int) -> None:
+        for path in sorted(self._folder.glob(f"{FRAMES}/{self._name}-*.h5")):
+            if path not in map(self._path, range(number)):
+                remove(path)
+
+    def _path(self, number: int) -> Path:
+        return self._folder / _frame_file(self._name, number)
+
+    def _write_names(self) -> None:
+        """Write NAME.xdmf and NAME-last.xdmf of the frames that do not wait."""
+        frames = [(k, t) for k, t in enumerate(self._times) if k not in self._waiting]
+        mesh = [
+            Entry(f"{self._name}.h5:/{what}", self._mesh[what].shape, self._mesh[what].dtype)
+            for what in ("cells", "points")
+        ]
+        names = Names(self._name, mesh, self._constants, self._entries)
+        write_text(self._folder / f"{self._name}.xdmf", names.series(frames))
+        if frames:
+            write_text(self._folder / f"{self._name}-last.xdmf", names.single(frames[-1][0]))
+
+
+def _frame_file(name: str, number: int) -> str:
+    """A frame's place in its folder."""
+    return f"{FRAMES}/{name}-{number:04d}.h5"
+
+
+@dataclass(frozen=True, slots=True)
+class Names:
+    """What the XDMF of a series refers to: the arrays of its mesh, and of every frame.
+
+    Attributes:
+        name: of the series. mesh: its cells and points. constants: values that do not change.
+        values: those of a frame, their places without the frame's file.
+    """
+
+    name: str
+    mesh: Sequence[Entry]
+    constants: Sequence[Entry]
+    values: Sequence[Entry]
+
+    def series(self, frames: Sequence[tuple[int, float]]) -> str:
+        """The document of all frames, each by its number and time."""
+        grids = "".join(
+            f'<Grid Name="{k}" GridType="Uniform">\n<Time Value="{t!r}"/>\n{self._content(k)}'
+            "</Grid>\n"
+            for k, t in frames
+        )
+        head = f'<Grid Name="{self.name}" GridType="Collection" CollectionType="Temporal">'
+        return _document(f"{head}\n{grids}</Grid>\n")
+
+    def single(self, number: int) -> str:
+        """The document of one frame. Programs that read a single mesh know no time in it."""
+        content = self._content(number)
+        return _document(f'<Grid Name="{number}" GridType="Uniform">\n{content}</Grid>\n')
+
+    def _content(self, number: int) -> str:
+        cells, points = self.mesh
+        count, corners = cells.shape
+        file = _frame_file(self.name, number)
+        values = [each._replace(place=f"{file}:/{each.place}") for each in self.values]
+        return "".join(
+            (
+                f'<Topology TopologyType="{_KINDS[corners]}" NumberOfElements="{count}" '
+                f'NodesPerElement="{corners}">{_data_item(cells)}</Topology>\n',
+                f'<Geometry GeometryType="XYZ">{_data_item(points)}</Geometry>\n',
+                *map(_attribute, (*values, *self.constants)),
             )
-        file["t"] = np.asarray(t, np.float64)
-    text = (
-        '<?xml version="1.0"?>\n<Xdmf Version="3.0"><Domain>\n'
-        f'<Grid Name="{name}" GridType="Collection" CollectionType="Temporal">\n'
-        f"{''.join(grids)}</Grid>\n</Domain></Xdmf>\n"
-    )
-    write_text(folder / f"{name}.xdmf", text)
+        )
+
+
+def _document(grid: str) -> str:
+    return f'<?xml version="1.0"?>\n<Xdmf Version="3.0"><Domain>\n{grid}</Domain></Xdmf>\n'
+
+
+def _attribute(values: Entry) -> str:
+    kind = {1: "Scalar", 2: "Vector", 3: "Tensor"}[len(values.shape)]
+    head = f'<Attribute Name="{values.name}" AttributeType="{kind}" Center="{values.centre}">'
+    return f"{head}{_data_item(values)}</Attribute>\n"
+
+
+def _data_item(array: Entry) -> str:
+    number = "Int" if array.dtype.kind == "i" else "Float"
+    shape = " ".join(map(str, array.shape))
+    head = f'<DataItem DataType="{number}" Precision="8" Dimensions="{shape}" Format="HDF">'
+    return f"{head}{array.place}</DataItem>"
+
+
+def _all_in_space(at_points: Values, in_cells: Values) -> Iterator[tuple[str, str, NDArray[Any]]]:
+    """Name, centre and values in space of all that are not empty."""
+    for centre, data in (("Node", at_points), ("Cell", in_cells)):
+        for what, values in data.items():
+            if len(values):
+                yield what, centre, _in_space(values, thickness=float(what == F_NAME))
+
+
+def _entries(frame: Stored) -> Iterator[Entry]:
+    """What a frame that was stored holds."""
+    for what, centre in frame.header()["centres"].items():
+        item = frame.file[what]
+        yield Entry(what, item.shape, item.dtype, what, str(centre))
 
 
 def _in_space(values: NDArray[Any], thickness: float = 0.0) -> NDArray[Any]:
@@ -171,11 +401,123 @@ def _in_space(values: NDArray[Any], thickness: float = 0.0) -> NDArray[Any]:
 
 
 def add_to_elements(folder: Path, added: Series) -> None:
-    """Add values (m, e) of the elements, by name, to the fields of a folder, or renew them."""
-    stored = read_fields(folder, (), None)
-    at_points = {name: of for name, of in stored.values.items() if name in _MOTION}
-    in_cells = {name: of for name, of in stored.values.items() if name not in _MOTION}
-    write_series(folder, stored.points, stored.cells, stored.t, at_points, in_cells | {**added})
+    """Add values (m, e) of the elements, by name, to the frames of a folder, or renew them."""
+    stored = open_fields(folder)
+    for k in range(stored.count):
+        path = folder / _frame_file(FIELDS, k)
+        header, arrays = read(path, FRAME_FILE)
+        arrays |= {what: np.asarray(of[k], np.float64) for what, of in added.items()}
+        header["centres"] |= dict.fromkeys(added, "Cell")
+        write(path, FRAME_FILE, header, arrays)
+    names = stored.names()
+    frames = [*enumerate(stored.t.tolist())]
+    write_text(folder / f"{FIELDS}.xdmf", names.series(frames))
+    write_text(folder / f"{FIELDS}-last.xdmf", names.single(stored.count - 1))
+
+
+@dataclass(frozen=True, slots=True)
+class SeriesOfFrames:
+    """Fields over time on the disk, which are read frame by frame.
+
+    Attributes:
+        folder, name: where they are.
+        points: (n, 2) reference positions, µm. cells: (e, k) points of each element or spring.
+        t: (m,) µs; of a rest the factor of the load.
+        constants: values by name that are the same at all times, in space.
+    """
+
+    folder: Path
+    name: str
+    points: Array
+    cells: Index
+    t: Array
+    constants: dict[str, Array] = field(default_factory=dict)
+
+    @property
+    def count(self) -> int:
+        """Frames."""
+        return len(self.t)
+
+    def names(self) -> Names:
+        """What its XDMF refers to."""
+        with reading(self.folder / _frame_file(self.name, 0), FRAME_FILE) as first:
+            values = [*_entries(first)]
+        place = f"{self.name}.h5:/"
+        mesh = [
+            Entry(f"{place}cells", self.cells.shape, self.cells.dtype),
+            Entry(f"{place}points", (len(self.points), 3), self.points.dtype),
+        ]
+        constants = [
+            Entry(
+                f"{place}{what}",
+                of.shape,
+                of.dtype,
+                what,
+                "Node" if len(of) == len(self.points) else "Cell",
+            )
+            for what, of in self.constants.items()
+        ]
+        return Names(self.name, mesh, constants, values)
+
+    def frame(self, k: int, needed: Iterable[str], others: Iterable[str] | None = ()) -> Values:
+        """The values of the `needed` names at the k-th time, and of the `others` where they are
+        there (None: of all); FileError where the frame is missing or damaged, or values are
+        needed."""
+        path = self.folder / _frame_file(self.name, k)
+        found: dict[str, Array] = {}
+        with reading(path, FRAME_FILE) as frame:
+            there = set(frame.header()["centres"]) | self.constants.keys()
+            for what in needed:
+                if what not in there:
+                    raise FileError(f"{path}: no {what} in it; run it again with --fresh")
+            for what in sorted(there) if others is None else (*needed, *others):
+                if what not in there:
+                    continue
+                if what in self.constants:
+                    found[what] = self.constants[what]
+                    continue
+                axes = 2 if what in _TENSORS else int(what in _MOTION)
+                count = len(self.points if what in _MOTION else self.cells)
+                in_plane: Any = (..., *(slice(2),) * axes)
+                found[what] = frame.array(what, (count, *(3,) * axes))[in_plane]
+        return found
+
+
+def open_fields(folder: Path, name: str = FIELDS) -> SeriesOfFrames:
+    """The mesh of fields.h5, or of points.h5, and the times of the frames beside it: all that a
+    finished run wrote, or those of a run under way so far. FileError where a file is missing or
+    damaged."""
+    path = folder / f"{name}.h5"
+    with reading(path, FIELDS_FILE) as stored:
+        points, cells = (
+            stored.array("points", (None, 3)),
+            stored.array("cells", (None, None), np.int64),
+        )
+        if not 0 <= cells.min(initial=0) <= cells.max(initial=0) < len(points):
+            raise ValueError("cells: of points that are not there")
+        constants = {
+            what: stored.array(what, (None,))
+            for what in stored.file
+            if what not in ("points", "cells", "t")
+        }
+        if "t" in stored.file:
+            t = stored.array("t", (None,))
+            if not len(t):
+                raise ValueError("t: empty")
+        else:
+            t = np.array([*_times_so_far(folder, name)])
+    if not len(t):
+        raise FileError(f"{path}: no frames beside it yet")
+    return SeriesOfFrames(folder, name, points[:, :2], cells, t, constants)
+
+
+def _times_so_far(folder: Path, name: str) -> Iterator[float]:
+    """Times of the frames that are there, one after the other."""
+    number = 0
+    while (path := folder / _frame_file(name, number)).exists():
+        with reading(path, FRAME_FILE) as frame:
+            yield float(frame.array("t", (1,))[0])
+        number += 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,37 +543,34 @@ class StoredFields:
 
 
 def read_fields(
-    folder: Path, needed: Iterable[str], others: Iterable[str] | None = (), name: str = FIELDS
+    folder: Path,
+    needed: Iterable[str],
+    others: Iterable[str] | None = (),
+    name: str = FIELDS,
+    *,
+    only: slice | int = slice(None),
 ) -> StoredFields:
-    """The mesh of fields.h5, or of points.h5, the values of the `needed` names, and of the `others`
-    where they are there (None: of all); FileError where the file is missing or damaged, or values
-    are needed."""
-    path = folder / f"{name}.h5"
-    with reading(path, FIELDS_FILE) as stored:
-        there = dict.fromkeys(key.rpartition(".")[0] for key in stored.file if "." in key)
-        for what in needed:
-            if what not in there:
-                raise FileError(f"{path}: no {what} in it; run it again with --fresh")
-        t, points = stored.array("t", (None,)), stored.array("points", (None, 3))
-        cells = stored.array("cells", (None, None), np.int64)
-        if not (len(t) and 0 <= cells.min(initial=0) <= cells.max(initial=0) < len(points)):
-            raise ValueError("t or cells: empty, or of points that are not there")
-        values = {}
-        for what in there if others is None else (*needed, *others):
-            if what in there:
-                axes = 2 if what in _TENSORS else int(what in _MOTION)
-                shape = (len(points if what in _MOTION else cells), *(3,) * axes)
-                whole = [stored.array(f"{what}.{k}", shape) for k in range(len(t))]
-                in_plane: Any = (..., *(slice(2),) * axes)
-                values[what] = np.stack(whole)[in_plane]
-        return StoredFields(points[:, :2], cells, t, values)
+    """The mesh of fields.h5, or of points.h5, and the values over time of `SeriesOfFrames.frame`,
+    read one frame after the other.
+
+    Args:
+        only: of the elements or points, which are kept; all by default.
+    """
+    series = open_fields(folder, name)
+    wanted, more = [*needed], None if others is None else [*others]
+    rows: dict[str, list[Array]] = {}
+    for k in range(series.count):
+        for what, values in series.frame(k, wanted, more).items():
+            rows.setdefault(what, []).append(np.array(values if what in _MOTION else values[only]))
+    over_time = {what: np.stack(each) for what, each in rows.items()}
+    return StoredFields(series.points, series.cells, series.t, over_time)
 
 
 def write_rve_fields(folder: Path, seen: Particles, t: Array) -> None:
-    """Write fields.xdmf and fields.h5 of the RVE of `seen` at times t (n,), µs.
+    """Write fields.xdmf, and the files that it names, of the RVE of `seen` at times t (n,), µs.
 
     Points are its particles as they are at the first time, with images where wall springs lead
-    across its boundary; lines are the springs. A uniform fluid is in plant-cells.xdmf and .h5.
+    across its boundary; lines are the springs. A uniform fluid is in plant-cells.xdmf.
     """
     is_uniform = bool(seen.is_wall.all())
     particles, walls = seen.position.shape[1], int(seen.is_wall.sum())
@@ -272,7 +611,7 @@ def write_rve_fields(folder: Path, seen: Particles, t: Array) -> None:
 
 
 def _write_plant_cells(folder: Path, seen: Particles, t: Array) -> None:
-    """Write plant-cells.xdmf and plant-cells.h5: plant cells as triangles from the middle of each,
+    """Write plant-cells.xdmf: plant cells as triangles from the middle of each,
     with the pressure of its fluid."""
     points, triangles, cell_of, first = [], [], [], 0
     for k, rim in enumerate(seen.rims):

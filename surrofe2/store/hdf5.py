@@ -33,6 +33,7 @@ from surrofe2.store.store import (
     check_seal,
     plain,
     read_bytes,
+    seal,
     sealed,
     write_bytes,
 )
@@ -121,6 +122,14 @@ def write(path: Path, kind: Kind, header: Mapping[str, Any], arrays: Arrays) -> 
 def writing(path: Path, kind: Kind, header: Mapping[str, Any]) -> Iterator[h5py.File]:
     """A file of a kind with its header, in memory; it is written when the block ends well. Entries
     that are None are left out."""
+    with _in_memory(path.name, kind, header) as file:
+        yield file
+        image = _image(file)
+    write_bytes(path, sealed(image))
+
+
+@contextmanager
+def _in_memory(name: str, kind: Kind, header: Mapping[str, Any]) -> Iterator[h5py.File]:
     known = {
         "schema": kind.schema,
         "schema_version": kind.version,
@@ -128,17 +137,52 @@ def writing(path: Path, kind: Kind, header: Mapping[str, Any]) -> Iterator[h5py.
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
     # A name of its own: one whose making was interrupted stays open, and HDF5 makes no second one.
-    name = f"{next(_numbers)} {path.name}"
+    name = f"{next(_numbers)} {name}"
     with held(), h5py.File(name, "w", driver="core", backing_store=False) as file:
         for entry, value in (known | dict(header)).items():
             is_plain = isinstance(value, str | int | float | np.generic)
             if value is not None:
                 file.attrs[entry] = value if is_plain else json.dumps(plain(value))
         yield file
-        file.attrs["sha256"] = f"{SEAL}: {NO_DIGEST}"
-        file.flush()
-        image = file.id.get_file_image()
-    write_bytes(path, sealed(image))
+
+
+def _image(file: h5py.File) -> bytes:
+    """The bytes of a file in memory, with a place for the digest."""
+    file.attrs["sha256"] = f"{SEAL}: {NO_DIGEST}"
+    file.flush()
+    image: bytes = file.id.get_file_image()
+    return image
+
+
+class Template:
+    """A file of a kind whose arrays keep their shapes: it is made once, and for each further file
+    only its numbers are replaced, which takes a small part of the time.
+
+    Args:
+        arrays: by name, not empty.
+    """
+
+    def __init__(self, kind: Kind, header: Mapping[str, Any], arrays: Arrays) -> None:
+        self.shapes = {name: (values.shape, values.dtype) for name, values in arrays.items()}
+        with _in_memory("template", kind, header) as file:
+            for name, values in arrays.items():
+                store_array(file, name, values)
+            self._image = _image(file)
+            # numbers lie in one piece, where the file says
+            self._places = {name: file[name].id.get_offset() for name in arrays}
+
+    def fits(self, arrays: Arrays) -> bool:
+        """Whether the arrays have the names, shapes and types of this file's."""
+        return self.shapes == {name: (each.shape, each.dtype) for name, each in arrays.items()}
+
+    def filled(self, arrays: Arrays) -> bytearray:
+        """The whole file with these numbers, sealed."""
+        image = bytearray(self._image)
+        for name, values in arrays.items():
+            part = np.frombuffer(image, values.dtype, values.size, self._places[name])
+            part[:] = values.ravel()
+        seal(image)
+        return image
 
 
 def store_array(file: h5py.File, name: str, values: NDArray[Any]) -> None:

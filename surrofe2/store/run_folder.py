@@ -54,13 +54,14 @@ log = logging.getLogger(__name__)
 SCHEMA = "surrofe2-run"
 SCHEMA_VERSION = 3
 CHECKPOINT, EVENTS = "checkpoint.h5", "events.jsonl"
-STATE = Kind("checkpoint", 1, {"of": str})
+STATE = Kind("checkpoint", 2, {"of": str})
 """What a run resumes from: any arrays, `of` a run by a law."""
 CHECKPOINT_INTERVAL = 5.0
 """Seconds between two checkpoints, at least."""
 FILES = (
     "run.json", "curve.csv", "history.csv", "energies.csv", "path.csv", "fields.xdmf", "fields.h5",
-    "points.xdmf", "points.h5", CHECKPOINT, "table.h5", "harvest.h5", EVENTS,
+    "fields-last.xdmf", "points.xdmf", "points.h5", "points-last.xdmf", CHECKPOINT, "table.h5",
+    "harvest.h5", EVENTS,
 )  # fmt: skip
 _NAMED_ENTRIES = ("cells", "conditions", "bodies", "watch")
 """Sections of a recipe in which users name what there is."""
@@ -282,7 +283,8 @@ class RunFolder:
         if not self.resumes:
             remove(self.folder / CHECKPOINT)
         write_record(self.folder, self.record)
-        for each in () if self.resumes else (*FILES[1:], "harvest-*.h5", "table-*.h5"):
+        others = (*FILES[1:], "harvest-*.h5", "table-*.h5", "frames/*-*.h5")
+        for each in () if self.resumes else others:
             for path in self.folder.glob(each):
                 remove(path)
 

@@ -195,6 +195,14 @@ def sealed(content: bytes) -> bytes:
     return b"".join((content[:begin], digest, content[end:]))
 
 
+def seal(content: bytearray) -> None:
+    """As `sealed`, in place: of large content there is no room for copies."""
+    begin, end = _place(content)
+    if content[begin:end] != NO_DIGEST.encode():
+        raise ValueError("no place for the digest")
+    content[begin:end] = hashlib.sha256(content).hexdigest().encode()
+
+
 def check_seal(path: Path, content: bytes) -> None:
     """A FileError at content that has no digest, or that of other content."""
     try:
@@ -209,7 +217,7 @@ def check_seal(path: Path, content: bytes) -> None:
         raise FileError(f"{path}: damaged, or changed since it was written: see its SHA-256")
 
 
-def _place(content: bytes) -> tuple[int, int]:
+def _place(content: bytes | bytearray) -> tuple[int, int]:
     """Where the digest stands."""
     found, at = [], content.find(_WORD)  # 50 times as fast as to let the pattern search
     while at >= 0:

@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numba
 import numpy as np
@@ -97,6 +97,19 @@ class ParticleFrames:
     velocity: Array
 
 
+class Particles(NamedTuple):
+    """Where frames are: `position` (particles, 2) of the unloaded equilibrium, µm, `bonds` (b, 2)
+    of wall particles, `is_wall` (particles,)."""
+
+    position: Array
+    bonds: Index
+    is_wall: Flags
+
+
+KeepFrame = Callable[[ParticleFrames, int, Particles], None]
+"""Takes particle fields at one time, with how many frames there are before it."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class TissueRun(ViewedRun):
     """A run, or with `finished` False the part of it that was computed.
@@ -114,7 +127,7 @@ class TissueRun(ViewedRun):
             bodies in µm.
         position: (particles, 2) the unloaded equilibrium, µm; walls first.
         bonds: (b, 2) bonded wall particles. is_wall: (particles,).
-        frames: particle fields at a few times.
+        frames: particle fields at a few times; of those that `keep_frame` took the times alone.
         wall_time: s, `total`, `relaxation` and `run`.
         counts: `steps`, `force_evaluations`, `particles`, `particle_steps`.
     """
@@ -163,9 +176,14 @@ class Recorder:
     may_be_kept = True
 
     def __init__(
-        self, conditions: Conditions, settings: TissueSettings, dynamics: TissueDynamics
+        self,
+        conditions: Conditions,
+        settings: TissueSettings,
+        dynamics: TissueDynamics,
+        keep_frame: KeepFrame | None = None,
     ) -> None:
         self._conditions, self._dynamics = conditions, dynamics
+        self._keep_frame = keep_frame
         self.identity = identity(conditions, settings)
         problem, tissue = conditions.problem, conditions.tissue
         self._t = problem.output_times()
@@ -229,7 +247,11 @@ class Recorder:
         journal = before.journal.written({"rows": self._row(t, u, works)[None]})
         if row in self._frame_rows:
             frame = ParticleFrames(np.array([t]), u[None], v[None])
-            journal = journal.written(frame_series(frame))
+            if self._keep_frame is not None:
+                count = journal.lengths.get("frames.t", 0)
+                self._keep_frame(frame, count, self._particles(before.relaxed))
+            times_alone = self._keep_frame is not None
+            journal = journal.written(frame_series(frame, times_alone=times_alone))
         self.state = replace(
             before,
             x=x,
@@ -239,6 +261,10 @@ class Recorder:
             counts={name: dynamics.counts[name] for name in _COUNTS},
             seconds=before.seconds | {"run": clock() - self._started},
         )
+
+    def _particles(self, position: Array) -> Particles:
+        tissue = self._dynamics.tissue
+        return Particles(position, bonded_particles(tissue), tissue.is_wall)
 
     def checkpoint(self) -> TissueState:
         """The state at the last output time recorded."""
@@ -303,9 +329,7 @@ class Recorder:
             curves=curves,
             energies=energies,
             history=history_of(columns),
-            position=state.relaxed,
-            bonds=bonded_particles(tissue),
-            is_wall=tissue.is_wall,
+            **self._particles(state.relaxed)._asdict(),
             frames=ParticleFrames(**state.journal.part("frames")),
             wall_time={"total": sum(state.seconds.values()), **state.seconds},
             counts={
@@ -329,6 +353,7 @@ def simulate_tissue(
     checkpoint: Callable[[TissueState], None] | None = None,
     checkpoint_interval: float = 30.0,
     resume: TissueState | None = None,
+    keep_frame: KeepFrame | None = None,
 ) -> TissueRun:
     """Motion of all particles of a tissue, which is first relaxed without load.
 
@@ -344,6 +369,8 @@ def simulate_tissue(
             seconds have passed since it last was, and upon an interrupt, which then goes its way.
         resume: a state that `checkpoint` was given by a run of the same tissue, load and step;
             the results are those of the uninterrupted run, bit by bit.
+        keep_frame: takes particle fields as they come, which are then neither in the results nor in
+            the states of checkpoints, but for their times.
 
     Raises:
         InputError: the cells do not fill the extent, the problem contradicts itself, or the step
@@ -356,7 +383,7 @@ def simulate_tissue(
     settings = with_step(settings, conditions)
     problem.check_course()
     dynamics = held_and_loaded(conditions, settings)
-    recorder = Recorder(conditions, settings, dynamics)
+    recorder = Recorder(conditions, settings, dynamics, keep_frame)
     if resume is None:
         if progress is not None:
             progress(0.0, problem.duration)

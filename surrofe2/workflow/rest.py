@@ -17,7 +17,8 @@ from surrofe2.base.errors import InputError
 from surrofe2.base.units import time_text
 from surrofe2.base.versions import describe_platform
 from surrofe2.law.stress_law import state_arrays, state_of
-from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
+from surrofe2.macro import MetRange, Rest, find_modes, find_rest
+from surrofe2.macro.elements import make_discretisation
 from surrofe2.macro.rest import RestState
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.run.displacement_curve import DisplacementCurve
@@ -31,7 +32,7 @@ from surrofe2.store.run_folder import (
 )
 from surrofe2.store.store import keep
 from surrofe2.workflow import laws
-from surrofe2.workflow.run import new_record, problem_record, with_rest, write_frames
+from surrofe2.workflow.run import FrameFiles, new_record, problem_record, with_rest
 
 STATES = {"unloaded": 0.0, "loaded": 1.0}
 """Factor of the loads by the name of the state whose modes are asked for."""
@@ -48,8 +49,7 @@ def rest_study(
 ) -> RunRecord:
     """Load the recipe's tissue in steps, to `factor` times all loads, and write the run folder.
 
-    What was found before a failure or an interrupt is written, and the same call resumes there;
-    after an interrupt without fields, which the checkpoint keeps.
+    What was found before a failure or an interrupt is written, and the same call resumes there.
 
     Raises:
         SimulationError: a load step finds no equilibrium.
@@ -58,10 +58,10 @@ def rest_study(
     law = laws.law_by_region(recipe, problem.mesh, laws.true_law)
     problem = laws.with_surface(recipe, problem)
     timer, before = Meter(), seconds_compiling()
+    frames = FrameFiles(folder, make_discretisation(problem.mesh), law)
 
     def store(record: RunRecord, rest: Rest) -> RunRecord:
-        journal, space = rest.journal, rest.system.discretisation
-        frames, forces = Frames(**journal.part("frames")), journal["forces"]
+        forces = rest.journal["forces"]
         by_name = {
             f"force {name} {axis}": forces[:, k, i]
             for k, name in enumerate(rest.system.force_names)
@@ -69,8 +69,7 @@ def rest_study(
         }
         path = {"": DisplacementCurve(rest.path[:, 0], rest.path[:, 1:])}
         write_curves(folder, path, by_name, rest.energies, is_rest=True)
-        if record.status != "interrupted":  # each load step is a frame: many take seconds
-            write_frames(folder, space, frames, law)
+        frames.close()
         wall = {"total": timer.seconds, "compilation": seconds_compiling() - before}
         met = {"watched": rest.watched.tolist(), **MetRange.of(rest.extremes).to_dict()}
         record = with_rest(record, rest.system.rest)
@@ -78,6 +77,7 @@ def rest_study(
 
     def checkpoint(rest: Rest) -> None:
         run.partial = rest
+        frames.flush()  # first: whoever resumes needs all that this state had recorded
         arrays = within("rest", rest.to_arrays()) | {"seconds": np.array(timer.seconds)}
         run.checkpoint(arrays | within("law", state_arrays(law, rest.law_state)))
 
@@ -94,6 +94,8 @@ def rest_study(
             return run.record
         timer = Meter()
         state = run.restored(restore)
+        if state is not None:
+            frames.resume(state.journal["frames.t"], state.journal["frames.point_t"])
         with recipe.named(InputError):
             rest = find_rest(
                 problem,
@@ -105,6 +107,7 @@ def rest_study(
                 checkpoint=checkpoint,
                 checkpoint_interval=CHECKPOINT_INTERVAL,
                 resume=state,
+                keep_frame=frames.keep,
             )
         run.finish(rest)
     return run.record

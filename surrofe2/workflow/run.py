@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.clock import seconds_compiling
 from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import out_of_range
@@ -110,6 +111,8 @@ def run_study(
     of = {"surrogate": laws.surrogate_record(learnt), "problem": problem_record(problem)}
     record = new_record(recipe, kind, **of)
 
+    frames = FrameFiles(folder, make_discretisation(problem.mesh), law)
+
     def write_learnt(seconds: float) -> None:
         for writer in harvests.values():
             writer.flush(seconds)
@@ -120,7 +123,9 @@ def run_study(
         record = with_results(record, result, learning)
         wall = {**record.wall_time, "compilation": seconds_compiling() - before}
         write_learnt(earlier + wall.get("total", 0.0))
-        write_results(folder, result)
+        write_curves(folder, result.curves, result.history, result.energies)
+        frames.close()
+        _write_decisions(folder, result.decisions)
         return replace(record, wall_time=wall)
 
     def checkpoint(state: MacroState) -> None:
@@ -128,6 +133,7 @@ def run_study(
         arrays |= within("law", state_arrays(law, state.law_state))
         for cell, writer in harvests.items():
             arrays |= within(f"harvest of {cell}", writer.to_arrays())
+        frames.flush()  # first: whoever resumes needs all that this state had recorded
         run.checkpoint(arrays, cache_report(law))
         _write_decisions(folder, _decisions_of(law))
 
@@ -143,6 +149,8 @@ def run_study(
             return run.record
         state = run.restored(restore)
         run.cache = None if state is None else cache_report(law)
+        if state is not None:
+            frames.resume(state.journal["frames.t"], state.journal["frames.point_t"])
         report(0.0, "loading kernels")
         try:
             with recipe.named(InputError):
@@ -157,6 +165,7 @@ def run_study(
                     closing=lambda done, count: report(
                         problem.duration, f"closing audit: {done} of {count}"
                     ),
+                    keep_frame=frames.keep,
                 )
         except KeyboardInterrupt:
             write_learnt(0.0)
@@ -232,35 +241,68 @@ def save_run(run: MacroRun, folder: str | Path, *, fresh: bool = False) -> RunRe
 
 
 def write_results(folder: Path, run: MacroRun) -> None:
-    """Write curve.csv, history.csv, energies.csv, fields, points and, of a cached run, events."""
+    """Write curve.csv, history.csv, energies.csv, fields, points and, of a cached run, events.
+
+    Fields that the run gave away as they came are not written.
+    """
     write_curves(folder, run.curves, run.history, run.energies)
-    write_frames(folder, make_discretisation(run.problem.mesh), run.frames, run.law)
+    if len(run.frames.displacement):
+        files = FrameFiles(folder, make_discretisation(run.problem.mesh), run.law)
+        for frame in run.frames.one_by_one():
+            files.keep(frame, *files.counts)
+        files.close()
     _write_decisions(folder, run.decisions)
 
 
-def write_frames(folder: Path, space: Discretisation, frames: Frames, law: StressLaw) -> None:
-    """Write the fields of nodes and elements, and points.xdmf and points.h5: the law's points, F
-    and Ḟ by the displacement of nodes."""
-    cell = laws.cell_of_elements(law, len(space.elements))
-    fields.write_fields(folder, space.nodes, space.elements, frames, cell)
-    at = np.isin(frames.t, frames.point_t)
-    u, v = frames.displacement[at], frames.velocity[at]
-    moved = [deformation_gradient(space, *motion) for motion in zip(u, v, strict=True)]
-    fields.write_point_fields(
-        folder,
-        space.point_positions(),
-        frames.point_t,
-        {
-            fields.DISPLACEMENT_NAME: np.stack([space.at_points(each) for each in u]),
-            fields.VELOCITY_NAME: np.stack([space.at_points(each) for each in v]),
-            fields.F_NAME: np.stack([F for F, _, _ in moved]),
-            fields.F_DOT_NAME: np.stack([F_dot for _, F_dot, _ in moved]),
-            fields.STRESS_NAME: frames.point_stress,
-            fields.SOURCE_NAME: frames.point_source,
-            fields.RISK_NAME: frames.point_risk,
-        },
-        space.points_per_element,
-    )
+class FrameFiles:
+    """The files of whole fields of a run or a rest, which are written as they come: fields of nodes
+    and elements, and points of the law with F and Ḟ by the displacement of nodes."""
+
+    def __init__(self, folder: Path, space: Discretisation, law: StressLaw) -> None:
+        self._space = space
+        cell = laws.cell_of_elements(law, len(space.elements))
+        self._fields = fields.element_writer(folder, space.nodes, space.elements, cell)
+        position = space.point_positions()
+        self._points = fields.point_writer(folder, position, space.points_per_element)
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Frames of fields and of points so far."""
+        return self._fields.count, self._points.count
+
+    def resume(self, times: Array, point_times: Array) -> None:
+        """Continue behind the frames at these times; see `FrameWriter.resume`."""
+        self._fields.resume(times.tolist())
+        self._points.resume(point_times.tolist())
+
+    def keep(self, frame: Frames, count: int, point_count: int) -> None:
+        """Write a frame, and the points if it has them; see `macro.history.KeepFrame`."""
+        self._fields.write(count, float(frame.t[0]), *fields.fields_of_elements(frame))
+        if not len(frame.point_t):
+            return
+        u, v = frame.displacement[0], frame.velocity[0]
+        F, F_dot, _ = deformation_gradient(self._space, u, v)
+        at_points = {
+            fields.DISPLACEMENT_NAME: self._space.at_points(u),
+            fields.VELOCITY_NAME: self._space.at_points(v),
+            fields.F_NAME: F,
+            fields.F_DOT_NAME: F_dot,
+            fields.STRESS_NAME: frame.point_stress[0],
+            fields.SOURCE_NAME: frame.point_source[0],
+            fields.RISK_NAME: frame.point_risk[0],
+            **fields.invariants(frame.point_stress[0]),
+        }
+        self._points.write(point_count, float(frame.point_t[0]), at_points, {})
+
+    def flush(self) -> None:
+        """Leave no frame waiting."""
+        self._fields.flush()
+        self._points.flush()
+
+    def close(self) -> None:
+        """All frames are there."""
+        self._fields.close()
+        self._points.close()
 
 
 def with_results(

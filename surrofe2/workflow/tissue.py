@@ -13,11 +13,17 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem import Problem
 from surrofe2.recipe.recipe import Recipe, kinds_of_cells
 from surrofe2.run.loop import Report, no_report
-from surrofe2.store.fields import write_particle_fields
+from surrofe2.store.fields import FrameWriter, fields_of_particles, particle_writer
 from surrofe2.store.run_folder import CHECKPOINT_INTERVAL, RunFolder, RunRecord, write_curves
 from surrofe2.store.samples import kept_reference
 from surrofe2.tissue import TissueRun, TissueState, simulate_tissue
-from surrofe2.tissue.simulation import cells_that_fill, make_conditions, with_step
+from surrofe2.tissue.simulation import (
+    ParticleFrames,
+    Particles,
+    cells_that_fill,
+    make_conditions,
+    with_step,
+)
 from surrofe2.workflow.run import new_record
 
 
@@ -59,10 +65,16 @@ def run_tissue(
     conditions = make_conditions(problem, cells, references, kind)
     recipe = replace(recipe, tissue=with_step(recipe.tissue, conditions))
     before = seconds_compiling()
+    state: TissueState | None = None
+    frames: FrameWriter | None = None
 
     def store(record: RunRecord, run: TissueRun) -> RunRecord:
         write_curves(folder, run.curves, run.history, run.energies)
-        write_particle_fields(folder, run.position, run.bonds, run.is_wall, run.frames)
+        writer = frames
+        if writer is None:  # the run had ended before its last checkpoint
+            writer = particle_writer(folder, run.position, run.bonds, run.is_wall)
+            writer.resume(run.frames.t.tolist())
+        writer.close()
         return replace(
             record,
             wall_time={**run.wall_time, "compilation": seconds_compiling() - before},
@@ -70,11 +82,25 @@ def run_tissue(
             threads=run.threads,
         )
 
+    def keep(frame: ParticleFrames, count: int, of: Particles) -> None:
+        nonlocal frames
+        if frames is None:
+            frames = particle_writer(folder, *of)
+            if state is not None:
+                frames.resume(state.journal["frames.t"].tolist())
+        frames.write(count, float(frame.t[0]), *fields_of_particles(frame))
+
+    def checkpoint(at: TissueState) -> None:
+        if frames is not None:  # first: whoever resumes needs all that this state had recorded
+            frames.flush()
+        run.checkpoint(at.to_arrays())
+
     of = {"initialisation": "none", "solver": "leapfrog", "seed": None}
     record = new_record(recipe, "tissue", **of)
     with RunFolder.open(folder, record, store, fresh=fresh) as run:
         if run.is_finished:
             return run.record
+        state = run.restored(TissueState.from_arrays)
         result = simulate_tissue(
             problem,
             cells,
@@ -82,9 +108,10 @@ def run_tissue(
             reference=references,
             kind=kind,
             progress=lambda t, duration: report(t, "" if t > 0.0 else "relaxing without load"),
-            checkpoint=lambda state: run.checkpoint(state.to_arrays()),
+            checkpoint=checkpoint,
             checkpoint_interval=CHECKPOINT_INTERVAL,
-            resume=run.restored(TissueState.from_arrays),
+            resume=state,
+            keep_frame=keep,
         )
         run.finish(result)
     return run.record

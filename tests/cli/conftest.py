@@ -7,11 +7,12 @@ from surrofe2.cli import app
 from surrofe2.workflow import laws
 from tests.laws import SoftLaw
 
-FILES = ["curve.csv", "energies.csv", "fields.h5", "fields.xdmf", "run.json"]
+FIELDS = ["fields-last.xdmf", "fields.h5", "fields.xdmf", "frames"]
+FILES = ["curve.csv", "energies.csv", *FIELDS, "run.json"]
 """What a run folder holds at the end, whatever was run."""
 TISSUE_FILES = sorted([*FILES, "history.csv"])
 """Those of all particles."""
-RUN_FILES = sorted([*TISSUE_FILES, "points.h5", "points.xdmf"])
+RUN_FILES = sorted([*TISSUE_FILES, "points-last.xdmf", "points.h5", "points.xdmf"])
 """Those of finite elements over time."""
 
 

@@ -14,11 +14,15 @@ from surrofe2.base.sampling import SamplingRange
 from surrofe2.macro import MetRange, simulate
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
-from surrofe2.workflow import check
+from surrofe2.store.samples import kept_reference
+from surrofe2.tissue.simulation import make_conditions
+from surrofe2.workflow import check, scale
 from surrofe2.workflow.laws import law_by_region, quadratic_law
 from surrofe2.workflow.run import run_study
+from surrofe2.workflow.scale import all_particles, scale_warnings
+from surrofe2.workflow.tissue import tissue_of
 from tests.cli.conftest import call
-from tests.conftest import RANGE, RECIPE, ROOT
+from tests.conftest import CELLS, RANGE, RECIPE, ROOT, changed
 from tests.laws import SquareLaw
 from tests.processes import python
 
@@ -170,6 +174,62 @@ def test_the_advice(recipe, changed_recipe, request):
 def test_a_recipe_without_a_range_is_for_rves(invoke, changed_recipe):
     done = invoke("check", changed_recipe(RANGE, ""), "--only")
     assert "No [range]: only `--law rve` can run this recipe.\n" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("changes", "warning"),
+    [
+        (("[2, 2]", "[4, 4]"), ""),
+        (("[2, 2]", "[8, 4]"), "an element is 12.5 µm wide, a plant cell 25 µm"),
+        (
+            ('preset = "printed"', 'preset = "printed"\narrangement = "voronoi"\ncells = 9'),
+            "an RVE is 75 µm wide, an element 50 µm",
+        ),
+    ],
+)
+def test_elements_smaller_than_a_plant_cell_or_an_rve_are_warned_of(
+    changed_recipe, changes, warning
+):
+    warnings = [*scale_warnings(load_recipe(changed_recipe(*changes)))]
+    assert [each.startswith(warning) for each in warnings] == [True] * bool(warning)
+
+
+def test_the_warning_is_of_the_kind_of_cell_whose_elements_are_too_small(written):
+    path = written(changed(CELLS, "elements = [2, 2]", "elements = [5, 2]"))
+    text = path.read_text(encoding="utf-8")
+    assert len([*scale_warnings(load_recipe(path))]) == 2
+    path.write_text(
+        text.replace("[cells.skin]", "[cells.skin]\ncell_side = 10.0"), encoding="utf-8"
+    )
+    (warning,) = scale_warnings(load_recipe(path))
+    assert warning.startswith("an element of flesh is 20 µm wide, a plant cell 25 µm")
+
+
+def test_all_particles_are_those_of_the_tissue(recipe, changed_recipe):
+    """But for the outer walls, of which a tissue has more than its cells share."""
+    found = all_particles(recipe)
+    problem, cells, kind = tissue_of(recipe)
+    references = [kept_reference(cell) for cell in cells]
+    tissue = make_conditions(problem, cells, references, kind).tissue
+    assert found.plant_cells == 16.0
+    assert found.particles < tissue.particles < 1.3 * found.particles
+    assert found.steps == pytest.approx(4.0 / 0.002)
+    stated = load_recipe(changed_recipe("[macro]", "[tissue]\nmicro_step = 1e-4\n[macro]"))
+    assert all_particles(stated).steps == pytest.approx(4e4)
+    assert found.is_possible
+    assert not all_particles(
+        load_recipe(changed_recipe("= 100.0\nbody", "= 90.0\nbody"))
+    ).is_possible
+
+
+@pytest.mark.parametrize(("rate", "advice"), [(1e30, "surrofe2 tissue"), (1e-30, "--law rve")])
+def test_all_particles_are_advised_where_they_take_less(
+    invoke, recipe_path, monkeypatch, rate, advice
+):
+    monkeypatch.setattr(scale, "PARTICLE_STEPS", rate)
+    done = invoke("check", recipe_path, "--seconds", WHOLE, law=SquareLaw())
+    assert "All particles: 16 plant cells, " in done.stdout
+    assert advice in done.stdout.splitlines()[-1]
 
 
 WATCH = """import os, subprocess, sys

@@ -3,7 +3,6 @@
 import shutil
 from dataclasses import replace
 
-import h5py
 import meshio
 import numpy as np
 import pytest
@@ -28,7 +27,7 @@ from surrofe2.workflow.zoom import (
     recipes_of,
     zoom_into,
 )
-from tests.cli.conftest import call
+from tests.cli.conftest import FIELDS, call
 from tests.conftest import CELLS, RECIPE, ROOT
 
 
@@ -59,7 +58,7 @@ def seen(study):
 
 def test_the_command_writes_what_it_saw(looked):
     done, out = looked
-    names = ["fields.h5", "fields.xdmf", "zoom.csv", "zoom.png"]
+    names = [*FIELDS, "zoom.csv", "zoom.png"]
     assert sorted(path.name for path in out.iterdir()) == names
     assert f"{out}: element 3 at 5 times" in done.stdout
     with Image.open(out / "zoom.png") as picture:
@@ -93,26 +92,29 @@ def test_springs_for_paraview_have_their_length_across_the_boundary_too(looked, 
 
 def test_cell_fields_are_the_extremes_of_the_particles(study, seen):
     _, particles = seen
-    with h5py.File(study[1] / "fields.h5") as file:
-        for name, values in particles.extremes().items():
-            of_element = [file[f"{name}.{k}"][3] for k in range(5)]
-            np.testing.assert_allclose(of_element, values, rtol=1e-7)
-            assert file[f"{name}.4"].shape == (4,)
+    extremes = particles.extremes()
+    stored = read_fields(study[1], extremes)
+    for name, values in extremes.items():
+        assert stored.values[name].shape == (5, 4)
+        np.testing.assert_allclose(stored.values[name][:, 3], values, rtol=1e-7)
+    with meshio.xdmf.TimeSeriesReader(study[1] / "fields.xdmf") as reader:
+        reader.read_points_cells()
+        _, _, in_cells = reader.read_data(4)
+    np.testing.assert_array_equal(in_cells[name][0], stored.values[name][4])
 
 
 def test_cell_fields_of_a_run_that_is_finished(study, tmp_path):
     recipe, with_them = study
     command = ("run", recipe, "--law", "rve", "--out", tmp_path / "run")
     call(*command)
-    name = "largest_wall_stretch.4"
-    with h5py.File(tmp_path / "run" / "fields.h5") as file:
-        assert name not in file
+    name = "largest_wall_stretch"
+    assert not read_fields(tmp_path / "run", (), [name]).values
     with locked_folder(tmp_path / "run"):
         call(*command, "--cell-fields", code=1)
     done = call(*command, "--cell-fields")
     assert "cell fields of 20 RVEs in " in done.stdout
-    with h5py.File(tmp_path / "run" / "fields.h5") as file, h5py.File(with_them / "fields.h5") as b:
-        np.testing.assert_allclose(file[name], b[name], rtol=1e-12)
+    here, there = (read_fields(each, [name]).values[name] for each in (tmp_path / "run", with_them))
+    np.testing.assert_allclose(here, there, rtol=1e-12)
 
 
 def test_no_stress_no_extremes():
@@ -139,9 +141,9 @@ def test_several_cells_are_looked_into_by_the_cell_of_the_point(written, tmp_pat
     done = call("run", path, "--law", "rve", "--cell-fields", "--out", run)
     assert "cell fields of 12 RVEs" in done.stdout, done.output
     call("rest", path, "--load-steps", 1, "--out", rest)
-    with h5py.File(run / "fields.h5") as file:
-        assert file["plant_cell.2"][()].tolist() == [1.0, 0.0, 1.0, 0.0]
-        stretch = file["largest_wall_stretch.2"][()]
+    stored = read_fields(run, [CELL, "largest_wall_stretch"])
+    assert stored.values[CELL][2].tolist() == [1.0, 0.0, 1.0, 0.0]
+    stretch = stored.values["largest_wall_stretch"][2]
     cells = {name: part.cell for name, part in load_recipe(path).parts().items()}
     for y, name in ((75.0, "skin"), (25.0, "flesh")):
         found = zoom_into(run, (25.0, y))

@@ -1,3 +1,5 @@
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
@@ -7,6 +9,7 @@ import meshio
 import numpy as np
 import pytest
 
+from surrofe2.base.errors import FileError
 from surrofe2.store.fields import (
     DISPLACEMENT_NAME,
     F_DOT_NAME,
@@ -15,7 +18,9 @@ from surrofe2.store.fields import (
     RISK_NAME,
     SOURCE_NAME,
     STRESS_NAME,
+    FrameWriter,
     add_to_elements,
+    open_fields,
     read_fields,
     write_fields,
     write_point_fields,
@@ -24,6 +29,7 @@ from surrofe2.store.fields import (
 
 NODES = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
 QUADS = np.array([[0, 1, 2, 3]])
+FRAME = "frames/fields-{:04d}.h5"
 
 
 @pytest.fixture
@@ -48,7 +54,9 @@ def test_fields_read_back(tmp_path, frames):
     for factor in (2.0, 1.0):
         add_to_elements(tmp_path, {"swelling": factor * np.arange(1.0, 4.0)[:, None]})
     assert Path.cwd() == here
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["fields.h5", "fields.xdmf"]
+    files = [path.relative_to(tmp_path).as_posix() for path in sorted(tmp_path.rglob("*.*"))]
+    of_frames = [FRAME.format(k) for k in range(3)]
+    assert files == ["fields-last.xdmf", "fields.h5", "fields.xdmf", *of_frames]
     with meshio.xdmf.TimeSeriesReader(tmp_path / "fields.xdmf") as reader:
         nodes, cells = reader.read_points_cells()
         np.testing.assert_array_equal(nodes[:, :2], NODES)
@@ -87,14 +95,14 @@ def test_one_grid_a_time_and_no_mesh_beside_them(tmp_path, frames):
     (series,) = domain
     assert (series.get("GridType"), series.get("CollectionType")) == ("Collection", "Temporal")
     assert [float(grid.find("Time").get("Value")) for grid in series] == frames.t.tolist()
-    with h5py.File(tmp_path / "fields.h5") as file:
-        for grid in series:
-            assert grid.get("GridType") == "Uniform"
-            for kind in ("Topology", "Geometry"):
-                assert len(grid.findall(kind)) == 1
-            for item in grid.iter("DataItem"):
-                name, _, inner = item.text.partition(":/")
-                assert name == "fields.h5"
+    for k, grid in enumerate(series):
+        assert grid.get("GridType") == "Uniform"
+        for kind in ("Topology", "Geometry"):
+            assert len(grid.findall(kind)) == 1
+        for item in grid.iter("DataItem"):
+            name, _, inner = item.text.partition(":/")
+            assert name == ("fields.h5" if inner in ("cells", "points") else FRAME.format(k))
+            with h5py.File(tmp_path / name) as file:
                 assert file[inner].shape == tuple(map(int, item.get("Dimensions").split()))
     assert {item.text for item in series.iter("DataItem") if "points" in item.text} == {
         "fields.h5:/points"
@@ -149,3 +157,100 @@ def test_triangles_with_six_nodes(tmp_path):
         points, cells = reader.read_points_cells()
     assert (cells[0].type, cells[0].data.tolist()) == ("triangle6", [[0, 1, 2, 3, 4, 5]])
     np.testing.assert_array_equal(points[:, :2], nodes)
+
+
+def write_frame(writer, k, t, factor=1.0):
+    writer.write(k, t, {DISPLACEMENT_NAME: np.full((4, 2), factor * t)}, {RISK_NAME: np.ones(1)})
+
+
+def series_of(folder):
+    """Times that XDMF names, and the displacement of the first node at each."""
+    with meshio.xdmf.TimeSeriesReader(folder / "fields.xdmf") as reader:
+        reader.read_points_cells()
+        steps = [reader.read_data(k) for k in range(reader.num_steps)]
+    return {t: float(at_nodes[DISPLACEMENT_NAME][0, 0]) for t, at_nodes, _ in steps}
+
+
+def test_a_series_under_way_is_read_by_whoever_looks(tmp_path):
+    writer = FrameWriter(tmp_path, NODES, QUADS)
+    for k in range(3):
+        write_frame(writer, k, 0.5 * k)
+    writer.flush()
+    write_frame(writer, 3, 1.5)  # waits
+    assert series_of(tmp_path) == {0.0: 0.0, 0.5: 0.5, 1.0: 1.0}
+    assert open_fields(tmp_path).t.tolist() == [0.0, 0.5, 1.0]
+    writer.close()
+    assert open_fields(tmp_path).t.tolist() == [0.0, 0.5, 1.0, 1.5]
+    assert writer.count == 4
+
+
+def test_a_run_that_goes_back_replaces_what_it_wrote(tmp_path):
+    with FrameWriter(tmp_path, NODES, QUADS) as writer:
+        for k in range(4):
+            write_frame(writer, k, 0.5 * k)
+        writer.flush()
+        write_frame(writer, 4, 2.0)
+        write_frame(writer, 2, 1.2)
+        assert series_of(tmp_path) == {0.0: 0.0, 0.5: 0.5}  # nothing names what is gone
+        assert not (tmp_path / FRAME.format(3)).exists()
+    assert series_of(tmp_path) == {0.0: 0.0, 0.5: 0.5, 1.2: 1.2}
+    assert read_fields(tmp_path, [DISPLACEMENT_NAME]).displacement[:, 0, 0].tolist() == [
+        0,
+        0.5,
+        1.2,
+    ]
+
+
+def test_a_series_is_continued_behind_its_frames(tmp_path):
+    with FrameWriter(tmp_path, NODES, QUADS) as writer:
+        for k in range(5):
+            write_frame(writer, k, 0.5 * k)
+    with FrameWriter(tmp_path, NODES, QUADS) as writer:
+        writer.resume([0.0, 0.5])
+        assert series_of(tmp_path) == {0.0: 0.0, 0.5: 0.5}
+        assert open_fields(tmp_path).count == 2
+        write_frame(writer, 2, 1.0, factor=3.0)
+    assert series_of(tmp_path) == {0.0: 0.0, 0.5: 0.5, 1.0: 3.0}
+    (tmp_path / FRAME.format(1)).unlink()
+    with pytest.raises(FileError, match=r"fields-0001\.h5: no such file; start over with --fresh"):
+        FrameWriter(tmp_path, NODES, QUADS).resume([0.0, 0.5, 1.0])
+
+
+@pytest.mark.parametrize("damage", ["cut", "changed", "missing"])
+def test_a_damaged_frame_is_refused(tmp_path, damage):
+    with FrameWriter(tmp_path, NODES, QUADS) as writer:
+        for k in range(3):
+            write_frame(writer, k, 0.5 * k)
+    path = tmp_path / FRAME.format(1)
+    content = path.read_bytes()
+    if damage == "missing":
+        path.unlink()
+    else:
+        path.write_bytes(content[:-10] if damage == "cut" else content[:-10] + bytes(10)[:9] + b"x")
+    with pytest.raises(FileError, match=r"fields-0001\.h5"):
+        read_fields(tmp_path, [DISPLACEMENT_NAME])
+
+
+def test_a_frame_is_written_as_hdf5_writes_it(tmp_path, frames):
+    """Only the numbers of a frame are replaced in what was made once."""
+    write_fields(tmp_path, NODES, QUADS, frames)
+    for k in range(3):
+        with h5py.File(tmp_path / FRAME.format(k)) as file:
+            np.testing.assert_array_equal(file[STRESS_NAME][:, :2, :2], frames.stress[k])
+            assert file["t"][0] == frames.t[k]
+
+
+def test_one_frame_is_read_by_programs_that_know_no_time(tmp_path, frames):
+    """meshio.read ends the interpreter where it cannot read a file; of a run under way, too."""
+    writer = FrameWriter(tmp_path, NODES, QUADS)
+    for k in range(2):
+        write_frame(writer, k, 0.5 + k)
+    writer.flush()
+    code = (
+        "import meshio; mesh = meshio.read('fields-last.xdmf'); "
+        "print(mesh.points.shape, float(mesh.point_data['displacement_um'][0, 0]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout.strip()) == (0, "(4, 3) 1.5"), done.stderr

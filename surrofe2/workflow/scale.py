@@ -1,0 +1,136 @@
+"""How large a tissue is against its plant cells, and what all of its particles would take.
+
+FE² takes a plant cell to be small against an element, and saves what a homogeneous neighbourhood
+allows: where elements are smaller than plant cells it solves several RVEs for each of them, and all
+particles cost less.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from surrofe2.base.arrays import Array
+from surrofe2.base.errors import InputError
+from surrofe2.base.units import rough_number, rough_time
+from surrofe2.macro.elements import make_discretisation
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.recipe.recipe import Recipe
+from surrofe2.store.samples import kept_reference
+from surrofe2.tissue.relaxation import rounded_step, stable_step
+from surrofe2.workflow.tissue import tissue_of
+
+PARTICLE_STEPS = 3e7
+"""Particle-steps in a second by two cores: an order of magnitude."""
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Particles:
+    """What a run of all particles takes.
+
+    Attributes:
+        plant_cells, particles, steps: how many there are.
+        is_possible: whether `surrofe2 tissue` takes the recipe, a rectangle of whole plant cells.
+    """
+
+    plant_cells: float
+    particles: float
+    steps: float
+    is_possible: bool
+
+    @property
+    def seconds(self) -> float:
+        """Order of magnitude, at `PARTICLE_STEPS`."""
+        return self.particles * self.steps / PARTICLE_STEPS
+
+
+class _Elements(NamedTuple):
+    """Areas, µm², and smallest widths, µm, of elements, (e,) each."""
+
+    areas: Array
+    widths: Array
+
+
+def scale_warnings(recipe: Recipe, halvings: int = 0) -> Iterator[str]:
+    """A sentence for each kind of plant cell that is larger, or whose RVE is wider, than an element
+    of its own.
+
+    Args:
+        halvings: how often elements were merged each way for this recipe's mesh.
+    """
+    elements = _elements_by_cell(recipe)
+    for name, part in recipe.parts().items():
+        cell, smallest = part.cell, float(elements[name].widths.min()) / 2**halvings
+        where = f" of {name}" if name else ""
+        width = cell.cell_side * math.sqrt(cell.cells)
+        if smallest < cell.cell_side * (1.0 - _ROUNDING):
+            yield (
+                f"an element{where} is {smallest:.3g} µm wide, a plant cell {cell.cell_side:.3g}"
+                " µm: FE² then solves more RVEs than there are plant cells; take larger elements"
+            )
+        elif smallest < width * (1.0 - _ROUNDING):
+            yield (
+                f"an RVE{where} is {width:.3g} µm wide, an element {smallest:.3g} µm: what the "
+                "RVE sees as even varies within it; take larger elements or fewer plant cells per "
+                "RVE"
+            )
+
+
+def all_particles(recipe: Recipe) -> Particles:
+    """The full particle model of a recipe's tissue, by the area of each kind of plant cell."""
+    elements = _elements_by_cell(recipe)
+    plant_cells = particles = 0.0
+    step = math.inf if recipe.tissue.micro_step is None else recipe.tissue.micro_step
+    for name, part in recipe.parts().items():
+        cell = part.cell
+        count = float(elements[name].areas.sum()) / cell.cell_side**2
+        plant_cells += count
+        particles += count * _particles_of(cell)
+        if recipe.tissue.micro_step is None:
+            step = min(step, rounded_step(stable_step(cell, kept_reference(cell))))
+    try:
+        tissue_of(recipe)
+    except InputError:
+        is_possible = False
+    else:
+        is_possible = True
+    return Particles(plant_cells, particles, recipe.duration / step, is_possible)
+
+
+def particles_sentence(found: Particles) -> str:
+    """What all particles would take."""
+    total = rough_number(found.particles * found.steps)
+    only = "" if found.is_possible else " (surrofe2 tissue takes rectangles of whole cells alone)"
+    return (
+        f"All particles: {found.plant_cells:,.0f} plant cells, {found.particles:,.0f} particles, "
+        f"{found.steps:,.0f} steps. At {PARTICLE_STEPS / 1e6:.0f} million particle-steps a second, "
+        f"{total} of them take about {rough_time(found.seconds)}{only}"
+    )
+
+
+def _particles_of(cell: CellParameters) -> float:
+    """Particles of a plant cell, walls that it shares counted once, on average."""
+    walls = cell.tessellation.wall_particles(cell.spring_length)
+    return cell.fluid_particles + walls / cell.cells
+
+
+def _elements_by_cell(recipe: Recipe) -> dict[str, _Elements]:
+    """The elements of each kind of plant cell by its name."""
+    mesh = recipe.problem().mesh
+    space = make_discretisation(mesh)
+    corners = 4 if space.pressure_apart else 3
+    outline = space.nodes[space.elements[:, :corners]]
+    edges = np.linalg.norm(outline - np.roll(outline, 1, axis=1), axis=2)
+    # of a triangle its height over the longest side
+    widths = (1.0 if corners == 4 else 2.0) * space.areas / edges.max(axis=1)
+    names = [*recipe.parts()]
+    if len(names) == 1:
+        return {names[0]: _Elements(space.areas, widths)}
+    points, per_element = recipe.points_of_cells(mesh), space.points_per_element
+    numbers = {name: np.unique(points[name] // per_element) for name in names}
+    return {name: _Elements(space.areas[k], widths[k]) for name, k in numbers.items()}
