@@ -5,13 +5,15 @@ To the bit where there are no RVEs, else as in `tests.folders`.
 
 from shutil import copytree
 
+import meshio
 import numba
 import numpy as np
 import pytest
 
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store.fields import open_fields
-from surrofe2.store.run_folder import caches_of, read_record
+from surrofe2.store.hdf5 import read
+from surrofe2.store.run_folder import CHECKPOINT, STATE, caches_of, read_record
 from surrofe2.workflow import rest, run, tissue
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.rest import rest_study
@@ -138,6 +140,30 @@ def test_a_resumed_run_is_the_uninterrupted_one(case, tmp_path, monkeypatch):
     assert_same(killed, whole, exact)
     run_study(recipe, law, again)
     assert_same(again, whole, exact)
+
+
+def test_a_run_under_way_can_be_looked_at_and_its_checkpoint_holds_no_fields(
+    home, tmp_path, monkeypatch
+):
+    recipe, seen = load_recipe(home / "recipe.toml"), []
+
+    def look(t, note):
+        if (tmp_path / CHECKPOINT).exists() and t < recipe.duration:
+            with meshio.xdmf.TimeSeriesReader(tmp_path / "fields.xdmf") as reader:
+                reader.read_points_cells()
+                seen.append([reader.read_data(k)[0] for k in range(reader.num_steps)])
+            _, arrays = read(tmp_path / CHECKPOINT, STATE)
+            assert arrays["macro.frames.t"].tolist() == seen[-1] == open_fields(tmp_path).t.tolist()
+            of_frames = {name: len(of) for name, of in arrays.items() if "frames." in name}
+            assert {name for name, rows in of_frames.items() if rows} == {
+                "macro.frames.t", "macro.frames.point_t", "macro.mark.frames.t",
+                "macro.mark.frames.point_t",
+            }  # fmt: skip
+
+    monkeypatch.setattr(run, "CHECKPOINT_INTERVAL", 0.0)
+    run_study(recipe, "cached", tmp_path, report=look)
+    assert len(seen) > 5
+    assert len(seen[-1]) > len(seen[0])
 
 
 def test_a_resumed_rest_is_the_uninterrupted_one(written, tmp_path, monkeypatch):

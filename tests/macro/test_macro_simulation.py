@@ -1,6 +1,6 @@
 """The run around the equations: interrupts, resumption, results, settings."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import count
 
 import numpy as np
@@ -82,6 +82,25 @@ def test_checkpoint_of_another_run_is_refused(change, name):
     _, states = run_and_states(LOAD_CASE, KelvinVoigt())
     with pytest.raises(MismatchError, match=f"resume: {name}: not that"):
         simulate(LoadCase(**BAR | change), KelvinVoigt(), SETTINGS, resume=states[-2])
+
+
+def test_frames_that_somebody_keeps_are_those_of_a_run_that_keeps_them_itself():
+    kept, states = [], []
+    whole = simulate(LOAD_CASE, KelvinVoigt(), SETTINGS).frames
+    run = simulate(
+        LOAD_CASE, KelvinVoigt(), SETTINGS, keep_frame=lambda *frame: kept.append(frame),
+        checkpoint=states.append, checkpoint_interval=0.0,
+    )  # fmt: skip
+    assert [count for _, count, _ in kept] == [*range(len(whole.t))]
+    for (frame, _, points), expected in zip(kept, whole.one_by_one(), strict=True):
+        for name, values in asdict(expected).items():
+            np.testing.assert_array_equal(getattr(frame, name), values)
+        assert points == np.searchsorted(whole.point_t, frame.t[0])
+    np.testing.assert_array_equal(run.frames.t, whole.t)
+    # memory and checkpoints do not grow with the frames, but for their times
+    for each in (run.frames, states[-1].frames):
+        for name, values in asdict(each).items():
+            assert len(values) == (0 if name not in ("t", "point_t") else len(getattr(whole, name)))
 
 
 def test_points_of_frames_have_the_mean_that_their_elements_have():
