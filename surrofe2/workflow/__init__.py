@@ -13,6 +13,7 @@ In reading order:
     zoom         the plant cells of a run: at a point, and what all of them met
     grid         parameter studies
     check        faults of a recipe, the range it needs, how long it takes, which law to take
+    scale        how large elements are against plant cells, and what all particles would take
 
 Everywhere: what is finished is kept, what was interrupted is resumed, `fresh` starts over whatever
 is there, and output of other settings is refused with a MismatchError that names the difference.
