@@ -12,7 +12,12 @@ from typing import Any
 from surrofe2.base.errors import InputError, quoted
 from surrofe2.base.settings import check_settings, setting
 from surrofe2.base.units import FORCE, LENGTH, MASS, NONE, STIFFNESS, TIME, VELOCITY
-from surrofe2.plant_cell.tessellation import Tessellation, make_tessellation
+from surrofe2.plant_cell.tessellation import (
+    AS_THEY_COME,
+    Shape,
+    Tessellation,
+    make_tessellation,
+)
 
 _PAPER = "Ghysels et al. 2009, TW 550"
 
@@ -24,6 +29,9 @@ USUAL_FLUID = {"square": "sph", "hexagon": "uniform", "voronoi": "uniform"}
 FEWEST_VORONOI = 4
 _ARRANGEMENT = ("arrangement", "cells", "arrangement_seed")
 _UNIFORM = ("fluid", "sap_bulk_modulus")
+_SHAPE = ("area_variation", "elongation", "elongation_direction")
+_AS_LAID_OUT = {"area_variation": 0.0, "elongation": 1.0}
+LEAST_VARIATION = 0.1
 
 
 def _constant(default: Any, unit: str, about: str, section: str = "6", **bounds: Any) -> Any:
@@ -114,6 +122,20 @@ class CellParameters:
         1, NONE, "plant cells per RVE, each of cell_side² µm² on average", "", least=1
     )
     arrangement_seed: int = _constant(1, NONE, "seed of the points of Voronoi cells", "", least=0)
+    area_variation: float = _constant(
+        0.0,
+        NONE,
+        "coefficient of variation of the areas of Voronoi cells; 0: as they come",
+        "",
+        least=0.0,
+        most=0.6,
+    )
+    elongation: float = _constant(
+        1.0, NONE, "mean aspect ratio of Voronoi cells; 1: as they come", "", least=1.0, most=10.0
+    )
+    elongation_direction: float = _constant(
+        0.0, "°", "direction of the long axis from x to y", "", least=-180.0, most=180.0
+    )
 
     def __post_init__(self) -> None:
         check_settings(self, "cell")
@@ -123,6 +145,18 @@ class CellParameters:
             raise InputError(
                 "cell.sap_bulk_modulus",
                 f"{self.sap_bulk_modulus}; with fluid sph it must be 0: take fluid uniform",
+            )
+        for name in _SHAPE[:2]:
+            if getattr(self, name) != _AS_LAID_OUT[name] and self.arrangement != "voronoi":
+                raise InputError(
+                    f"cell.{name}",
+                    f"{getattr(self, name)}; with arrangement {self.arrangement} it must be "
+                    f"{_AS_LAID_OUT[name]}",
+                )
+        if 0.0 < self.area_variation < LEAST_VARIATION:
+            raise InputError(
+                "cell.area_variation",
+                f"{self.area_variation}; it must be 0, or {LEAST_VARIATION} to 0.6",
             )
         if self.arrangement == "voronoi":
             is_allowed, allowed = self.cells >= FEWEST_VORONOI, f"at least {FEWEST_VORONOI}"
@@ -209,10 +243,16 @@ class CellParameters:
         return self.cell_side / self.wall_springs_per_side
 
     @property
+    def shape(self) -> Shape:
+        """What Voronoi cells are to be like."""
+        direction = self.elongation_direction if self.elongation > 1.0 else 0.0
+        return Shape(self.area_variation, self.elongation, direction)
+
+    @property
     def tessellation(self) -> Tessellation:
         """Polygons of the RVE's plant cells."""
         return make_tessellation(
-            self.arrangement, self.cell_side, self.cells, self.arrangement_seed
+            self.arrangement, self.cell_side, self.cells, self.arrangement_seed, self.shape
         )
 
     @property
@@ -241,6 +281,8 @@ class CellParameters:
             values = {k: v for k, v in values.items() if k not in _ARRANGEMENT}
         if not self.has_uniform_fluid:  # as before there was another fluid
             values = {k: v for k, v in values.items() if k not in _UNIFORM}
+        if self.shape == AS_THEY_COME:  # as before cells could be shaped
+            values = {k: v for k, v in values.items() if k not in _SHAPE}
         text = json.dumps({k: repr(v) for k, v in sorted(values.items())})
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 

@@ -11,11 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import isqrt
+from typing import NamedTuple
 
 import numpy as np
-import scipy  # scipy.spatial is loaded where irregular cells need it
+import scipy  # scipy.spatial and scipy.optimize are loaded where irregular cells need them
 
 from surrofe2.base.arrays import Array
+from surrofe2.base.errors import InputError
 
 Shift = tuple[int, int]
 Corner = tuple[int, Shift]
@@ -23,6 +25,10 @@ Edge = tuple[int, int, Shift]
 
 LLOYD_STEPS = 3
 """Voronoi points move so often to the centroids of their polygons."""
+_MOST_STEPS, _APART = 200, -0.1
+"""Moves of points after which a variation of areas is out of reach; the fraction of the way to
+their centroids by which they move if areas are to differ more."""
+_MOST_STRETCH, _CLOSE = 40.0, 1e-6
 _SHORTEST = 1e-3
 _IMAGES = np.array([(a, b) for a in range(-2, 3) for b in range(-2, 3)])
 
@@ -54,6 +60,16 @@ class Tessellation:
         """(polygons,) µm²."""
         return np.array([polygon_area(self.corners(k)) for k in range(len(self.polygons))])
 
+    @property
+    def area_variation(self) -> float:
+        """Coefficient of variation of the areas."""
+        return float(self.areas.std() / self.areas.mean())
+
+    @property
+    def elongation(self) -> float:
+        """Mean aspect ratio of the polygons."""
+        return mean_aspect([self.corners(k) for k in range(len(self.polygons))])
+
     def vector(self, edge: Edge) -> Array:
         """(2,) from one end of an edge to the other, µm."""
         v, w, shift = edge
@@ -68,14 +84,27 @@ class Tessellation:
         return len(self.vertices) + sum(self.springs(edge, length) - 1 for edge in self.edges)
 
 
+class Shape(NamedTuple):
+    """What Voronoi polygons are to be like; see `CellParameters`."""
+
+    area_variation: float = 0.0
+    elongation: float = 1.0
+    direction: float = 0.0
+
+
+AS_THEY_COME = Shape()
+
+
 @lru_cache(maxsize=32)
-def make_tessellation(arrangement: str, side: float, cells: int, seed: int) -> Tessellation:
+def make_tessellation(
+    arrangement: str, side: float, cells: int, seed: int, shape: Shape = AS_THEY_COME
+) -> Tessellation:
     """`cells` polygons of side² µm² on average: "square", "hexagon" or "voronoi" (by `seed`)."""
     if arrangement == "square":
         return squares(side, isqrt(cells), isqrt(cells))
     if arrangement == "hexagon":
         return _hexagons(side**2, isqrt(cells))
-    return _voronoi(side**2, cells, seed)
+    return _voronoi(side**2, cells, seed, shape)
 
 
 def polygon_area(corners: Array) -> float:
@@ -124,18 +153,103 @@ def _hexagons(area: float, n: int) -> Tessellation:
     return _from_polygons(n * lattice, [base + place for place in places])
 
 
-def _voronoi(area: float, cells: int, seed: int) -> Tessellation:
+def _voronoi(area: float, cells: int, seed: int, shape: Shape) -> Tessellation:
     """Voronoi polygons of random points in a square of `cells` times the area.
 
     After each of `LLOYD_STEPS` the points move to the centroids of their polygons, which makes
-    the polygons rounder and more alike, as the paper's picture of tissue has them.
+    the polygons rounder and more alike, as the paper's picture of tissue has them. If their areas
+    are to vary by so much, points move until they do. Stretched polygons have a stretched lattice.
     """
     side = np.sqrt(area * cells)
     lattice = side * np.eye(2)
     points = side * np.random.default_rng(seed).random((cells, 2))
-    for _ in range(LLOYD_STEPS):
-        points = np.array([centroid(p) for p in _voronoi_polygons(points, lattice)])
-    return _from_polygons(lattice, _voronoi_polygons(points, lattice))
+    if shape.area_variation > 0.0:
+        points = _with_variation(points, lattice, shape.area_variation)
+    else:
+        for _ in range(LLOYD_STEPS):
+            points = _moved(points, lattice, 1.0)
+    polygons = _voronoi_polygons(points, lattice)
+    if shape.elongation > 1.0:
+        stretch = _stretch_to(polygons, shape)
+        polygons = [polygon @ stretch.T for polygon in polygons]
+        lattice = stretch @ lattice
+    return _from_polygons(lattice, polygons)
+
+
+def _moved(points: Array, lattice: Array, part: float) -> Array:
+    """Points moved by a part of the way to the centroids of their polygons; negative: away."""
+    centroids = np.array([centroid(polygon) for polygon in _voronoi_polygons(points, lattice)])
+    return points + part * (centroids - points)
+
+
+def _variation(points: Array, lattice: Array) -> float:
+    areas = np.array([polygon_area(polygon) for polygon in _voronoi_polygons(points, lattice)])
+    return float(areas.std() / areas.mean())
+
+
+def _with_variation(points: Array, lattice: Array, wanted: float) -> Array:
+    """Points whose polygons' areas have the variation `wanted`.
+
+    They move to centroids, or away from them, until it is passed; the last move is shortened.
+    """
+    reached = _variation(points, lattice)
+    too_much = reached > wanted
+    part = 1.0 if too_much else _APART
+    for _ in range(_MOST_STEPS):
+        after = _moved(points, lattice, part)
+        reached = _variation(after, lattice)
+        if (reached > wanted) != too_much:
+            break
+        points = after
+    else:
+        raise InputError(
+            "cell.area_variation",
+            f"{wanted}; these Voronoi points reach {reached:.3g}: take another arrangement_seed "
+            "or more cells",
+        )
+
+    def excess(fraction: float) -> float:
+        return _variation(_moved(points, lattice, fraction * part), lattice) - wanted
+
+    fraction = scipy.optimize.brentq(excess, 0.0, 1.0, xtol=_CLOSE)
+    return _moved(points, lattice, fraction * part)
+
+
+def aspect_ratio(corners: Array) -> float:
+    """Square root of the ratio of a polygon's principal second moments of area, at least 1."""
+    r = corners - centroid(corners)
+    there = np.roll(r, -1, axis=0)
+    cross = r[:, 0] * there[:, 1] - there[:, 0] * r[:, 1]
+    both = r + there
+    moments = np.einsum("k,ka,kb->ab", cross, r, r) + np.einsum("k,ka,kb->ab", cross, there, there)
+    moments += np.einsum("k,ka,kb->ab", cross, both, both)
+    least, most = np.linalg.eigvalsh(moments)
+    return float(np.sqrt(most / least))
+
+
+def mean_aspect(polygons: Sequence[Array]) -> float:
+    """Mean of the polygons' `aspect_ratio`."""
+    return float(np.mean([aspect_ratio(polygon) for polygon in polygons]))
+
+
+def _stretch_to(polygons: Sequence[Array], shape: Shape) -> Array:
+    """(2, 2) that stretches along the direction to the aspect ratio wanted and keeps areas."""
+    angle = np.deg2rad(shape.direction)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+    def along(ratio: float) -> Array:
+        return np.asarray(turn @ np.diag([np.sqrt(ratio), 1.0 / np.sqrt(ratio)]) @ turn.T)
+
+    def excess(ratio: float) -> float:
+        return mean_aspect([polygon @ along(ratio).T for polygon in polygons]) - shape.elongation
+
+    if excess(1.0) > 0.0:
+        raise InputError(
+            "cell.elongation",
+            f"{shape.elongation}; Voronoi cells have {excess(1.0) + shape.elongation:.3g} without "
+            "being stretched: give more, or 1 to leave them as they are",
+        )
+    return along(scipy.optimize.brentq(excess, 1.0, _MOST_STRETCH, xtol=_CLOSE))
 
 
 def _voronoi_polygons(points: Array, lattice: Array) -> list[Array]:

@@ -85,10 +85,21 @@ class RveLaw(Viewed):
         return {
             "plant cell": self.cell.preset_name,
             "arrangement": f"{self.cell.cells} × {self.cell.arrangement}",
+            **self._shape(),
             "initialisation": self.initialisation,
             "solver": self.settings.solver,
             "wall rest length": f"{self.rest_length:.4g} µm",
             "density": f"{self.density:.4g} ng/µm²",
+        }
+
+    def _shape(self) -> Facts:
+        """What Voronoi cells are like as they are laid out."""
+        if self.cell.arrangement != "voronoi":
+            return {}
+        laid_out = self.cell.tessellation
+        return {
+            "variation of areas": f"{laid_out.area_variation:.3g}",
+            "mean aspect ratio": f"{laid_out.elongation:.3g}",
         }
 
     @property

@@ -151,7 +151,9 @@ def settle_reference(cell: CellParameters) -> ReferenceState:
         drained = settle_reference(replace(cell, sap_bulk_modulus=0.0))
         return replace(drained, fingerprint=cell.fingerprint)
     irregular = cell.arrangement == "voronoi"
-    one_square = replace(cell, arrangement="square", cells=1, arrangement_seed=1)
+    one_square = replace(
+        cell, arrangement="square", cells=1, arrangement_seed=1, area_variation=0.0, elongation=1.0
+    )
     guess = _FIRST_GUESS * cell.spring_length
     if not cell.is_one_square:
         guess = settle_reference(one_square).rest_length

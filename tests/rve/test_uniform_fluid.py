@@ -225,6 +225,27 @@ def test_random_states_of_irregular_cells_stay_on_their_branch(preset):
     np.testing.assert_allclose(there.stress, answer.stress, rtol=0, atol=1e-9 * pressure)
 
 
+def test_cells_of_unequal_areas_and_long_cells_have_rves():
+    """With long cells the walls along them are closer, and it takes more to stretch them so."""
+    shaped = CellParameters(
+        arrangement="voronoi",
+        cells=9,
+        area_variation=0.3,
+        elongation=1.8,
+        elongation_direction=90.0,
+    )
+    this = RveLaw(shaped, initialisation="elastic")
+    F, _ = deformations(8, 0.02)
+    answer = this.respond(F, 0.0 * F)
+    assert (answer.status == Status.OK).all()
+    assert answer.left_bifurcation is None
+    facts = this.facts()
+    assert (facts["variation of areas"], facts["mean aspect ratio"]) == ("0.3", "1.8")
+    rest = np.eye(2)[None]
+    C = this.respond(rest, 0.0 * rest, tangents=True).tangents.P_by_F[0]
+    assert C[1, 1, 1, 1] > 1.2 * C[0, 0, 0, 0]
+
+
 @pytest.mark.parametrize("name", RVES)
 def test_reference_is_free_of_stress(name):
     this, rest = law(name), np.eye(2)[None]
