@@ -18,10 +18,16 @@ from surrofe2.base.simd import inverse_root, where_less
 from surrofe2.plant_cell.parameters import CellParameters
 
 SIGMA = 10.0 / (7.0 * np.pi)
+_SPRING = 2.5
+"""Length of the paper's wall springs, µm."""
 
 
 class Constants(NamedTuple):
-    """What the pair laws need of `CellParameters`, ready for use in kernels (µm, µs, ng)."""
+    """What the pair laws need of `CellParameters`, ready for use in kernels (µm, µs, ng).
+
+    scale: by which solvers multiply the lengths that bound their steps: a wall spring's over 2.5 µm
+        with a uniform fluid; 1 with SPH fluid, whose particles would meet.
+    """
 
     wall_stiffness: float
     rest_length: float
@@ -34,6 +40,7 @@ class Constants(NamedTuple):
     sound_speed_squared: float
     sap_modulus: float
     viscosity: float
+    scale: float
 
 
 def make_constants(cell: CellParameters, rest_length: float) -> Constants:
@@ -51,6 +58,7 @@ def make_constants(cell: CellParameters, rest_length: float) -> Constants:
         sound_speed_squared=cell.sound_speed**2,
         sap_modulus=cell.sap_bulk_modulus * cell.tissue_thickness,
         viscosity=cell.viscosity,
+        scale=cell.spring_length / _SPRING if cell.has_uniform_fluid else 1.0,
     )
 
 

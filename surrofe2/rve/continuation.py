@@ -43,7 +43,8 @@ from surrofe2.rve.unit_cell import Equilibria, UnitCell, relax
 LONGEST, SHORTEST = 0.05, 0.004
 """Longest step, and the one that is not halved any further: largest change of an entry of F."""
 JUMP = 1.0
-"""Material displacement of a particle, µm, that no step along one branch makes."""
+"""Material displacement of a particle, µm times `Constants.scale`, that no step along one branch
+makes; so are the lengths below, but that of fluid particles."""
 EFFORT, OF_STEP_DOWN = 2700, 10
 """Newton iterations on the path of a point after which it is given up; a step down counts ten."""
 
@@ -140,7 +141,9 @@ class Continuation:
         F = (1.0 - part) * self.start[active, None] + part * self.end[active, None]
         z = np.repeat(self.z[active], tries, axis=0)
         trial = seek(self.unit, F.reshape(-1, 2, 2), z, self.tolerance)
-        good = (trial.stable & ~_jumped(trial.z, z)).reshape(count, tries)
+        good = (trial.stable & ~_jumped(trial.z, z, self.unit.constants.scale)).reshape(
+            count, tries
+        )
         effort = self.effort[active, None] + trial.iterations.reshape(count, tries).cumsum(axis=1)
         last = good | (step <= shortest[:, None]) | (effort >= EFFORT)
         last[:, -1] = True
@@ -156,7 +159,7 @@ class Continuation:
         Down from the unstable equilibrium, or, where none was found or it lies far off, from the
         last stable one.
         """
-        saddle = trial.found & ~trial.stable & ~_jumped(trial.z, z)
+        saddle = trial.found & ~trial.stable & ~_jumped(trial.z, z, self.unit.constants.scale)
         begin = np.where(saddle[:, None, None], trial.z, z)
         most = np.maximum(spare // OF_STEP_DOWN, 1)
         below, found, tried = descend(self.unit, F, begin, most)
@@ -168,15 +171,15 @@ class Continuation:
 
 def seek(unit: UnitCell, F: Array, z: Array, tolerance: float) -> Equilibria:
     """Elastic equilibria near z (m, 2, n) by Newton's method; iterations, however it ends."""
-    skin = 2.0 * ASTRAY * np.linalg.norm(F, axis=(1, 2)).max()
+    skin = 2.0 * unit.constants.scale * ASTRAY * np.linalg.norm(F, axis=(1, 2)).max()
     topology = unit.neighbours.near(pack(F), pack(z), skin).topology
     found = relax(topology, unit.constants, z, F, tolerance, task=SEEK)
     count = np.where(found.iterations == -1, SEEK_LIMIT, np.abs(found.iterations))
     return found._replace(iterations=count)
 
 
-def _jumped(z: Array, before: Array) -> Flags:
-    jumped: Flags = np.abs(z - before).max(axis=(1, 2)) > JUMP
+def _jumped(z: Array, before: Array, scale: float) -> Flags:
+    jumped: Flags = np.abs(z - before).max(axis=(1, 2)) > scale * JUMP
     return jumped
 
 
@@ -271,6 +274,7 @@ def descend(
         z there, (m,) whether it is one: mean force below `RESTING`, Hessian positive definite; and
         (m,) how many steps were tried.
     """
+    scale = unit.constants.scale
     z, found, tried = z.copy(), np.zeros(len(z), dtype=np.bool_), np.zeros(len(z), dtype=np.int_)
     limit, energy = np.minimum(np.full(len(z), most), STEPS), np.full(len(z), np.inf)
     # The first step has no length, and any energy is below ∞: it only evaluates energy, forces and
@@ -290,8 +294,11 @@ def descend(
         )
         continues = np.ones(count, dtype=np.bool_)
         while continues.all():
-            if room < DOWN:
-                topology, room = unit.neighbours.near(tensors, moving, 2.0 * ROAM).topology, ROAM
+            if room < scale * DOWN:
+                topology, room = (
+                    unit.neighbours.near(tensors, moving, 2.0 * scale * ROAM).topology,
+                    scale * ROAM,
+                )
                 # full matrices, whatever those of a topology are: all eigenvalues are wanted
                 dense = dense_pattern(topology.particles, topology.pressures)
                 topology = topology._replace(**dense._asdict())
@@ -302,7 +309,7 @@ def descend(
             for k in np.flatnonzero(continues).tolist():
                 tile, lane = divmod(k, TILE)
                 forces, hessian = here.forces[tile, :, lane], -here.slope[tile, :, lane]
-                step[k], found[active[k]] = _step(F[active[k]], forces, hessian)
+                step[k], found[active[k]] = _step(F[active[k]], forces, hessian, scale)
                 tried[active[k]] += 1
                 continues[k] = not found[active[k]]
         z[active], energy[active] = unpack(moving, count), unpack(here.energy, count)[:, 0]
@@ -310,7 +317,7 @@ def descend(
     return z, found, tried
 
 
-def _step(F: Array, forces: Array, values: Array) -> tuple[Array, bool]:
+def _step(F: Array, forces: Array, values: Array, scale: float) -> tuple[Array, bool]:
     """(2n − 2,) Newton's step, or the kick out of a saddle at rest; whether this is a minimum."""
     hessian = _without_pressures(values, len(forces))
     resting = bool(_lengths(forces[None]).mean() < RESTING)
@@ -320,8 +327,8 @@ def _step(F: Array, forces: Array, values: Array) -> tuple[Array, bool]:
             return forces, True
         step = scipy.linalg.lapack.dpotrs(factor, forces)[0]
     else:
-        step = over_saddle(F, forces, hessian, resting)
-    step = step * min(DOWN / max(_lengths(step[None]).max(), 1e-300), 1.0)
+        step = over_saddle(F, forces, hessian, resting, scale * KICK)
+    step = step * min(scale * DOWN / max(_lengths(step[None]).max(), 1e-300), 1.0)
     return step, False
 
 
@@ -335,7 +342,9 @@ def _without_pressures(values: Array, free: int) -> Array:
     return np.asarray(matrix[:free, :free] - matrix[:free, free:] @ follow)
 
 
-def over_saddle(F: Array, forces: Array, hessian: Array, resting: bool) -> Array:
+def over_saddle(
+    F: Array, forces: Array, hessian: Array, resting: bool, kick: float = KICK
+) -> Array:
     """H⁻¹ f with the sign of the unstable modes turned, or, `resting`, the kick along these."""
     # The unstable modes alone: all of them take twice as long, and a solution does for the others.
     stiffness, modes = scipy.linalg.eigh(
@@ -346,7 +355,7 @@ def over_saddle(F: Array, forces: Array, hessian: Array, resting: bool) -> Array
         angle = np.arange(1, len(forces) // 2 + 1) * np.sqrt(2.0)
         pattern = (F @ np.stack([np.cos(angle), np.sin(2.0 * angle)])).T.ravel()
         step = modes @ (-stiffness * (modes.T @ pattern))
-        return step * (KICK / max(_lengths(step[None]).max(), 1e-300))
+        return step * (kick / max(_lengths(step[None]).max(), 1e-300))
     least = LEAST * np.abs(np.diagonal(hessian)).max()  # a particle that touches nothing stays
     shifted = hessian + least * np.eye(len(forces))
     step = scipy.linalg.lapack.dsysv(shifted, forces)[2]

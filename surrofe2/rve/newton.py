@@ -55,9 +55,10 @@ CHORD_LIMIT, NEWTON_LIMIT, SEEK_LIMIT = 10, 40, 16
 CONTRACTION = 0.5
 """`chord` gives a point up where the mean force does not fall by this factor."""
 LONGEST_STEP = 0.4
-"""Longest Newton step of a particle, µm; contacts stiffen over r/7."""
+"""Longest Newton step of a particle, µm times `Constants.scale`; contacts stiffen over r/7."""
 ASTRAY = 1.2
-"""Material displacement of a particle, µm, at which an equilibrium nearby is not sought on."""
+"""Material displacement of a particle, in the same unit, at which an equilibrium nearby is not
+sought on."""
 PATIENCE = 6
 """From so many evaluations on the residual is to be halved by each while such is sought."""
 
@@ -157,14 +158,14 @@ def hold(step, iterations):
 
 
 @kernel
-def limit_step(step):
-    """Shorten the step of each lane to LONGEST_STEP; a step that is not finite to nothing."""
+def limit_step(step, longest_step):
+    """Shorten the step of each lane to a longest one; a step that is not finite to nothing."""
     for k in range(TILE):
         longest = 0.0
         for i in range(step.shape[0]):
             longest = max(longest, abs(step[i, k])) if step[i, k] == step[i, k] else np.inf
-        if longest > LONGEST_STEP:
-            factor = LONGEST_STEP / longest
+        if longest > longest_step:
+            factor = longest_step / longest
             for i in range(step.shape[0]):
                 step[i, k] = factor * step[i, k] if longest < np.inf else 0.0
 
@@ -199,8 +200,8 @@ def set_elastic_jacobian(work, F, topology, c, matrix, columns):
 
 
 @kernel
-def give_up(z, start, count, residual, bound, iterations):
-    """iterations −count where z is `ASTRAY` from the start, or the residual (TILE,) above bound."""
+def give_up(z, start, astray, count, residual, bound, iterations):
+    """iterations −count where z is astray from the start, or the residual (TILE,) above bound."""
     for k in range(TILE):
         if count <= 1:
             bound[k] = residual[k]
@@ -213,7 +214,7 @@ def give_up(z, start, count, residual, bound, iterations):
             for i in range(start.shape[1]):
                 dx, dy = z[0, i, k] - start[0, i, k], z[1, i, k] - start[1, i, k]
                 farthest = max(farthest, dx * dx + dy * dy)
-            if farthest > ASTRAY * ASTRAY:
+            if farthest > astray * astray:
                 iterations[k] = -count
 
 
@@ -235,11 +236,12 @@ def newton_loop(work, matrices, drive, is_affine, topology, c, stop, answer):
         factorise(matrix, topology, stop.seeks)
         set_residual(work.f, matrices.step)
         solve(matrix, matrices.step, topology)
-        limit_step(matrices.step)
+        limit_step(matrices.step, c.scale * LONGEST_STEP)
         hold(matrices.step, iterations)
         move(matrices.step, drive.F, work.z)
         if stop.seeks:
-            give_up(work.z, stop.start, count, before, bound, iterations)
+            astray = c.scale * ASTRAY
+            give_up(work.z, stop.start, astray, count, before, bound, iterations)
 
 
 @kernel
