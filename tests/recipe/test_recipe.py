@@ -9,6 +9,7 @@ from surrofe2 import LoadCase
 from surrofe2.base.errors import FileError, InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe.recipe import PROBLEM_SECTIONS, load_recipe, make_recipe
+from surrofe2.workflow.laws import recipe_notes
 
 RECIPES = sorted((Path(__file__).parents[2] / "data").glob("*.toml"))
 
@@ -115,3 +116,22 @@ def test_what_is_missing_is_told_by_the_command_that_needs_it(changed_recipe, pa
 def test_no_such_recipe(tmp_path):
     path = tmp_path / "none.toml"
     assert message(FileError, path) == f"{path}: cannot be read: No such file or directory"
+
+
+@pytest.mark.parametrize(
+    ("cell", "named"),
+    [
+        ({}, None),
+        ({"preset": "apple"}, "apple, square"),
+        ({"preset": "apple", "fluid": "uniform"}, None),
+        ({"preset": "apple", "fluid": "sph"}, None),
+        ({"arrangement": "hexagon"}, "printed, hexagon"),
+        ({"fluid": "uniform"}, None),
+    ],
+)
+def test_a_note_says_where_a_fluid_that_is_not_named_is_another_than_before(cell, named):
+    notes = list(recipe_notes(make_recipe({"cell": cell})))
+    assert len(notes) == (named is not None)
+    for text, is_warning in notes:
+        assert f"default of {named}; earlier versions" in text
+        assert not is_warning
