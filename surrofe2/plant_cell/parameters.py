@@ -125,13 +125,18 @@ class CellParameters:
     area_variation: float = _constant(
         0.0,
         NONE,
-        "coefficient of variation of the areas of Voronoi cells; 0: as they come",
+        "variation coefficient of the areas of Voronoi cells as laid out; 0: as they come",
         "",
         least=0.0,
         most=0.6,
     )
     elongation: float = _constant(
-        1.0, NONE, "mean aspect ratio of Voronoi cells; 1: as they come", "", least=1.0, most=10.0
+        1.0,
+        NONE,
+        "mean aspect ratio of Voronoi cells as laid out; 1: as they come",
+        "",
+        least=1.0,
+        most=10.0,
     )
     elongation_direction: float = _constant(
         0.0, "°", "direction of the long axis from x to y", "", least=-180.0, most=180.0

@@ -14,8 +14,9 @@ from surrofe2.base.arrays import Flags, Index
 from surrofe2.base.errors import InputError
 from surrofe2.base.simd import TILE, pack, unpack
 from surrofe2.law.stress_law import Status, StressResponse, check_deformation, describe
-from surrofe2.plant_cell.arrangement import ReferenceState
+from surrofe2.plant_cell.arrangement import ReferenceState, make_arrangement, rim_areas
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.tessellation import mean_aspect
 from surrofe2.run.views import Facts, Viewed
 from surrofe2.rve.newton import renew
 from surrofe2.rve.particles import Particles, look_into
@@ -93,13 +94,16 @@ class RveLaw(Viewed):
         }
 
     def _shape(self) -> Facts:
-        """What Voronoi cells are like as they are laid out."""
+        """What Voronoi cells are like at rest, by the wall particles around each."""
         if self.cell.arrangement != "voronoi":
             return {}
-        laid_out = self.cell.tessellation
+        position, lattice = self.reference.position, self.reference.lattice
+        rims = make_arrangement(self.cell).rims
+        areas = rim_areas(rims, position, lattice)
+        polygons = [position[rim[:, 0]] + rim[:, 1:] @ lattice.T for rim in rims]
         return {
-            "variation of areas": f"{laid_out.area_variation:.3g}",
-            "mean aspect ratio": f"{laid_out.elongation:.3g}",
+            "variation of areas": f"{areas.std() / areas.mean():.3g}",
+            "mean aspect ratio": f"{mean_aspect(polygons):.3g}",
         }
 
     @property
