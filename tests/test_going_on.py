@@ -1,8 +1,6 @@
-"""A run that was interrupted or killed and resumes is the uninterrupted one.
+"""A run that was interrupted or killed and resumes is the uninterrupted one, to the bit."""
 
-To the bit where there are no RVEs, else as in `tests.folders`.
-"""
-
+from contextlib import suppress
 from shutil import copytree
 
 import meshio
@@ -11,6 +9,7 @@ import numpy as np
 import pytest
 
 from surrofe2.recipe.recipe import load_recipe
+from surrofe2.rve import RveLaw
 from surrofe2.store.fields import open_fields
 from surrofe2.store.hdf5 import read
 from surrofe2.store.run_folder import CHECKPOINT, STATE, caches_of, read_record
@@ -30,6 +29,43 @@ TABLE = CACHED + "[table]\ntolerance = 1e-3\n"
 CELLS = changed(conftest.CELLS, "-0.1]", "-0.9]")
 CELLS += "[table]\ntolerance = 1e-2\n[cache]\naudit = 0.3\n"
 IMPLICIT = 'integrator = "implicit"\n'
+
+
+BALL = """
+[cell]
+preset = "printed"
+[rve]
+initialisation = "constrained-runs"
+[mesh]
+width = 100.0
+height = 50.0
+elements = [2, 1]
+[conditions]
+floor = { kind = "fixed", on = "bottom" }
+[bodies.ball]
+circle = { radius = 60.0 }
+on = "top"
+position = [40.0, 110.1]
+mass = 2000.0
+velocity = [0.4, -0.8]
+friction = 0.5
+[watch]
+top = [50.0, 50.0]
+[time]
+duration = 4.0
+output_interval = 0.25
+[macro]
+"""
+"""A rough ball that hits a tissue and drags it along."""
+HEXAGONS = changed(BALL, '"printed"', '"printed"\narrangement = "hexagon"\ncells = 1')
+IN_CONTACT = {
+    "printed": BALL,
+    "hexagons": HEXAGONS,
+    "slow manifold": changed(BALL, "constrained-runs", "slow-manifold"),
+    "hexagons on the slow manifold": changed(HEXAGONS, "constrained-runs", "slow-manifold"),
+    "implicit": BALL + IMPLICIT,
+    "strong": changed(BALL, "-0.8]", "-4.0]", "duration = 4.0", "duration = 8.0"),
+}
 
 
 def by(initialisation, solver="direct"):
@@ -104,7 +140,6 @@ def interrupted(recipe, law, out, steps):
 
 def test_a_resumed_run_is_the_uninterrupted_one(case, tmp_path, monkeypatch):
     recipe, law, name = case
-    exact = law == "surrogate"
     whole = tmp_path / "whole"
     record = run_study(recipe, law, whole)
     steps = record.counts["steps"]
@@ -121,25 +156,65 @@ def test_a_resumed_run_is_the_uninterrupted_one(case, tmp_path, monkeypatch):
     interrupted(recipe, law, twice, steps // 3)
     interrupted(recipe, law, twice, 2)
     run_study(recipe, law, twice)
-    assert_same(twice, whole, exact)
+    assert_same(twice, whole)
 
     late = tmp_path / "late"
     interrupted(recipe, law, late, steps - 1)
     run_study(recipe, law, late)
-    assert_same(late, whole, exact)
+    assert_same(late, whole)
 
     # Killed in the step after a checkpoint, and again before there was another one.
     here, killed, again = (tmp_path / each for each in ("here", "killed", "again"))
     with monkeypatch.context() as patched:
         patched.setattr(run, "CHECKPOINT_INTERVAL", 0.0)
         run_study(recipe, law, here, report=after(steps // 2, lambda: copytree(here, killed)))
-    assert_same(here, whole, exact)
+    assert_same(here, whole)
     assert read_record(killed).status == "running"
     assert not list(killed.glob("*harvest*"))
     run_study(recipe, law, killed, report=after(3, lambda: copytree(killed, again)))
-    assert_same(killed, whole, exact)
+    assert_same(killed, whole)
     run_study(recipe, law, again)
-    assert_same(again, whole, exact)
+    assert_same(again, whole)
+
+
+def stop_at(patched, call):
+    """Let RVEs be interrupted at this call of their law, from now on: `respond` or `accept`."""
+    made = []
+
+    def counted(method):
+        def act(law, *arguments, **options):
+            made.append(method)
+            if len(made) == call:
+                raise Stop
+            return method(law, *arguments, **options)
+
+        return act
+
+    for name in ("respond", "accept"):
+        patched.setattr(RveLaw, name, counted(getattr(RveLaw, name)))
+    return made
+
+
+@pytest.mark.parametrize(
+    "name", ["printed", *(pytest.param(each, marks=pytest.mark.slow) for each in [*IN_CONTACT][1:])]
+)
+def test_a_run_in_contact_resumes_to_the_bit_from_anywhere(name, written, tmp_path, monkeypatch):
+    """Interrupted at random calls of the RVEs, with a checkpoint after every step."""
+    recipe, whole, ended = load_recipe(written(IN_CONTACT[name])), tmp_path / "w", tmp_path / "e"
+    random = np.random.default_rng(sum(map(ord, name)))
+    with monkeypatch.context() as patched:
+        calls = stop_at(patched, 0)
+        record = run_study(recipe, "rve", whole)
+    assert record.counts["steps"] > 8
+    history = np.genfromtxt(whole / "history.csv", delimiter=",", names=True)
+    assert abs(history["force_ball_x_uN"]).max() > 1.0
+    monkeypatch.setattr(run, "CHECKPOINT_INTERVAL", 0.0)
+    for _ in range(5):
+        with monkeypatch.context() as patched, suppress(Stop):
+            stop_at(patched, int(random.integers(1, len(calls) // 3)))
+            run_study(recipe, "rve", ended)
+    run_study(recipe, "rve", ended)
+    assert_same(ended, whole)
 
 
 def test_a_run_under_way_can_be_looked_at_and_its_checkpoint_holds_no_fields(
@@ -213,7 +288,7 @@ def test_a_resumed_tissue_is_the_uninterrupted_one_to_the_bit(written, tmp_path,
         with pytest.raises(Stop):
             run_tissue(recipe, killed, report=after(steps, stop))
     run_tissue(recipe, killed)
-    assert_same(killed, whole, exact=True)
+    assert_same(killed, whole)
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="needs two threads")

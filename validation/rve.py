@@ -344,7 +344,8 @@ def _newton_steps(unit: UnitCell, F: Array, F_dot: Array, reference: Array) -> R
     law = unit.topology, unit.constants
     rows: dict[int, tuple[float, float]] = {}
     for tolerance in np.geomspace(1e5, _REFERENCE_TOLERANCE, 65):
-        z, factors, answer = _tile(unit.position.T), Factors.empty(1, law[0]), empty_answer(1)
+        z, answer = _tile(unit.position.T), empty_answer(1)
+        factors = Factors.empty(drive, z, law[0])
         newton(drive, z, factors.address, task, *law, float(tolerance), answer)
         count = int(answer.iterations[0, 0]) - 1
         if count < 0 or count in rows:

@@ -98,12 +98,12 @@ class Near:
 
     Attributes:
         F: (tiles, 2, 2, TILE). z: (tiles, 2, own, TILE) material positions, µm.
-        every: the topology with all contacts. unlisted: (k, 2) those that `topology` lacks.
+        every: the topology with all contacts. listed: (k,) which of these `topology` has.
     """
 
     topology: Topology
     every: Topology
-    unlisted: Ints
+    listed: Flags
     F: Array
     z: Array
     reach: float
@@ -119,8 +119,8 @@ class Near:
         covered = np.empty((len(F), TILE), dtype=np.bool_)
         mark_covered(F, z, self.F, self.z, self.reach, self.cutoff, covered)
         if exactly and not covered.all():
-            every = self.every
-            mark_apart(F, z, self.unlisted, every.owner, every.image_offset, self.cutoff, covered)
+            every, unlisted = self.every, self.every.contacts[~self.listed]
+            mark_apart(F, z, unlisted, every.owner, every.image_offset, self.cutoff, covered)
         return covered
 
     def take(self, index: Index) -> Near:
@@ -132,7 +132,7 @@ class Near:
 
         None: the two lists differ.
         """
-        if part.topology is not self.topology:
+        if not np.array_equal(part.listed, self.listed):
             return None
         F, z = self.F.copy(), self.z.copy()
         put_points(F, index, part.F, row)
@@ -164,10 +164,18 @@ class Neighbours:
         Args:
             skin: µm beyond the cut-off; None: `SKIN`; infinite: every contact is listed.
         """
-        every, own = self.topology, self.topology.particles
+        every = self.topology
         reach = self.cutoff + (SKIN * self.cutoff if skin is None else skin)
         listed = np.empty(len(every.contacts), dtype=np.bool_)
         mark_near(F, z, every.contacts, every.owner, every.image_offset, reach, listed)
+        return self._listing(F, z, listed, reach)
+
+    def listing(self, F: Array, z: Array, listed: Flags) -> Near:
+        """The list of these contacts (k,), which `near` once made at F and z."""
+        return self._listing(F, z, listed, self.cutoff + SKIN * self.cutoff)
+
+    def _listing(self, F: Array, z: Array, listed: Flags, reach: float) -> Near:
+        every, own = self.topology, self.topology.particles
         contacts = every.contacts[listed]
         used = np.arange(own + len(every.owner)) < own
         used[contacts[:, 1]] = used[every.bonds[:, 1]] = used[every.rim] = True
@@ -181,7 +189,7 @@ class Neighbours:
             owner=every.owner[images],
             image_offset=every.image_offset[images],
         )
-        return Near(topology, every, every.contacts[~listed], F, z, reach, self.cutoff)
+        return Near(topology, every, listed, F, z, reach, self.cutoff)
 
 
 @kernel

@@ -38,11 +38,13 @@ class RankState:
         owner: (n,) rank of each point; a rank has its points in ascending order.
         left_points: (n,) where the stress is one of several.
         number: by which ranks know it, as long as this object lives.
+        turn: how many times points had been given to a rank when it was made.
     """
 
     def __init__(self, law: DistributedLaw, owner: Index, left: Flags) -> None:
         self.law, self.owner, self.left_points = law, owner, left
         self.number = next(law.driver.numbers)
+        self.turn = law.turn
 
     def __del__(self) -> None:
         self.law.driver.dropped.append(self.number)
@@ -90,30 +92,44 @@ class DistributedLaw:
     Attributes:
         law: that of rank 0; every rank has the same.
         driver: of this very process.
+        turn: how many times few points were given to a rank; it says whose turn is next.
     """
 
     def __init__(self, law: RveLaw, driver: Driver) -> None:
         self.law, self.driver = law, driver
-        self._number, self._next = next(driver.numbers), 0
+        self._number, self.turn = next(driver.numbers), 0
         self.cell, self.initialisation = law.cell, law.initialisation
         self.density, self.has_tangents = law.density, law.has_tangents
         driver.do(_have, [(self._number, law)] * driver.ranks)
 
     def state_to_arrays(self, state: RankState) -> dict[str, NDArray]:
-        """All of a state, as one `RveState` of all points would give it, piece by piece."""
+        """All of a state, as one `RveState` of all points would give it, piece by piece; and, by
+        ``owner`` and ``ranks``, which rank has each point, of how many, and whose turn it was.
+        """
         whole, shares = dict[str, NDArray](), state.shares()
         for begin in range(0, max(map(len, shares)), PIECE):
             pieces = [own[begin : begin + PIECE] for own in shares]
-            tasks = [(state.number, begin, len(own)) if len(own) else None for own in pieces]
+            at = self._number, state.number, begin
+            tasks = [(*at, len(own)) if len(own) else None for own in pieces]
             for own, part in zip(pieces, self.driver.do(_to_arrays, tasks), strict=True):
                 for name, values in (part or {}).items():
                     room = np.empty((len(state.owner), *values.shape[1:]), values.dtype)
                     whole.setdefault(name, room)[own] = values
-        return whole
+        of_ranks = np.array([self.driver.ranks, state.turn])
+        return {**whole, "owner": state.owner, "ranks": of_ranks}
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> RankState:
-        """The state of which `state_to_arrays`, or an `RveState`, gave these arrays."""
-        state = RankState(self, self._dealt(len(arrays["z"])), arrays["left"])
+        """The state of which `state_to_arrays`, of any number of ranks or none, gave these arrays.
+
+        As many ranks get the points that they had, so that what follows has the same bits.
+        """
+        arrays = dict(arrays)
+        owner, (ranks, turn) = arrays.pop("owner", None), arrays.pop("ranks", (0, 0))
+        if owner is None or ranks != self.driver.ranks:
+            owner = self._dealt(len(arrays["z"]))
+        else:
+            owner, self.turn = owner.astype(np.intp), max(self.turn, int(turn))
+        state = RankState(self, owner, arrays["left"])
         parts = [{name: each[own] for name, each in arrays.items()} for own in state.shares()]
         tasks = [(self._number, state.number, part) if len(part["z"]) else None for part in parts]
         self.driver.do(_from_arrays, tasks)
@@ -162,7 +178,8 @@ class DistributedLaw:
         sharing = min(ranks, max(1, tiles // LEAST))
         owner = np.repeat(np.arange(tiles) * sharing // tiles, TILE)[:points]
         if sharing < ranks:  # few points each time, as of a cache, shall not pile up on rank 0
-            owner, self._next = (owner + self._next) % ranks, self._next + sharing
+            owner = (owner + self.turn) % ranks
+            self.turn += sharing
         return owner
 
     def _checked(self, state: Any, points: int) -> RankState:
@@ -207,8 +224,11 @@ def _accept(worker: Worker, law: int, before: int, after: int, *answered: Any) -
     return replace(accepted, state=accepted.state.left_points)
 
 
-def _to_arrays(worker: Worker, number: int, begin: int, points: int) -> dict[str, NDArray]:
-    return worker.states[number].take(np.arange(begin, begin + points)).to_arrays()
+def _to_arrays(
+    worker: Worker, law: int, number: int, begin: int, points: int
+) -> dict[str, NDArray]:
+    part = worker.states[number].take(np.arange(begin, begin + points))
+    return worker.laws[law].state_to_arrays(part)
 
 
 def _from_arrays(worker: Worker, law: int, number: int, arrays: Mapping[str, NDArray]) -> None:

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from surrofe2.base.arrays import Array, Flags
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.block_matrices import (
@@ -36,7 +36,6 @@ from surrofe2.plant_cell.pair_laws import Constants
 from surrofe2.plant_cell.pair_sums import make_workspace
 from surrofe2.rve.rve_state import (
     Drive,
-    Factors,
     answer_of,
     copy_particles,
     drive_of,
@@ -327,12 +326,15 @@ def _newton_tile(drive, z, factors, task, topology, c, tolerance, answer):
 
 
 def renew(
-    drive: Drive, z: Array, factors: Factors, wanted: Flags, topology: Topology, c: Constants
+    drive: Drive, z: Array, address: Index, wanted: Flags, topology: Topology, c: Constants
 ) -> Flags:
-    """Write the factors of the `wanted` (tiles,) tiles; (tiles, TILE) whether z is stable."""
+    """Write the factors of the `wanted` (tiles,) tiles at z; (tiles, TILE) whether z is stable.
+
+    address: (tiles,) of the blocks of the factors.
+    """
     answer = empty_answer(len(z))
     task = np.where(wanted, RENEW, CHECK).astype(np.int8)
-    newton(drive, z, factors.address, task, topology, c, 0.0, answer)
+    newton(drive, z, address, task, topology, c, 0.0, answer)
     return answer.stable
 
 

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.arrays import Flags, Index
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import InputError
 from surrofe2.base.simd import TILE, pack, unpack
 from surrofe2.law.stress_law import Status, StressResponse, check_deformation, describe
 from surrofe2.plant_cell.arrangement import ReferenceState, make_arrangement, rim_areas
+from surrofe2.plant_cell.neighbours import Topology
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tessellation import mean_aspect
 from surrofe2.run.views import Facts, Viewed
@@ -157,15 +158,20 @@ class RveLaw(Viewed):
         return look_into(self.unit_cell, F, F_dot, z, fluctuation)
 
     def state_to_arrays(self, state: RveState) -> dict[str, NDArray[Any]]:
-        return state.to_arrays()
+        return state.to_arrays(self.unit_cell.neighbours)
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> RveState:
-        """The state whose arrays these are, with factors made where it is now.
+        """The state whose arrays these are: answers from it have the bits of those from that one.
 
-        What is solved from it agrees within the tolerance of the RVEs, not to the bit.
+        Its factors are made again where they were made; they depend neither on the lane of a point
+        nor on its neighbours in a tile, nor on which contacts beyond the cut-off are listed.
         """
-        state = RveState.from_arrays(arrays, self._name, self.unit_cell.factors)
-        return self._renewed(state, np.ones(len(state.z), dtype=np.bool_))[0]
+        state = RveState.from_arrays(arrays, self._name, self.unit_cell.neighbours)
+        factors = state.factors
+        near = self.unit_cell.neighbours.near(factors.drive.F, factors.z)
+        every = np.ones(len(state.z), dtype=np.bool_)
+        self._make(factors.drive, factors.z, factors.address, every, near.topology)
+        return state
 
     def respond(
         self, F: Any, F_dot: Any, state: RveState | None = None, *, tangents: bool = False
@@ -229,17 +235,25 @@ class RveLaw(Viewed):
 
     def _renewed(self, state: RveState, tiles: Flags) -> tuple[RveState, Flags]:
         """The state with new factors of these tiles, and (tiles, TILE) which RVEs are stable."""
-        factors, near = state.factors.renewed(tiles), state.near
+        near = state.near
         if near is None:
             near = self.unit_cell.neighbours.near(state.F, state.z)
-        law = near.topology, self.unit_cell.constants
-        if self.initialisation == "slow-manifold":
-            stable = np.empty((len(tiles), TILE), dtype=np.bool_)
-            renew_slow(state.F, state.relaxed, factors.address, tiles, *law, stable)
-        else:
-            drive = Drive(state.F, dashpot_rate(self.initialisation, state.F_dot))
-            stable = renew(drive, state.z, factors, tiles, *law)
+        drive = Drive(state.F, dashpot_rate(self.initialisation, state.F_dot))
+        factors = state.factors.renewed(tiles)
+        stable = self._make(drive, state.relaxed, factors.address, tiles, near.topology)
+        factors = factors.made_at(tiles, drive, state.relaxed)
         return replace(state, factors=factors, near=near), stable
+
+    def _make(
+        self, drive: Drive, z: Array, address: Index, tiles: Flags, topology: Topology
+    ) -> Flags:
+        """Write the factors of these tiles at z; (tiles, TILE) which RVEs are stable there."""
+        law = topology, self.unit_cell.constants
+        if self.initialisation != "slow-manifold":
+            return renew(drive, z, address, tiles, *law)
+        stable = np.empty((len(tiles), TILE), dtype=np.bool_)
+        renew_slow(drive.F, z, address, tiles, *law, stable)
+        return stable
 
     def _leave(self, response: StressResponse, index: Index) -> StressResponse:
         """The answer with the points `index` in stable states, where there are any.

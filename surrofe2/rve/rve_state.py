@@ -12,6 +12,9 @@ next. Each tile has a block of memory of its own, in single precision, lanes las
 A block is written once, by the kernel it was made for; a state that renews some tiles gets new
 blocks for these and shares the others. Kernels find a block by its address, and Python keeps it
 for as long as any state refers to it.
+
+What is stored of a state are the positions at which its factors were made, not the factors: made
+again there they have the same bits, whichever lane, tile or list of contacts a point has then.
 """
 
 from __future__ import annotations
@@ -43,38 +46,51 @@ from surrofe2.base.simd import (
     unpack,
 )
 from surrofe2.plant_cell.forces import elastic_energy, fold_images, local_forces
-from surrofe2.plant_cell.neighbours import Near, Topology
+from surrofe2.plant_cell.neighbours import Near, Neighbours, Topology
 from surrofe2.plant_cell.pair_laws import Constants
 from surrofe2.plant_cell.pair_sums import make_workspace
 
 SLOPES = 8
 _BYTES = 4
+_TILES = ("z", "F", "F_dot", "iterations", "left")
+"""Arrays of tiles that every state has."""
 _Pointer: Any = types.CPointer  # type: ignore[attr-defined]
+
+
+class Drive(NamedTuple):
+    """F and Ḟ (the rate that particles feel) of all tiles, (tiles, 2, 2, TILE)."""
+
+    F: Array
+    rate: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Factors:
-    """One block for each tile.
+    """One block for each tile, and where its factors were made.
 
     Attributes:
         blocks: (rows, TILE) float32 each; several tiles may share one.
         address: (tiles,) of the blocks.
+        drive, z: F, the rate that particles felt and their material positions (tiles, 2, n, TILE)
+            at which the factors were made; those of the elastic equilibrium of "slow-manifold".
     """
 
     blocks: tuple[NDArray[np.float32], ...]
     address: Index
+    drive: Drive
+    z: Array
 
     @classmethod
-    def of(cls, blocks: Sequence[NDArray[np.float32]]) -> Factors:
-        """The factors kept in these blocks."""
+    def of(cls, blocks: Sequence[NDArray[np.float32]], drive: Drive, z: Array) -> Factors:
+        """The factors kept in these blocks, made at z and `drive`."""
         address = [block.__array_interface__["data"][0] for block in blocks]
-        return cls(tuple(blocks), np.array(address, dtype=np.intp))
+        return cls(tuple(blocks), np.array(address, dtype=np.intp), drive, z)
 
     @classmethod
-    def empty(cls, tiles: int, topology: Topology) -> Factors:
-        """Uninitialised factors of `tiles` tiles."""
+    def empty(cls, drive: Drive, z: Array, topology: Topology) -> Factors:
+        """Uninitialised factors, which are to be made at z and `drive`."""
         rows = topology.size + (2 * topology.particles - 2) * SLOPES
-        return cls.of([np.empty((rows, TILE), dtype=np.float32) for _ in range(tiles)])
+        return cls.of([np.empty((rows, TILE), dtype=np.float32) for _ in range(len(z))], drive, z)
 
     @property
     def nbytes(self) -> int:
@@ -83,15 +99,31 @@ class Factors:
 
     def repeated(self, tiles: int) -> Factors:
         """The first tile's factors for `tiles` tiles."""
-        return Factors(self.blocks[:1] * tiles, np.repeat(self.address[:1], tiles))
+        F, rate, z = (np.repeat(each[:1], tiles, axis=0) for each in (*self.drive, self.z))
+        address = np.repeat(self.address[:1], tiles)
+        return Factors(self.blocks[:1] * tiles, address, Drive(F, rate), z)
 
     def renewed(self, wanted: Any) -> Factors:
-        """These with new, uninitialised blocks for the tiles that `wanted` (tiles,) marks."""
+        """These with new, uninitialised blocks for the tiles that `wanted` (tiles,) marks.
+
+        Whoever fills them says where: see `made_at`.
+        """
         blocks, address = list(self.blocks), self.address.copy()
         for tile in wanted.nonzero()[0].tolist():
             blocks[tile] = np.empty_like(blocks[tile])
             address[tile] = blocks[tile].__array_interface__["data"][0]
-        return Factors(tuple(blocks), address)
+        return replace(self, blocks=tuple(blocks), address=address)
+
+    def made_at(self, wanted: Any, drive: Drive, z: Array) -> Factors:
+        """These, of which those of the tiles that `wanted` (tiles,) marks were made at z."""
+        if not wanted.any():
+            return self
+        own = *self.drive, self.z
+        F, rate, at = (
+            np.where(wanted.reshape(-1, *[1] * (here.ndim - 1)), there, here)
+            for here, there in zip(own, (*drive, z), strict=True)
+        )
+        return replace(self, drive=Drive(F, rate), z=at)
 
     def take(self, index: Index) -> Factors:
         """The factors of the points `index` alone; the last tile filled up as by `pack`."""
@@ -103,7 +135,8 @@ class Factors:
                 columns = zip(tile, lane, strict=True)
                 block = np.stack([self.blocks[t][:, k] for t, k in columns], axis=-1)
             blocks.append(block)
-        return Factors.of(blocks)
+        F, rate, z = (take_points(each, index) for each in (*self.drive, self.z))
+        return Factors.of(blocks, Drive(F, rate), z)
 
     def put(self, index: Index, part: Factors, row: Index) -> Factors:
         """These with the points `index` replaced by the points `row` of `part`."""
@@ -113,7 +146,10 @@ class Factors:
         for at, source in zip(index, row, strict=True):
             lanes = part.blocks[source // TILE]
             blocks[at // TILE][:, at % TILE] = lanes[:, source % TILE]
-        return Factors.of(blocks)
+        F, rate, z = (each.copy() for each in (*self.drive, self.z))
+        for here, there in zip((F, rate, z), (*part.drive, part.z), strict=True):
+            put_points(here, index, there, row)
+        return Factors.of(blocks, Drive(F, rate), z)
 
 
 @intrinsic
@@ -189,19 +225,44 @@ class RveState:
         """(points,) `left`."""
         return unpack(self.left, self.points)
 
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """(n, …) of all points by name, for `from_arrays`; not the factors, which are large and
-        can be made again.
+    def to_arrays(self, neighbours: Neighbours) -> dict[str, NDArray[Any]]:
+        """(n, …) of all points by name, for `from_arrays`.
+
+        Of the factors, which are large, there is what they are made of again, to the bit; of the
+        list of contacts a bit for each, and where there is no list, NaN as z.
         """
-        return {name: unpack(tiles, self.points) for name, tiles in self._tiles(self).items()}
+        near, every = self.near, neighbours.topology.contacts
+        listed = np.zeros(len(every), dtype=np.bool_) if near is None else near.listed
+        tiles = {
+            **self._tiles(self),
+            "factors.F": self.factors.drive.F,
+            "factors.rate": self.factors.drive.rate,
+            "factors.z": self.factors.z,
+            "near.F": self.F if near is None else near.F,
+            "near.z": np.full_like(self.z, np.nan) if near is None else near.z,
+        }
+        arrays = {name: unpack(values, self.points) for name, values in tiles.items()}
+        arrays["near.listed"] = np.tile(np.packbits(listed), (self.points, 1))
+        return arrays
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], of: str, factors: Factors) -> RveState:
-        """The state of the same law whose `to_arrays` gave these, with the first of `factors`."""
-        points = len(arrays["z"])
-        tiles: dict[str, Any] = {name: pack(values) for name, values in arrays.items()}
-        factors = factors.repeated(tiles_for(points))
-        return cls(of=of, points=points, factors=factors, near=None, **tiles)
+    def from_arrays(
+        cls, arrays: Mapping[str, NDArray[Any]], of: str, neighbours: Neighbours
+    ) -> RveState:
+        """The state whose `to_arrays` gave these, with factors that are still to be made.
+
+        Points of several states become one state, which lists the contacts of all.
+        """
+        own = (*_TILES, "fluctuation", "elastic")
+        tiles: dict[str, Any] = {name: pack(arrays[name]) for name in own if name in arrays}
+        drive = Drive(pack(arrays["factors.F"]), pack(arrays["factors.rate"]))
+        factors = Factors.empty(drive, pack(arrays["factors.z"]), neighbours.topology)
+        near, near_z = None, pack(arrays["near.z"])
+        if not np.isnan(near_z).any():
+            bits = np.bitwise_or.reduce(arrays["near.listed"], axis=0)
+            listed = np.unpackbits(bits, count=len(neighbours.topology.contacts)).astype(np.bool_)
+            near = neighbours.listing(pack(arrays["near.F"]), near_z, listed)
+        return cls(of=of, points=len(arrays["z"]), factors=factors, near=near, **tiles)
 
     def take(self, index: Index) -> RveState:
         """The state of the points `index` alone."""
@@ -225,8 +286,7 @@ class RveState:
 
     def _tiles(self, other: RveState) -> dict[str, Any]:
         """Arrays of tiles by name, but those that neither this state nor the other has."""
-        names = ("z", "F", "F_dot", "iterations", "left")
-        tiles: dict[str, Any] = {name: getattr(self, name) for name in names}
+        tiles: dict[str, Any] = {name: getattr(self, name) for name in _TILES}
         if self.fluctuation is not None or other.fluctuation is not None:
             tiles["fluctuation"] = self.beyond_affine
         if self.elastic is not None or other.elastic is not None:
@@ -246,13 +306,6 @@ def with_copies(index: Index, points: int) -> tuple[Index, Index]:
 
 
 # What particles feel
-
-
-class Drive(NamedTuple):
-    """F and Ḟ (the rate that particles feel) of all tiles, (tiles, 2, 2, TILE)."""
-
-    F: Array
-    rate: Array
 
 
 class Answer(NamedTuple):

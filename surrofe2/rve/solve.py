@@ -250,7 +250,7 @@ def _newton(solved: Solved, renewed: bool = False) -> None:
     z, tolerance = solved.state.z, solved.settings.tolerance
     newton(solved.felt, z, factors.address, task, *solved.law, tolerance, solved.answer)
     solved.status[(failed | renewed) & ~solved.answer.stable] = Status.UNSTABLE
-    solved.state = replace(solved.state, factors=factors)
+    solved.state = replace(solved.state, factors=factors.made_at(tiles, solved.felt, z))
 
 
 def _follow_path(solved: Solved, index: Index) -> None:
@@ -312,7 +312,8 @@ def _start_slow(solved: Solved) -> None:
     answer, drive, elastic = solved.answer, solved.drive, solved.state.z
     found, tolerance = solved.status == _OK, solved.settings.tolerance
     tiles = np.ones(len(elastic), dtype=np.bool_)
-    address = solved.state.factors.address  # of blocks that Newton's method has made just now
+    factors = solved.state.factors.made_at(tiles, solved.felt, elastic)
+    address = factors.address  # of blocks that Newton's method has made just now
     renew_slow(drive.F, elastic, address, tiles, *solved.law, np.empty_like(found))
     moving = Moving(elastic.copy(), elastic, np.zeros_like(elastic))
     answer.iterations[:] = 0
@@ -323,7 +324,7 @@ def _start_slow(solved: Solved) -> None:
         newton_slow(drive, moving, *solved.law, tolerance, answer._replace(iterations=counts))
         answer.iterations[soft] = counts[soft]
     left = solved.state.left | (found & (answer.iterations < 0))
-    solved.state = replace(solved.state, left=left, **moving._asdict())
+    solved.state = replace(solved.state, left=left, factors=factors, **moving._asdict())
 
 
 def _hold_back(solved: Solved, index: Index) -> None:
@@ -331,7 +332,7 @@ def _hold_back(solved: Solved, index: Index) -> None:
     part, state = solved.at(index), solved.state.take(index)
     part.covered = take_points(solved.covered, index)
     z, answer = state.relaxed.copy(), part.answer
-    task, unused = np.full(len(z), SOLVE, dtype=np.int8), Factors.empty(len(z), part.law[0])
+    task, unused = np.full(len(z), SOLVE, dtype=np.int8), Factors.empty(part.drive, z, part.law[0])
     newton(part.drive, z, unused.address, task, *part.law, part.settings.tolerance, answer)
     found = answer.iterations > 0
     answer.iterations[:] = np.where(found, answer.iterations + np.abs(state.iterations), OPEN)

@@ -133,8 +133,9 @@ def unit_around(
     constants = make_constants(cell, reference.rest_length)
     z, identity = pack(reference.position.T[None]), pack(np.eye(2)[None])
     near = neighbours.near(identity, z)
-    factors, drive = Factors.empty(1, near.topology), Drive(identity, np.zeros_like(identity))
-    stable = renew(drive, z, factors, np.array([True]), near.topology, constants)
+    drive = Drive(identity, np.zeros_like(identity))
+    factors = Factors.empty(drive, z, near.topology)
+    stable = renew(drive, z, factors.address, np.array([True]), near.topology, constants)
     if not stable.all():
         raise InputError("reference: not a stable equilibrium of this cell; settle it again")
     return UnitCell(cell, reference, constants, neighbours, near, factors)
@@ -240,8 +241,8 @@ def relax(
         task: `SOLVE`, or `SEEK` near the starts; see `newton`.
     """
     points, z, tensors = len(starts), pack(starts), pack(F)
-    factors, answer = Factors.empty(len(z), topology), empty_answer(len(z))
-    drive = Drive(tensors, np.zeros_like(tensors))
+    drive, answer = Drive(tensors, np.zeros_like(tensors)), empty_answer(len(z))
+    factors = Factors.empty(drive, z, topology)
     tasks = np.full(len(z), task, dtype=np.int8)
     newton(drive, z, factors.address, tasks, topology, constants, tolerance, answer)
     z, iterations = unpack(z, points), unpack(answer.iterations, points)

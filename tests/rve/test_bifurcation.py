@@ -167,7 +167,7 @@ def test_contacts_are_looked_at_one_by_one_where_the_bound_is_too_coarse():
     rest, every = unit.position.T, unit.topology
     z = rest + rng.uniform(0.0, 3.0, (40, 1, 1)) * rng.uniform(-1.0, 1.0, (40, 2, 35))
     near = unit.neighbours.near(pack(F), pack(rest + 0 * z), 0.5)
-    i, j = near.unlisted.T
+    i, j = near.every.contacts[~near.listed].T
     local = np.concatenate([z, z[:, :, every.owner] + every.image_offset.T], axis=2)
     r = np.einsum("nab,nbk->nak", F, local[:, :, j] - local[:, :, i])
     apart = (np.linalg.norm(r, axis=1) >= near.cutoff).all(axis=1)
