@@ -23,7 +23,7 @@ from surrofe2.workflow import scale
 from surrofe2.workflow.generate import data_summary
 from surrofe2.workflow.grid import GRID_FILES, run_grid
 from surrofe2.workflow.laws import open_study, recipe_notes, use_threads
-from surrofe2.workflow.run import cache_notes, run_study, run_summary
+from surrofe2.workflow.run import cache_notes, run_study, run_summary, tolerance_notes
 from surrofe2.workflow.train import is_trained, large_errors, learn, training_summary
 from surrofe2.workflow.workers import executor_of
 
@@ -123,6 +123,9 @@ def check(
             f"# by the quadratic law of the RVE at rest: met stretch {low:.4g} to {high:.4g}, "
             f"shear {met.shear:.3g}, rate {met.rate:.3g} 1/µs; margin {100.0 * margin:g} %"
         )
+    remark = study.macro.remark(run.displacement)
+    if remark is not None:
+        console.print_warning(remark)
     if run.omitted:
         console.print_line(f"# left out, for lack of time: {run.omitted}")
     console.print_line(
@@ -197,7 +200,11 @@ def study(
         console.print_line(f"{page}: all of it on one page")
     if comparison is not None:
         show_comparison(comparison)
-    notes = (note for record in records for note in cache_notes(record))
+    notes = (
+        note
+        for record in records
+        for note in (*tolerance_notes(record, stated), *cache_notes(record))
+    )
     console.show_notes(note for note in notes if note[1] or comparison is None)
     console.done(folder, "all steps done")
 

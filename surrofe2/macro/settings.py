@@ -10,6 +10,9 @@ from surrofe2.base.settings import check_settings, setting
 from surrofe2.base.units import TIME
 from surrofe2.problem.conditions import FREE, checked_sides
 
+SMALL = 0.01
+"""Of the relative tolerance times the largest displacement: an absolute tolerance to advise."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MacroSettings:
@@ -48,6 +51,21 @@ class MacroSettings:
 
     def __post_init__(self) -> None:
         check_settings(self, "macro")
+
+    def remark(self, largest: float) -> str | None:
+        """What to say of a run whose largest displacement was so many µm; None: nothing.
+
+        Where the absolute tolerance exceeds what the relative one allows of the largest
+        displacement, steps are as long as stability or that tolerance bears, whatever the motion.
+        """
+        if not 0.0 < largest * self.relative_tolerance < self.absolute_tolerance:
+            return None
+        advised = float(f"{SMALL * self.relative_tolerance * largest:.0e}")
+        return (
+            f"macro.absolute_tolerance: {self.absolute_tolerance:g} µm is not small against the "
+            f"largest displacement, {largest:.2g} µm, so the relative tolerance of "
+            f"{self.relative_tolerance:g} does not hold; set it to {advised:g}"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -96,12 +96,27 @@ class MacroRun(ViewedRun):
     decisions: Sequence[Mapping[str, Any]] | None = None
 
     def facts(self) -> Facts:
+        remark = self.settings.remark(self.largest_displacement)
         return {
             "law": self.law,
             "mesh": f"{len(self.elements)} elements, {len(self.nodes)} nodes",
             **course(self.curve, self.wall_time, self.counts),
             "finished": "yes" if self.finished else "no",
+            **({"remark": remark} if remark else {}),
         }
+
+    @property
+    def largest_displacement(self) -> float:
+        """Of the watched points, of the means over boundaries and of all nodes in the frames that
+        are in memory, µm.
+        """
+        vectors = [curve.displacement for curve in self.curves.values()]
+        vectors.append(self.frames.displacement.reshape(-1, 2))
+        largest = max(np.linalg.norm(u, axis=1).max(initial=0.0) for u in vectors)
+        for name, values in self.history.items():
+            if name.startswith("mean displacement"):
+                largest = max(largest, abs(values).max(initial=0.0))
+        return float(largest)
 
     def fields_over_time(self) -> tuple[dict[str, Any], dict[str, Any]]:
         frames, found = self.frames, dict[str, Any]()

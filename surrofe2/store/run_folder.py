@@ -93,8 +93,8 @@ class RunRecord:
         rolled_back: the same of steps that audits took back, which do not count among `counts`.
         cache: of a cached law, `CachedLaw.report`; of several cells, that of each under `cells`.
         met: extremes of F, Ḟ, U and RᵀḞ at all points; `stretch`, `shear`, `rate` as in a
-            recipe's range that would hold the run; `displacement`, the largest of any node in any
-            frame, µm. Of a rest, also where the `watched` point
+            recipe's range that would hold the run; `displacement`, the largest of watched points
+            and boundaries, µm. Of a rest, also where the `watched` point
             came to.
         problem: counts of the mesh, its names, conditions, bodies and watched points; of a
             run also the largest `penetration` of each body, µm.

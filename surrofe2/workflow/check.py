@@ -41,6 +41,8 @@ SECONDS = 10.0
 MOST_ELEMENTS = 65_536
 """Of a mesh that is checked, so that memory stays below 1 GB; a rectangle of more is coarsened."""
 _COARSEST = 4
+_FRAMES = 21
+"""Of a dry run, by which its largest displacement is known."""
 _TIMED_STEPS, _TIMED_POINTS, _TIMED_SECONDS = 24, 128, 3.0
 """RVEs are timed along the second half of so many last steps of a dry run, since the first are cold
 and without a prediction; none is begun after so much processor time."""
@@ -144,6 +146,7 @@ class DryRun:
         reached: fraction of the duration by which `met` is known.
         steps: the last accepted (F, Ḟ), (n, 2, 2) each, of some of a cell's points.
         shares: of a cell among the points.
+        displacement: the largest, µm; 0 where the run did not come to its end.
         omitted: what the time or the size of the mesh did not allow; empty where nothing was.
     """
 
@@ -153,6 +156,7 @@ class DryRun:
     met: dict[str, MetRange]
     steps: dict[str, list[tuple[Array, Array]]]
     shares: dict[str, float]
+    displacement: float = 0.0
     omitted: str = ""
 
     @property
@@ -256,7 +260,7 @@ def _dry_run(recipe: Recipe, seconds: float, report: Report) -> DryRun:
         return recorder
 
     law = law_by_region(recipe, problem.mesh, recorded)
-    end, marks = cpu_clock() + seconds, [(0.0, 0)]
+    end, marks, displacement = cpu_clock() + seconds, [(0.0, 0)], 0.0
 
     def progress(t: float, duration: float) -> None:
         report(t, "")
@@ -266,7 +270,8 @@ def _dry_run(recipe: Recipe, seconds: float, report: Report) -> DryRun:
 
     try:
         with suppress(_CutShort), recipe.named(InputError):
-            simulate(problem, law, replace(recipe.macro, frames=2), progress=progress)
+            run = simulate(problem, law, replace(recipe.macro, frames=_FRAMES), progress=progress)
+            displacement = run.largest_displacement
     except SimulationError as error:
         raise SimulationError(f"check: the dry run by the quadratic law: {error}") from error
     # the first steps are shorter than most: the second half says how the run continues
@@ -280,6 +285,7 @@ def _dry_run(recipe: Recipe, seconds: float, report: Report) -> DryRun:
         met={name: MetRange.of(each.extremes) for name, each in recorders.items()},
         steps={name: list(each.steps) for name, each in recorders.items()},
         shares={name: each.points / points for name, each in recorders.items()},
+        displacement=displacement,
     )
 
 

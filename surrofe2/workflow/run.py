@@ -335,7 +335,7 @@ def with_results(
         counts=dict(counts),
         rolled_back={name: n for name, n in back.items() if n},
         cache=run.cache,
-        met=run.met.to_dict(),
+        met={**run.met.to_dict(), "displacement": run.largest_displacement},
         threads=run.threads,
     )
 
@@ -435,9 +435,10 @@ def _stated_problem(problem: Problem) -> dict[str, Any]:
 
 
 def run_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
-    """Notes on steps, contact, free sides, cache and ranks, each with whether it is a warning; the
-    last one of a cached run is what its closing audit guarantees."""
+    """Notes on tolerance, steps, contact, free sides, cache and ranks, each with whether it is a
+    warning; the last one of a cached run is what its closing audit guarantees."""
     steps, of = record.counts["steps"], record.problem
+    yield from tolerance_notes(record, recipe)
     if recipe.macro.integrator == "implicit" and steps > MOST_IMPLICIT_STEPS:
         yield (
             f"implicit: {steps} steps; where tissue rings so long, their errors of phase may add "
@@ -473,6 +474,13 @@ def run_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
         if sentence:
             whose = f"{name}: " if name else ""
             yield f"{whose}closing audit: {sentence}", False
+
+
+def tolerance_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
+    """A warning where the absolute tolerance is not small against what moved."""
+    remark = recipe.macro.remark(record.met.get("displacement", 0.0))
+    if remark is not None:
+        yield remark, True
 
 
 def run_summary(record: RunRecord) -> str:
