@@ -42,6 +42,8 @@ from surrofe2.rve.unit_cell import Equilibria, UnitCell, relax
 
 LONGEST, SHORTEST = 0.05, 0.004
 """Longest step, and the one that is not halved any further: largest change of an entry of F."""
+SHORTEST_UNIFORM = 0.0005
+"""The latter with a uniform fluid: slack walls bow within a short part of the path, and stably."""
 JUMP = 1.0
 """Material displacement of a particle, µm times `Constants.scale`, that no step along one branch
 makes; so are the lengths below, but that of fluid particles."""
@@ -84,8 +86,9 @@ class Continuation:
         self.start, self.end = rotation(end) @ transpose(rotation(start)) @ start, end
         self.z, self.done = z.copy(), np.zeros(len(z))
         length = np.abs(self.end - self.start).max(axis=(1, 2))
+        shortest = SHORTEST_UNIFORM if unit.topology.pressures else SHORTEST
         self.longest, self.shortest = (
-            change / np.maximum(length, change) for change in (LONGEST, SHORTEST)
+            change / np.maximum(length, change) for change in (LONGEST, shortest)
         )
         self.step = np.minimum(self.longest, 0.5)
         self.effort, self.solves = np.zeros((2, len(z)), dtype=np.int_)
