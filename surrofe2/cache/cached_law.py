@@ -137,7 +137,7 @@ class CachedLaw(Viewed):
         return resumes
 
     def _begin(self, trust: Trust) -> None:
-        """Count and audit anew, with this trust."""
+        """Count and audit again from zero, with this trust."""
         surrogate, own = self.surrogate, self.settings
         allowed = own.tolerance * surrogate.stress_spread
         self._counts = Counter({**NO_EFFORT, "in_domain": 0, "steps": 0, "switched": 0})

@@ -1,9 +1,10 @@
 """The closing audit: what a run states of its answers, by RVEs that have decided nothing.
 
-Each answer of the cache at a kept step draws a number u from [0, 1), by a generator of its own, and
-the answers with the smallest u are kept (bottom-k or reservoir sampling). Going back to a mark puts
-the sample back to what it was there. So at the end of a run it is a simple random sample of all the
-answers that stand; and no decision, which windows went back or where RVEs answer, depends on its u.
+Each answer of the cache at an accepted step draws a number u from [0, 1), by a generator of its
+own, and the answers with the smallest u are kept (bottom-k or reservoir sampling). Going back to a
+mark puts the sample back to what it was there. So at the end of a run it is a simple random sample
+of all the answers that stand; and no decision, which windows went back or where RVEs answer,
+depends on its u.
 RVEs solve the sample at the end. Of the N answers that stand n were drawn, of which k are wrong: by
 Clopper and Pearson (1934) the fraction of all that is wrong is at most
 

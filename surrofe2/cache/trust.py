@@ -261,7 +261,7 @@ class Trust:
             if self.is_off:
                 does = "RVEs answer"
             finding = f"audits of an earlier run by this law found wrong answers; {does}"
-            trust._note(0, f"{finding} (reset_counts begins anew)", "none")
+            trust._note(0, f"{finding} (reset_counts begins again)", "none")
         return trust
 
     def warn(self, step: int, finding: str) -> None:

@@ -277,7 +277,7 @@ class AuditedLaw(StressLaw, Protocol):
     """
 
     def begin_run(self, state: Any) -> bool:
-        """A run begins, or goes on from a committed `state`: count and audit for it alone, unless
+        """A run begins, or continues from a committed `state`: count and audit for it alone, unless
         the state is what `state_from_arrays` gave last. Whether it is, so that the law knows the
         window that it lies in."""
 

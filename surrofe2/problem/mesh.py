@@ -16,11 +16,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy  # scipy.spatial is loaded where places are compared
 import skfem
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import InputError, quoted
@@ -193,7 +193,7 @@ def with_regions(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
 def _by_name(where: str, parts: Mapping[str, Part]) -> Iterator[tuple[str, Part]]:
     """Names, in which Python makes Greek mu of the micro sign, and their parts."""
     for name, part in parts.items():
-        if not isinstance(part, Part):
+        if not hasattr(part, "holds"):
             raise InputError(
                 f"{where}.{name}", f"{quoted(part)}; it must be a Box, a HalfPlane or a Disc"
             )
@@ -435,7 +435,7 @@ def _check_seams(mesh: skfem.Mesh) -> None:
     outline = np.unique(ends)
     shortest = np.full(len(nodes), np.inf)  # of the outer sides at each node
     np.minimum.at(shortest, ends, length[:, None])
-    tree = cKDTree(nodes[outline])
+    tree = scipy.spatial.cKDTree(nodes[outline])
     near = outline[tree.query_pairs(CLOSED * shortest[outline].max(), output_type="ndarray")]
     apart = np.linalg.norm(nodes[near[:, 0]] - nodes[near[:, 1]], axis=1)
     for pair in near[apart <= CLOSED * shortest[near].min(axis=1)][:1]:

@@ -119,10 +119,7 @@ def read_bytes(path: Path, most: int = 2**30, begin: bytes = b"") -> bytes:
         if head != begin:
             return head
         if size > most:
-            raise FileError(
-                f"{path}: cannot be read: {size / 1e9:.3g} GB; it must have at most "
-                f"{most / 1e9:.3g}"
-            )
+            raise FileError(_too_large(path, size, most))
         file.seek(0)
         try:
             # A buffered file reads until it has all: one call of the system gives 2 GiB at most.
@@ -131,6 +128,10 @@ def read_bytes(path: Path, most: int = 2**30, begin: bytes = b"") -> bytes:
             raise FileError(
                 f"{path}: cannot be read: {size / 1e9:.3g} GB; this process has less memory free"
             ) from None
+
+
+def _too_large(path: Path, size: int, most: float) -> str:
+    return f"{path}: cannot be read: {size / 1e9:.3g} GB; it must have at most {most / 1e9:.3g}"
 
 
 @contextmanager
@@ -229,9 +230,12 @@ def _place(content: bytes | bytearray) -> tuple[int, int]:
     return found[0]
 
 
-def digest(path: Path) -> str:
-    """SHA-256 of a file's content of any size; its first 16 digits are its fingerprint."""
+def digest(path: Path, most: float = math.inf) -> str:
+    """SHA-256 of a file of at most `most` bytes; its first 16 digits are its fingerprint."""
     with reported(path, "read"), _opened(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > most:
+            raise FileError(_too_large(path, size, most))
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

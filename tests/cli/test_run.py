@@ -76,7 +76,9 @@ def test_an_error_after_a_signal_is_the_interruption(run, folder, monkeypatch, c
         patched.setattr(SoftLaw, "respond", cut)
         cut_short = run(code=128 + signal.SIGTERM)
     assert "SystemError" not in cut_short.output
-    assert cut_short.stderr.splitlines()[-1].startswith(f"interrupted: {folder} keeps the run")
+    assert cut_short.stderr.splitlines()[-1].startswith(
+        f"interrupted by SIGTERM: {folder} keeps the run"
+    )
     assert read_record(folder).status == "interrupted"
     assert (folder / "checkpoint.h5").exists() == (call > 1)
     monkeypatch.setattr(interruption._state, "number", 0)

@@ -326,7 +326,7 @@ def test_where_the_law_has_no_answer_the_run_says_so():
 class Rim:
     """All points as far from the origin as the radius."""
 
-    def holds(self, points):
+    def holds(self, points, slack):
         return np.linalg.norm(points, axis=1) > RADIUS * (1.0 - 1e-9)
 
 

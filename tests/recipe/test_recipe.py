@@ -76,7 +76,7 @@ FORCE = "body_force = [0.0, -0.1]"
     ("old", "new", "sentence"),
     [
         ('preset = "printed"', "wall_stifness = 4000.0", "cell.wall_stifness: unknown key; did you "
-         "mean wall_stiffness? known are arrangement, arrangement_seed, cell_side, cells, "),
+         "mean wall_stiffness? known are area_variation, arrangement, arrangement_seed, "),
         ("[load]", "[lood]", f"lood: unknown section; did you mean load? {SECTIONS}"),
         ('"printed"', '"prinetd"',
          "cell.preset: 'prinetd'; it must be one of printed, water, apple, potato"),

@@ -190,8 +190,9 @@ def test_stability_is_that_of_the_eigenvalues(pattern):
     tiles, answer = pack(z), empty_answer(2)
     used = topology if pattern == "groups" else dense
     task = np.full(2, CHECK, dtype=np.int8)
-    addresses = Factors.empty(2, used).address
-    newton(Drive(F, 0.0 * F), tiles, addresses, task, used, unit.constants, 0.0, answer)
+    drive = Drive(F, 0.0 * F)
+    addresses = Factors.empty(drive, tiles, used).address
+    newton(drive, tiles, addresses, task, used, unit.constants, 0.0, answer)
     expected = [definite(unit, each) for each in z]
     assert 2 < sum(expected) < 2 * TILE - 2
     np.testing.assert_array_equal(answer.stable.ravel(), expected)
