@@ -135,7 +135,7 @@ def check(
     )
     console.print_line(scale.particles_sentence(particles))
     advice = f"use --law {checking.advised_law(study, by_rves)}"
-    if particles.is_possible and particles.seconds < by_rves:
+    if particles and particles.is_possible and particles.seconds < by_rves:
         advice = f"use `surrofe2 tissue {recipe}`: all particles take less than FE²"
     # without the seconds of the check, which would read as those of the law
     console.done(recipe, advice, timed=False)

@@ -115,6 +115,24 @@ class Tissue:
         return tiles
 
 
+def check_cell_of_tissue(cell: CellParameters) -> None:
+    """Refuse a plant cell of which no full tissue can be made.
+
+    Raises:
+        InputError: the RVE is not one square plant cell, or its fluid is uniform.
+    """
+    if not cell.is_one_square:
+        raise InputError(
+            f"cell.arrangement: {cell.cells} of {cell.arrangement}; a full tissue must be made of "
+            "copies of one square plant cell"
+        )
+    if cell.has_uniform_fluid:
+        raise InputError(
+            'cell.fluid: uniform; a full tissue takes fluid = "sph" alone; set it, and make data '
+            "set and surrogate of these RVEs again"
+        )
+
+
 def make_tissue(
     types: Sequence[CellParameters], references: Sequence[ReferenceState], kind: Index
 ) -> Tissue:
@@ -130,15 +148,7 @@ def make_tissue(
     """
     cell, (n, m) = types[0], kind.shape
     for each, reference in zip(types, references, strict=True):
-        if not each.is_one_square:
-            raise InputError(
-                f"cell.arrangement: {each.cells} of {each.arrangement}; a tissue must be made of "
-                "copies of one square plant cell"
-            )
-        if each.has_uniform_fluid:
-            raise InputError(
-                'cell.fluid: uniform; a full tissue must have fluid = "sph" as its RVEs then'
-            )
+        check_cell_of_tissue(each)
         for name in _ALIKE:
             here, there = each.to_dict()[name], cell.to_dict()[name]
             if here != there:

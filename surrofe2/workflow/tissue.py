@@ -17,6 +17,7 @@ from surrofe2.store.fields import FrameWriter, fields_of_particles, particle_wri
 from surrofe2.store.run_folder import CHECKPOINT_INTERVAL, RunFolder, RunRecord, write_curves
 from surrofe2.store.samples import kept_reference
 from surrofe2.tissue import TissueRun, TissueState, simulate_tissue
+from surrofe2.tissue.layout import check_cell_of_tissue
 from surrofe2.tissue.simulation import (
     ParticleFrames,
     Particles,
@@ -38,6 +39,8 @@ def tissue_of(
     problem, section = recipe.problem(), "load" if recipe.is_bar else "mesh"
     cells = [each.cell for each in recipe.cells.values()]
     with recipe.named(InputError):
+        for cell in cells:
+            check_cell_of_tissue(cell)
         if recipe.mesh.file is not None:
             raise InputError(
                 f"mesh.file: {recipe.mesh.file!r}; a full tissue needs a rectangle: mesh.width and "
