@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import FileError
 from surrofe2.store.hdf5 import Kind, Stored, Template, read, reading, write
-from surrofe2.store.store import remove, write_bytes, write_text
+from surrofe2.store.store import read_text, remove, write_bytes, write_text
 
 if TYPE_CHECKING:
     from surrofe2.macro.history import Frames
@@ -47,6 +47,8 @@ FRAMES = "frames"
 _MOST_WAITING, _LONGEST_WAIT = 4e6, 2.0
 """Bytes and seconds of frames that wait to be written together: small ones come quickly."""
 TURGOR_NAME = "turgor_uN_per_um"
+_TIME = "<Time Value="
+"""How the time of a frame begins in XDMF."""
 _KINDS = {1: "Polyvertex", 2: "Polyline", 3: "Triangle", 4: "Quadrilateral", 6: "Triangle_6"}
 """What XDMF calls cells of so many points; those of six have the middles of their sides."""
 
@@ -177,7 +179,8 @@ class FrameWriter:
     frames/NAME-0000.h5 and so on what does; NAME.xdmf names all frames, NAME-last.xdmf the last one
     alone, for programs that read a single mesh.
 
-    A frame that is written again replaces those behind it, as where a run goes back. Small frames
+    A frame that is written again replaces those behind it, as where a run goes back. A checkpoint
+    may still count these: they are no longer named, but stay until `remove_surplus`. Small frames
     wait for each other; `flush` leaves none waiting.
 
     Args:
@@ -199,6 +202,7 @@ class FrameWriter:
         self._times: list[float] = []
         self._waiting: dict[int, bytearray] = {}
         self._flushed = monotonic()
+        self._has_surplus = False
         self._template: Template | None = None
         self._entries: list[Entry] = []
         self._constants = [
@@ -234,7 +238,8 @@ class FrameWriter:
             self._entries = [*_entries(first)]
         write(self._folder / f"{self._name}.h5", FIELDS_FILE, {}, self._mesh)
         self._write_names()
-        self._remove_from(self.count)
+        self._has_surplus = True
+        self.remove_surplus()
 
     def write(self, number: int, t: float, at_points: Values, in_cells: Values) -> None:
         """Write the frame of this number, at most the `count`; an empty array of values is left
@@ -269,6 +274,15 @@ class FrameWriter:
             self._write_names()
         self._flushed = monotonic()
 
+    def remove_surplus(self) -> None:
+        """Remove the frames behind the last one. Call it once no checkpoint counts them."""
+        if self._has_surplus:
+            counted = {self._path(k) for k in range(self.count)}
+            for path in sorted(self._folder.glob(frame_files(self._name))):
+                if path not in counted:
+                    remove(path)
+        self._has_surplus = False
+
     def close(self) -> None:
         """All frames are there: write what waits, and how many there are."""
         self.flush()
@@ -280,18 +294,13 @@ class FrameWriter:
         return self.count > len(self._waiting) and (self._folder / f"{self._name}.h5").exists()
 
     def _go_back(self, number: int) -> None:
-        """Forget the frames from this number on; what names them goes first."""
+        """Name the frames from this number on no longer; their files stay, to be resumed from."""
         is_named = number + len(self._waiting) < self.count
         self._waiting = {k: content for k, content in self._waiting.items() if k < number}
         del self._times[number:]
         if is_named:
             self._write_names()
-            self._remove_from(number)
-
-    def _remove_from(self, number: int) -> None:
-        for path in sorted(self._folder.glob(f"{FRAMES}/{self._name}-*.h5")):
-            if path not in map(self._path, range(number)):
-                remove(path)
+            self._has_surplus = True
 
     def _path(self, number: int) -> Path:
         return self._folder / _frame_file(self._name, number)
@@ -314,6 +323,11 @@ def _frame_file(name: str, number: int) -> str:
     return f"{FRAMES}/{name}-{number:04d}.h5"
 
 
+def frame_files(name: str) -> str:
+    """Return the pattern of the places of all frames of a series in its folder."""
+    return f"{FRAMES}/{name}-[0-9][0-9][0-9][0-9]*.h5"
+
+
 @dataclass(frozen=True, slots=True)
 class Names:
     """What the XDMF of a series refers to: the arrays of its mesh, and of every frame.
@@ -331,8 +345,7 @@ class Names:
     def series(self, frames: Sequence[tuple[int, float]]) -> str:
         """The document of all frames, each by its number and time."""
         grids = "".join(
-            f'<Grid Name="{k}" GridType="Uniform">\n<Time Value="{t!r}"/>\n{self._content(k)}'
-            "</Grid>\n"
+            f'<Grid Name="{k}" GridType="Uniform">\n{_TIME}"{t!r}"/>\n{self._content(k)}</Grid>\n'
             for k, t in frames
         )
         head = f'<Grid Name="{self.name}" GridType="Collection" CollectionType="Temporal">'
@@ -512,12 +525,13 @@ def open_fields(folder: Path, name: str = FIELDS) -> SeriesOfFrames:
 
 
 def _times_so_far(folder: Path, name: str) -> Iterator[float]:
-    """Times of the frames that are there, one after the other."""
-    number = 0
-    while (path := folder / _frame_file(name, number)).exists():
-        with reading(path, FRAME_FILE) as frame:
+    """Times of the frames that XDMF names, one after the other: a run that went back may have left
+    more files."""
+    names = folder / f"{name}.xdmf"
+    count = read_text(names).count(_TIME) if names.exists() else 0
+    for number in range(count):
+        with reading(folder / _frame_file(name, number), FRAME_FILE) as frame:
             yield float(frame.array("t", (1,))[0])
-        number += 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,6 +31,7 @@ from surrofe2.base.units import ENERGY, FORCE, LENGTH, STRESS, TIME
 from surrofe2.base.versions import describe_platform
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.views import Facts, ViewedRun, course
+from surrofe2.store.fields import FIELDS, POINTS, frame_files
 from surrofe2.store.hdf5 import Kind, check_units, read, write
 from surrofe2.store.store import (
     check_replaceable,
@@ -63,6 +64,8 @@ FILES = (
     "fields-last.xdmf", "points.xdmf", "points.h5", "points-last.xdmf", CHECKPOINT, "table.h5",
     "harvest.h5", EVENTS,
 )  # fmt: skip
+_SERIES = ("harvest-*.h5", "table-*.h5", frame_files(FIELDS), frame_files(POINTS))
+"""Patterns of files of which a run may have several."""
 _NAMED_ENTRIES = ("cells", "conditions", "bodies", "watch")
 """Sections of a recipe in which users name what there is."""
 _SECTIONS = (
@@ -252,10 +255,11 @@ class RunFolder:
         run, state = cls(folder, record, store), folder / CHECKPOINT
         if fresh:  # which replaces nothing that may be of something else than a run
             check_replaceable(folder / "run.json", "surrofe2 run", SCHEMA)
-            there = [name for name in FILES if (folder / name).exists()]
-            if there and "run.json" not in there:
+            there = [path for each in (*FILES, *_SERIES) for path in sorted(folder.glob(each))]
+            if there and not (folder / "run.json").exists():
+                name = there[0].relative_to(folder)
                 raise FileError(
-                    f"{folder}: has {there[0]} but no run, so --fresh does not replace it; write "
+                    f"{folder}: has {name} but no run, so --fresh does not replace it; write "
                     "elsewhere"
                 )
         earlier = None if fresh else earlier_run(folder, record)
@@ -286,7 +290,7 @@ class RunFolder:
         if not self.resumes:
             remove(self.folder / CHECKPOINT)
         write_record(self.folder, self.record)
-        others = (*FILES[1:], "harvest-*.h5", "table-*.h5", "frames/*-*.h5")
+        others = (*FILES[1:], *_SERIES)
         for each in () if self.resumes else others:
             for path in self.folder.glob(each):
                 remove(path)

@@ -135,6 +135,7 @@ def run_study(
             arrays |= within(f"harvest of {cell}", writer.to_arrays())
         frames.flush()  # first: whoever resumes needs all that this state had recorded
         run.checkpoint(arrays, cache_report(law))
+        frames.remove_surplus()
         _write_decisions(folder, _decisions_of(law))
 
     def restore(arrays: Mapping[str, NDArray]) -> MacroState:
@@ -171,6 +172,7 @@ def run_study(
             write_learnt(0.0)
             raise
         run.finish(result)
+        frames.remove_surplus()
     return run.record
 
 
@@ -298,6 +300,11 @@ class FrameFiles:
         """Leave no frame waiting."""
         self._fields.flush()
         self._points.flush()
+
+    def remove_surplus(self) -> None:
+        """Remove frames that the run took back, once no checkpoint counts them."""
+        self._fields.remove_surplus()
+        self._points.remove_surplus()
 
     def close(self) -> None:
         """All frames are there."""

@@ -1,6 +1,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from shutil import copytree
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
@@ -192,13 +193,49 @@ def test_a_run_that_goes_back_replaces_what_it_wrote(tmp_path):
         write_frame(writer, 4, 2.0)
         write_frame(writer, 2, 1.2)
         assert series_of(tmp_path) == {0.0: 0.0, 0.5: 0.5}  # nothing names what is gone
-        assert not (tmp_path / FRAME.format(3)).exists()
     assert series_of(tmp_path) == {0.0: 0.0, 0.5: 0.5, 1.2: 1.2}
     assert read_fields(tmp_path, [DISPLACEMENT_NAME]).displacement[:, 0, 0].tolist() == [
         0,
         0.5,
         1.2,
     ]
+
+
+def test_frames_that_a_checkpoint_counts_stay_until_there_is_another(tmp_path):
+    """A run goes back behind its checkpoint, writes some frames anew, and is killed."""
+    writer = FrameWriter(tmp_path, NODES, QUADS)
+    counted = [0.0, 0.5, 1.0, 1.5]
+    for k, t in enumerate(counted):
+        write_frame(writer, k, t)
+    writer.flush()
+    write_frame(writer, 1, 0.5, factor=3.0)
+    write_frame(writer, 2, 1.0, factor=3.0)
+    writer.flush()
+    assert series_of(tmp_path) == {0.0: 0.0, 0.5: 1.5, 1.0: 3.0}
+    assert open_fields(tmp_path).t.tolist() == [0.0, 0.5, 1.0]  # at 1.5 is what was taken back
+    killed = copytree(tmp_path, tmp_path / "killed")
+
+    writer.remove_surplus()
+    assert not (tmp_path / FRAME.format(3)).exists()
+    assert (tmp_path / FRAME.format(2)).exists()
+
+    again = FrameWriter(killed, NODES, QUADS)
+    again.resume(counted)
+    write_frame(again, 1, 0.5, factor=3.0)
+    again.close()
+    assert series_of(killed) == {0.0: 0.0, 0.5: 1.5}
+    assert (killed / FRAME.format(3)).exists()  # the checkpoint that was resumed counts it still
+
+
+def test_frames_of_others_stay(tmp_path):
+    with FrameWriter(tmp_path, NODES, QUADS) as writer:
+        for k in range(3):
+            write_frame(writer, k, 0.5 * k)
+    for name in ("fields-notes.h5", "movie-0001.h5"):
+        (tmp_path / "frames" / name).touch()
+    FrameWriter(tmp_path, NODES, QUADS).resume([0.0])
+    there = sorted(path.name for path in (tmp_path / "frames").iterdir())
+    assert there == ["fields-0000.h5", "fields-notes.h5", "movie-0001.h5"]
 
 
 def test_a_series_is_continued_behind_its_frames(tmp_path):

@@ -77,19 +77,38 @@ def test_fresh_replaces_the_run_and_nothing_else(tmp_path, record, curve):
     folder = tmp_path / "run"
     write_tip(folder, curve)
     write_record(folder, record)
-    (folder / "notes.txt").write_text("mine")
+    (folder / "frames").mkdir()
+    for name in ("notes.txt", "frames/movie-01.h5", "frames/fields-0000.h5"):
+        (folder / name).write_text("mine")
     opened(folder, replace(record, status="running"), fresh=True)
-    assert sorted(path.name for path in folder.iterdir()) == ["notes.txt", "run.json"]
+    there = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*.*"))
+    assert there == ["frames/movie-01.h5", "notes.txt", "run.json"]
 
 
-@pytest.mark.parametrize("name", ["run.json", "curve.csv", "fields.h5"])
+def test_fresh_keeps_what_lies_in_a_folder_without_a_run(tmp_path, record):
+    path = tmp_path / "frames" / "movie-01.h5"
+    path.parent.mkdir()
+    path.write_text("mine")
+    opened(tmp_path, replace(record, status="running"), fresh=True)
+    assert path.read_text() == "mine"
+
+
+OF_A_RUN = [
+    "run.json", "curve.csv", "fields.h5", "harvest-skin.h5", "table-skin.h5",
+    "frames/fields-0000.h5", "frames/points-12345.h5",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OF_A_RUN)
 def test_fresh_replaces_no_file_that_is_not_of_a_run(tmp_path, record, name):
     folder = tmp_path / "run"
-    folder.mkdir()
-    (folder / name).write_text("mine")
+    path = folder / name
+    path.parent.mkdir(parents=True)
+    path.write_text("mine")
     with pytest.raises(FileError, match="so --fresh does not replace it"):
         opened(folder, record, fresh=True)
-    assert {path.name: path.read_text() for path in folder.iterdir()} == {name: "mine"}
+    assert [*folder.rglob("*.*")] == [path]
+    assert path.read_text() == "mine"
 
 
 def test_a_run_without_a_checkpoint_starts_with_nothing_of_another(tmp_path, record, curve):
