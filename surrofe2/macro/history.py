@@ -214,6 +214,7 @@ class MacroState(RunState):
             at ends of steps; ``frames.…`` as of `Frames`.
         dissipated: (2, n_el) energy up to the last sample, pJ, and the rate there.
         extremes: (2, 4, 2, 2) lowest and highest entries of F, Ḟ, U and RᵀḞ.
+        largest_displacement: of all nodes at ends of steps so far, µm.
         identity: by name, digests of the problem's parts; a resumed run must have the same.
         counts, effort, rolled_back, wall_time: as in `MacroRun`.
         stress: (n_points, 2, 2) by which the next step begins, µN/µm.
@@ -234,6 +235,7 @@ class MacroState(RunState):
     journal: Journal
     dissipated: Array
     extremes: Array
+    largest_displacement: float
     identity: dict[str, Array]
     counts: dict[str, int]
     effort: dict[str, int]
@@ -321,6 +323,7 @@ class Recorder:
             journal=Journal.of({"rows": self._row(now.t, now.y, work, self._forces(now))[None]}),
             dissipated=np.zeros((2, len(system.discretisation.elements))),
             extremes=NO_EXTREMES,
+            largest_displacement=0.0,
             identity=system.identity(),
             rest=np.empty((0, 2)) if system.rest is None else system.rest,
             rolled_back={},
@@ -405,8 +408,13 @@ class Recorder:
             journal = journal.written(frame_series(frame, times_alone=times_alone))
         extremes = state.extremes.copy()
         widen_extremes(extremes, now.F, now.F_dot)
-        dissipated = np.stack([energy, before])
-        return {"journal": journal, "dissipated": dissipated, "extremes": extremes}
+        largest = float(np.linalg.norm(now.u, axis=1).max())
+        return {
+            "journal": journal,
+            "dissipated": np.stack([energy, before]),
+            "extremes": extremes,
+            "largest_displacement": max(state.largest_displacement, largest),
+        }
 
     @property
     def t(self) -> float:

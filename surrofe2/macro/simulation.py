@@ -65,6 +65,7 @@ class MacroRun(ViewedRun):
             run, from which all others count, µm; (0, 2) without.
         frames: whole fields at a few times; of those that `keep_frame` took the times alone.
         met: extremes of deformation and rate.
+        largest_displacement: of all nodes at ends of steps, µm.
         wall_time: seconds, `total`, `law` (inside the stress law) and `macro` (the rest); and
             `cpu`, of all threads of this process.
         counts: `steps` accepted that stand, on the way to them `rejected_steps` as too inaccurate,
@@ -83,6 +84,7 @@ class MacroRun(ViewedRun):
     rest: Array
     frames: Frames
     met: MetRange
+    largest_displacement: float
     wall_time: dict[str, float]
     counts: dict[str, int]
     effort: dict[str, int]
@@ -104,19 +106,6 @@ class MacroRun(ViewedRun):
             "finished": "yes" if self.finished else "no",
             **({"remark": remark} if remark else {}),
         }
-
-    @property
-    def largest_displacement(self) -> float:
-        """Of the watched points, of the means over boundaries and of all nodes in the frames that
-        are in memory, µm.
-        """
-        vectors = [curve.displacement for curve in self.curves.values()]
-        vectors.append(self.frames.displacement.reshape(-1, 2))
-        largest = max(np.linalg.norm(u, axis=1).max(initial=0.0) for u in vectors)
-        for name, values in self.history.items():
-            if name.startswith("mean displacement"):
-                largest = max(largest, abs(values).max(initial=0.0))
-        return float(largest)
 
     def fields_over_time(self) -> tuple[dict[str, Any], dict[str, Any]]:
         frames, found = self.frames, dict[str, Any]()
@@ -337,6 +326,7 @@ def _make_run(
         rest=state.rest[: len(system.discretisation.nodes)],
         frames=state.frames,
         met=MetRange.of(state.extremes),
+        largest_displacement=state.largest_displacement,
         wall_time=state.wall_time,
         counts=state.counts,
         effort=state.effort,
