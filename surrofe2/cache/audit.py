@@ -1,9 +1,10 @@
 """Audits: answers of the cache, chosen at random, are compared with RVEs.
 
 Each answer at an accepted step draws a number u from [0, 1). It is audited at once where u is below
-the audited fraction. Answers with the next smallest u are remembered, as many as `trust.AUDITS`
-audits are short of, and audited where a run ends with fewer: so a run of any length has at least
-so many audits, and those of a window are a simple random sample of its answers (bottom-k sampling).
+the audited fraction. Answers with the next smallest u are remembered, as many as audits are wanted
+beyond those, and audited where a run ends with fewer: `trust.AUDITS` of a run of any length, and
+of a window that is tried again all that its try asks for. So the audits of a window are a simple
+random sample of its answers (bottom-k sampling).
 """
 
 from __future__ import annotations
@@ -240,14 +241,16 @@ class Audit:
         F_dot: Array,
         stress: Array,
         risk: Array,
+        *,
+        wanted: int,
         more: float = 1.0,
     ) -> bool:
         """Choose among the answers at `points` of all (n, …) of a step, `more` times as many as
-        usually; whether an audit is due."""
+        usually, where so many audits are `wanted` beyond those made; whether an audit is due."""
         if self._fraction == 0.0 or not len(points):
             return False
         draw, fraction = self._random.random(len(points)), min(1.0, more * self._fraction)
-        short = self._short()
+        short = self._short(wanted)
         if short <= 0:
             self._spare = NO_QUESTION
         chosen = (draw < (max(fraction, self._below) if short > 0 else fraction)).nonzero()[0]
@@ -259,7 +262,7 @@ class Audit:
         self._waiting = self._waiting.and_also(asked.only(draw < fraction))
         if short > 0:
             self._spare = self._spare.and_also(asked.only(draw >= fraction))
-            if len(self._spare.step) > 2 * AUDITS:
+            if len(self._spare.step) > 2 * max(short, AUDITS):
                 self._spare = self._smallest(short)
                 self._below = float(self._spare.draw.max())
         return len(self._waiting.step) >= BATCH
@@ -268,14 +271,14 @@ class Audit:
         """A window begins: answers before it stand, and are not remembered any more."""
         self._spare, self._below = NO_QUESTION, 1.0
 
-    def end(self) -> None:
-        """The run is over: let as many wait as it is short of `trust.AUDITS` audits."""
-        self._waiting = self._waiting.and_also(self._smallest(max(self._short(), 0)))
+    def end(self, wanted: int) -> None:
+        """The window is over: let as many wait as are `wanted` beyond the audits made."""
+        self._waiting = self._waiting.and_also(self._smallest(max(self._short(wanted), 0)))
         self._spare = NO_QUESTION
 
-    def _short(self) -> int:
-        """By how many audits the run is short of `trust.AUDITS`, with those that wait."""
-        return AUDITS - self.record.audited - len(self._waiting.step)
+    def _short(self, wanted: int) -> int:
+        """How many of the audits that are wanted do not wait yet."""
+        return wanted - len(self._waiting.step)
 
     def _smallest(self, count: int) -> Question:
         """The remembered answers with the smallest draws, at most so many, in the order of time."""

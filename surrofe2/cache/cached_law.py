@@ -30,7 +30,7 @@ from surrofe2.cache.closing_audit import ClosingAudit, Solved
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate, check_parts
 from surrofe2.cache.settings import CacheSettings
 from surrofe2.cache.table.stress_table import StressTable
-from surrofe2.cache.trust import Trust, Window
+from surrofe2.cache.trust import AUDITS, Trust, Window, audits_of
 from surrofe2.law.stress_law import (
     SURROGATE,
     TABLE,
@@ -178,7 +178,7 @@ class CachedLaw(Viewed):
 
     def report(self) -> dict[str, Any]:
         """`history` at the end of a run: what still waits is audited, then the closing sample."""
-        self._audit.end()
+        self._audit.end(self._wanted())
         self._run_audit()
         while (solved := self.next_closing()) is not None:
             self.commit_closing(solved)
@@ -235,13 +235,21 @@ class CachedLaw(Viewed):
         """Whether the steps since the mark stand; None: not known yet."""
         window, trust = self._window, self._trust
         if final:
-            self._audit.end()
+            self._audit.end(self._wanted())
         is_over = final or window.is_full
         if is_over:
             self._run_audit()
         if not (window.stands or window.failed or trust.is_off):
             trust.fail(self._counts["steps"], window, learns=self.table is not None)
         return False if window.failed else (True if is_over else None)
+
+    def _wanted(self) -> int:
+        """How many audits are missing: of a window that is tried again those that its try asks for,
+        else those that every run has."""
+        window = self._window
+        if window.tries > 1:
+            return audits_of(window.tries) - len(window.audits)
+        return AUDITS - self._audit.record.audited
 
     def roll_back(self, t: float) -> CachedState:
         """The state at the mark, with the trust of now: if these answers failed, with less. Where
@@ -403,9 +411,10 @@ class CachedLaw(Viewed):
             self._note_what_left(F[out], F_dot[out])
             self._distribute(F, F_dot, checked.stress, known)
         if not self._trust.is_off and state.risk is not None:
-            answers, more = (F, F_dot, checked.stress, state.risk), self._trust.more_audits
-            self._closing.take(counts["steps"], hits, *answers)
-            if self._audit.choose(counts["steps"], hits, *answers, more):
+            answers = counts["steps"], hits, F, F_dot, checked.stress, state.risk
+            self._closing.take(*answers)
+            more = self._trust.more_audits
+            if self._audit.choose(*answers, wanted=self._wanted(), more=more):
                 self._run_audit(whole=False)
         return self._choose_branches(F, F_dot, checked)
 

@@ -108,8 +108,8 @@ def test_every_answer_is_audited_with_the_same_probability():
     for seed in range(50):
         audit = Audit(Surrogate(), Truth(), fraction=0.05, seed=seed, tolerance=1.0)
         for step in range(4):
-            audit.choose(step, np.arange(500), F, zero, zero, bound)
-        audit.end()
+            audit.choose(step, np.arange(500), F, zero, zero, bound, wanted=AUDITS)
+        audit.end(AUDITS)
         asked = audit.run().asked
         assert len(asked.step) == AUDITS
         assert len({*zip(asked.step.tolist(), asked.points.tolist(), strict=True)}) == AUDITS
@@ -128,7 +128,8 @@ def test_an_audit_of_other_points_starts_from_the_nearest_of_the_last_batch():
         F[:, 0, 1] = shears
         whole = np.tile(np.eye(2), (10, 1, 1))
         whole[points] = F
-        audit.choose(1, np.array(points), whole, 0.0 * whole, 0.0 * whole, np.zeros(10))
+        zero = 0.0 * whole
+        audit.choose(1, np.array(points), whole, zero, zero, np.zeros(10), wanted=AUDITS)
         audit.run()
 
     asked([3, 5, 9], [0.1, 0.2, 0.4])

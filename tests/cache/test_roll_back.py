@@ -8,7 +8,7 @@ import pytest
 
 from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.cache.cached_law import AUDIT
-from surrofe2.cache.trust import AUDITS, VIOLATIONS
+from surrofe2.cache.trust import AUDITS, VIOLATIONS, audits_of
 from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.run.displacement_curve import difference
@@ -172,3 +172,52 @@ def test_a_window_that_ends_early_carries_on_its_audits():
     line = law.decisions[-1]
     assert (line["from_t"], line["violations"], line["audits"]) == (3.0, VIOLATIONS + 1, 9)
     assert law.verdict() is None
+
+
+def short_windows():
+    """A law that is wrong where the risk is above `wrong_from`, to which windows may be cut short,
+    and 1,000 points of all risks below 1, of which it audits 0.5 % and what it is short of."""
+    wrong_from = [1.0]
+    risk = lambda F, F_dot: ALLOWED * F[:, 1, 0]  # noqa: E731
+    error = lambda F, F_dot: np.where(F[:, 1, 0] > wrong_from[0], 5.0 * ALLOWED, 0.0)  # noqa: E731
+    F = np.tile(np.eye(2), (1000, 1, 1))
+    F[:, 1, 0] = np.linspace(0.0, 0.99, 1000)
+    return cached(error, risk, 0.005), F, wrong_from
+
+
+def stepped(law, F, state):
+    """The state after five steps from this one."""
+    for _ in range(5):
+        state = law.accept(F, 0.0 * F, law.respond(F, 0.0 * F, state)).state
+    return state
+
+
+def fail_twice(law, F, wrong_from, state):
+    """The state from which a marked window is tried for the third time."""
+    for risk in (0.5, 0.2):  # the second one is below what the first failure leaves
+        wrong_from[0] = risk
+        stepped(law, F, state)
+        assert law.verdict(final=True) is False
+        state = law.roll_back(1.0)
+    wrong_from[0] = 1.0
+    return state
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+def test_a_short_window_has_the_audits_of_its_try(is_first):
+    """Whatever the windows before it had: all that a run asks for, where it is not the first."""
+    law, F, wrong_from = short_windows()
+    state = law.respond(F, 0.0 * F).state
+    if not is_first:
+        law.mark(0.0, state)
+        state = stepped(law, F, state)
+        assert law.verdict(final=True)
+    law.mark(0.5, state)
+    state = fail_twice(law, F, wrong_from, state)
+    state = stepped(law, F, state)
+    assert law.verdict(final=True)
+    law.mark(1.0, state)
+    tries = [(line["try"], line["audits"]) for line in law.decisions[-3:]]
+    assert [number for number, _ in tries] == [1, 2, 3]
+    assert tries[1][1] >= audits_of(2)
+    assert tries[2][1] >= audits_of(3)
