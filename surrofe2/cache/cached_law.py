@@ -217,7 +217,8 @@ class CachedLaw(Viewed):
 
     def mark(self, t: float, state: CachedState | None) -> None:
         """What was kept up to t stands; what follows may be rolled back to here. Where a window
-        ends before it is full, the next one carries on its audits, so that the plan holds for each.
+        ends before it is full, the next one carries on its audits and its try, so that the plan
+        holds for each.
         """
         window = self._window
         if window.before is not None and t > window.begin:
@@ -226,7 +227,9 @@ class CachedLaw(Viewed):
             self._trust.stand()
         carried = [] if window.is_full or window.failed else window.audits
         before = {"carried": carried, **self._counted()}
-        self._window = Window(t, self._counts["steps"], self._trust.limit, before, list(carried))
+        tries = window.tries if carried else 1
+        step, limit = self._counts["steps"], self._trust.limit
+        self._window = Window(t, step, limit, before, list(carried), tries=tries)
         self._audit.begin()
         self._closing.mark()
         self._marked = state

@@ -221,3 +221,19 @@ def test_a_short_window_has_the_audits_of_its_try(is_first):
     assert [number for number, _ in tries] == [1, 2, 3]
     assert tries[1][1] >= audits_of(2)
     assert tries[2][1] >= audits_of(3)
+
+
+def test_a_window_that_carries_on_audits_carries_on_their_try():
+    """It has all its answers audited, which are fewer than the third try asks for."""
+    law, F, wrong_from = short_windows()
+    law.mark(0.5, None)
+    fail_twice(law, F, wrong_from, None)
+    few, state = F[:200], None
+    for t in (1.0, 2.0):
+        state = law.accept(few, 0.0 * few, law.respond(few, 0.0 * few, state)).state
+        assert law.verdict(final=True)
+        law.mark(t, state)
+    first, second = law.decisions[-2:]
+    assert 0 < first["audits"] < audits_of(3)
+    assert second["audits"] > first["audits"]
+    assert (first["try"], second["try"]) == (3, 3)
