@@ -96,5 +96,7 @@ def test_sparse_and_dense_matrices_find_the_same_equilibrium():
 def test_a_tissue_of_other_cells_is_refused():
     one = law("square", 1)
     for cell in (replace(one.cell, arrangement="hexagon"), replace(one.cell, cells=4)):
-        with pytest.raises(InputError, match=r"^cell.arrangement: \d of \w+; a tissue must be"):
+        with pytest.raises(
+            InputError, match=r"^cell.arrangement: \d of \w+; a full tissue must be"
+        ):
             make_tissue([cell], [one.reference], np.zeros((2, 2), dtype=int))
