@@ -243,7 +243,7 @@ class CachedLaw(Viewed):
         if is_over:
             self._run_audit()
         if not (window.stands or window.failed or trust.is_off):
-            trust.fail(self._counts["steps"], window, learns=self.table is not None)
+            trust.fail(self._counts["steps"], window)
         return False if window.failed else (True if is_over else None)
 
     def _wanted(self) -> int:
@@ -441,17 +441,22 @@ class CachedLaw(Viewed):
 
     def _keep(
         self, F: Array, F_dot: Array, answer: StressResponse, why: int, is_news: Flags
-    ) -> None:
-        """Give RVE answers to whoever keeps them, and what is news to the table."""
+    ) -> Flags:
+        """Give RVE answers to whoever keeps them, and what is news to the table; (n,) which of them
+        the table has learnt."""
         unique, status = are_unique(answer.state, len(F)), answer.status
         kept = unique.nonzero()[0]
         if self.on_true_answer is not None and len(kept):
             given = F[kept], F_dot[kept], answer.stress[kept], status[kept]
             self.on_true_answer(*given, np.full(len(kept), why, dtype=np.int8))
-        new = (unique & is_news & (status == 0)).nonzero()[0]
-        if self.table is not None and len(new):
+        if self.table is None:
+            return np.zeros(len(F), dtype=np.bool_)
+        is_learnt: Flags = unique & is_news & (status == 0)
+        new = is_learnt.nonzero()[0]
+        if len(new):
             state = None if answer.state is None else answer.state.take(new)
             self.table.learn(F[new], F_dot[new], answer.stress[new], state)
+        return is_learnt
 
     def _run_audit(self, *, whole: bool = True) -> None:
         """Audit what waits, or full tiles of it; keep the RVEs' answers, learn from what was wrong,
@@ -460,17 +465,17 @@ class CachedLaw(Viewed):
         if result is None:
             return
         asked = result.asked
-        self._keep(asked.F, asked.F_dot, result.truth, AUDIT, result.broken)
+        is_learnt = self._keep(asked.F, asked.F_dot, result.truth, AUDIT, result.broken)
         x, _ = to_inputs(asked.F, asked.F_dot)
-        found = asked.points, result.broken, result.error, asked.risk, np.abs(x)
+        audits = asked.points, result.broken, result.error, is_learnt, asked.risk, np.abs(x)
         window, trust = self._window, self._trust
-        window.audits += np.column_stack(found).tolist()
+        window.audits += np.column_stack(audits).tolist()
         if window.before is not None or trust.is_off or (window.stands and not window.is_full):
             return  # whoever marked the window judges it, or it is not over
         if window.stands:
             trust.stand()
         else:
-            trust.fail(self._counts["steps"], window, learns=self.table is not None)
+            trust.fail(self._counts["steps"], window)
         self._window = Window(0.0, self._counts["steps"], trust.limit)
 
     def restart_step(

@@ -115,7 +115,8 @@ class Window:
         limit: that risks are compared with; negative: nothing is trusted.
         before: what a law has to know that goes back to its begin; None where none can.
         audits: of each the point, whether it is a violation, error in µN/µm (NaN where the RVE has
-            no stress), risk, and the sizes of the seven inputs of `tensors`.
+            no stress), whether the surrogate has learnt the RVE's stress there, risk, and the sizes
+            of the seven inputs of `tensors`.
         tries: how often it has been tried, with this time.
     """
 
@@ -143,7 +144,7 @@ class Window:
     def decision(self, t: float, step: int, limit: float, decision: str) -> dict[str, Any]:
         """A line of the event log, of a window that ends at t after so many accepted steps."""
         known = [each for each in self.audits if not np.isnan(each[2])]
-        worst = max(known, key=lambda each: each[2], default=[None] * 4)
+        worst = max(known, key=lambda each: each[2], default=[None] * 5)
         return {
             "decision": decision,
             "t": t,
@@ -154,7 +155,7 @@ class Window:
             "violations": len(self.wrong),
             "points": [int(each[0]) for each in self.wrong[:_MOST_NAMED]],
             "true_error": worst[2],
-            "risk": worst[3],
+            "risk": worst[4],
             "limit_before": None if self.limit < 0.0 else self.limit,
             "limit_after": None if limit < 0.0 else limit,
         }
@@ -190,13 +191,11 @@ class Trust:
         """What a risk may be at most; negative: nothing is trusted."""
         return -1.0 if self.is_off else 1.0 / self.factor
 
-    def fail(self, step: int, window: Window, *, learns: bool = False) -> None:
+    def fail(self, step: int, window: Window) -> None:
         """Answer none of the window's violations any more: raise the factor or narrow the reach,
         whichever leaves more of what was right, or switch off where neither leaves anything.
 
-        Args:
-            learns: the surrogate has taken in the RVE's stress where it was wrong. Then the factor
-                may come down again, but for violations at which the RVE has no stress.
+        The factor may come down again from what violations asked for that the surrogate has learnt.
         """
         window.failed = True
         self.failures += 1
@@ -204,7 +203,8 @@ class Trust:
         self.more_audits = MORE_AUDITS
         audits = np.array(window.audits)
         is_wrong = audits[:, 1] > 0.0
-        wrong, right = audits[is_wrong, 3:], audits[~is_wrong, 3:]
+        is_learnt = audits[:, 3] > 0.0
+        wrong, right = audits[is_wrong, 4:], audits[~is_wrong, 4:]
         least = wrong.min(axis=0, initial=np.inf)
         usable = (least > 0.0) & (least < np.inf)
         most = np.where(usable, least / MARGIN, 0.0)
@@ -218,8 +218,8 @@ class Trust:
         finding += "the tolerance; "
         if factor <= LARGEST_FACTOR and not (may_narrow and left[k] > 2.0 * left[0]):
             self.factor = factor
-            unlearnt = audits[is_wrong & np.isnan(audits[:, 2])] if learns else audits[is_wrong]
-            asked = MARGIN / unlearnt[:, 3].min(initial=np.inf)
+            unlearnt = audits[is_wrong & ~is_learnt]
+            asked = MARGIN / unlearnt[:, 4].min(initial=np.inf)
             self.least_factor = max(self.least_factor, float(asked))
             does, action = f"the risks count {factor:.3g} times from here on", "tightened"
         elif may_narrow:

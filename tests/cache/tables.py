@@ -56,7 +56,7 @@ def observed(truth, surrogate=None, **settings):
         CacheSettings(**settings),
         lambda *answer: kept.append(answer),
     )
-    law.table = SimpleNamespace(learn=lambda *answers: learnt.append(answers))
+    law.table = SimpleNamespace(learn=lambda *answers: learnt.append(answers), to_arrays=dict)
     return law, kept, learnt
 
 

@@ -1,7 +1,8 @@
 """Each safeguard sees its planted fault, and only that."""
 
+import json
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -23,8 +24,8 @@ from surrofe2.cache.trust import (
 )
 from surrofe2.law.stress_law import Status
 from surrofe2.macro import MacroSettings, simulate
-from tests.cache.tables import LOAD_CASE, cached, rising
-from tests.laws import Learnt, Truth, shear_error
+from tests.cache.tables import LOAD_CASE, cached, observed, rising
+from tests.laws import Learnt, PointStates, Remembering, Truth, shear_error
 
 LOAD_CASE = replace(LOAD_CASE, duration=6.0)
 SETTINGS = MacroSettings(frames=5)
@@ -141,15 +142,19 @@ def test_upper_bound_on_the_wrong_share(violations, audits):
     assert wrong_at_most(audits, audits) == 1.0
 
 
-def window(risk=0.5, violations=3, audits=100):
-    """One with errors twice the tolerance of 0.1 µN/µm."""
+def window(risk=0.5, violations=3, audits=100, learnt=0):
+    """One with errors twice the tolerance of 0.1 µN/µm, of which so many were learnt."""
     error = np.where(np.arange(audits) < violations, 0.2, 0.01)
-    return window_of(error > 0.1, error, np.full(audits, risk), np.zeros((audits, 7)))
+    is_learnt = np.arange(audits) < learnt
+    return window_of(error > 0.1, error, np.full(audits, risk), np.zeros((audits, 7)), is_learnt)
 
 
-def window_of(*audits):
-    """One with these audits."""
-    rows = np.column_stack([np.arange(len(audits[0])), *audits])
+def window_of(is_wrong, error, risk, x, is_learnt=None):
+    """One with these audits, of which the surrogate has learnt nothing unless said otherwise."""
+    points = np.arange(len(is_wrong))
+    if is_learnt is None:
+        is_learnt = np.zeros(len(is_wrong), dtype=bool)
+    rows = np.column_stack([points, is_wrong, error, is_learnt, risk, x])
     return Window(0.0, 0, 1.0, audits=rows.tolist())
 
 
@@ -185,25 +190,78 @@ def test_a_factor_that_was_raised_farther_than_asked_comes_back_to_what_was_aske
     assert factors == pytest.approx([2.0, 2.0, asked, *later])
 
 
-@pytest.mark.parametrize("is_solved", [True, False])
-def test_a_surrogate_that_learnt_what_it_was_wrong_about_gets_its_trust_back(is_solved):
-    """Where the RVE has no stress there was nothing to learn."""
-    trust, failed = Trust(), window(risk=0.4)
-    if not is_solved:
-        failed.audits[1][2] = np.nan
-    trust.fail(1, failed, learns=True)
+@pytest.mark.parametrize("learnt", [3, 2])
+def test_a_surrogate_that_learnt_what_it_was_wrong_about_gets_its_trust_back(learnt):
+    """Of three wrong answers; one that was not learnt is not forgiven."""
+    trust, failed = Trust(), window(risk=0.4, learnt=learnt)
+    trust.fail(1, failed)
     factors = []
     for _ in range(6):
         trust.stand()
         factors.append(trust.factor)
-    expected = [2.75, 1.375, 1.375, 1.0, 1.0, 1.0] if is_solved else [2.75] * 6
+    expected = [2.75, 1.375, 1.375, 1.0, 1.0, 1.0] if learnt == 3 else [2.75] * 6
     assert factors == pytest.approx(expected)
+
+
+class Branching(Remembering):
+    """The truth, with one branch of several where F₂₁ is above `several`, and no stress where it is
+    above `unsolved`."""
+
+    stress = Truth().stress
+
+    def __init__(self, several=np.inf, unsolved=np.inf):
+        super().__init__(initialisation="elastic")
+        self.several, self.unsolved = several, unsolved
+
+    def fails(self, F, F_dot):
+        return F[:, 1, 0] > self.unsolved
+
+    def respond(self, F, F_dot, state=None, *, tangents=False):
+        answer = super().respond(F, F_dot, state, tangents=tangents)
+        return replace(answer, state=Several(F.copy(), several=self.several))
+
+
+@dataclass(frozen=True)
+class Several(PointStates):
+    """A state that lies on one of several branches where F₂₁ is above `several`."""
+
+    several: float = np.inf
+
+    @property
+    def left_points(self):
+        return self.F[:, 1, 0] > self.several
+
+
+@pytest.mark.parametrize(
+    ("truth", "is_forgiven"),
+    [(Branching(), True), (Branching(several=0.05), False), (Branching(unsolved=0.05), False)],
+)
+@pytest.mark.parametrize("is_marked", [False, True])
+def test_only_what_a_table_has_learnt_is_forgiven(truth, is_forgiven, is_marked):
+    """Wrong answers where the RVE is on one of several branches, or has no stress, are not learnt:
+    what they asked for holds for the rest of the run."""
+    error = lambda F, F_dot: np.where(F[:, 1, 0] > 0.05, 0.2, 0.01)  # noqa: E731
+    bound = lambda F, F_dot: np.where(F[:, 1, 0] > 0.05, 0.04, 0.001)  # noqa: E731
+    surrogate = Learnt(error, bound)
+    law, _, learnt = observed(truth, surrogate, tolerance=0.01, audit=1.0)
+    if is_marked:
+        law.mark(0.0, None)
+    F = np.tile(np.eye(2), (20, 1, 1))
+    F[:4, 1, 0] = 0.08
+    while not law.history()["trust"]["events"]:
+        accepted = law.accept(F, 0.0 * F, law.respond(F, 0.0 * F))
+        if is_marked:
+            law.verdict()
+    values = law.state_to_arrays(accepted.state)["values"]
+    least = json.loads(values.tobytes())["trust"]["least_factor"]
+    assert least == pytest.approx(1.0 if is_forgiven else 2.75)  # 1.1/0.4
+    assert bool(learnt) == is_forgiven
 
 
 def test_a_fault_that_comes_again_makes_trust_return_more_slowly():
     trust, waited = Trust(), []
     for _ in range(3):
-        trust.fail(1, window(), learns=True)
+        trust.fail(1, window(learnt=3))
         waited.append(0)
         raised = trust.factor
         while trust.factor == raised:
