@@ -8,8 +8,8 @@ In reading order:
     errors           what is raised, one sentence each
     locks            flock, where the file system has it
     settings         bounds of settings, stated once at the field
-    interruption     signals
     launcher         whether mpiexec or srun started the process
+    interruption     signals
     versions         of all that is used, and the machine
     environment      cores, and what the command line sets in its process
     clock            clocks that stand while kernels are compiled

@@ -12,13 +12,17 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-SPIN, LONG_SPIN = 2000, 20000
+SPIN = 2000
 """Turns for which threads that wait for each other spin. Spinning for long is a fifth faster on
-idle cores and ten times slower where another process wants one. Threads of a full tissue meet every
-0.1 ms and must not fall asleep in between."""
+idle cores and ten times slower where another process wants one."""
+LONG_SPIN = 20000
+"""The same of a full tissue: its threads meet every 0.1 ms and must not fall asleep in between."""
 _THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of mallopt
-_CGROUPS, _OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
+_TRIM_THRESHOLD = -1  # of mallopt, as the next one
+_MMAP_THRESHOLD = -3
+_CGROUPS = Path("/sys/fs/cgroup")
+_OWN = Path("/proc/self/cgroup")
+"""The file that names the control groups of this process."""
 
 is_taken = False
 """Whether the process runs surrofe2 and nothing else."""
@@ -74,9 +78,11 @@ def _quotas() -> Iterator[float]:
     for line in lines:
         _, controllers, path = line.split(":", 2)
         if not controllers:
-            root, quota_of = _CGROUPS, _quota_of_version_2
+            root = _CGROUPS
+            quota_of = _quota_of_version_2
         elif "cpu" in controllers.split(","):
-            root, quota_of = _CGROUPS / "cpu", _quota_of_version_1
+            root = _CGROUPS / "cpu"
+            quota_of = _quota_of_version_1
         else:
             continue
         # In a container the path may be that of the host: then only the root is there.

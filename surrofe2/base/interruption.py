@@ -27,12 +27,12 @@ from time import monotonic, sleep
 from types import FrameType
 from typing import Any
 
+from surrofe2.base.launcher import HEARD
+
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 SIGNALS = (*ENDING, signal.SIGUSR1, signal.SIGUSR2, signal.SIGXCPU)
 _APART = 1.0
 """s between a signal and the next one of its own; launchers of MPI pass on what ranks have got."""
-_HEARD = 0.3
-"""s that a launcher of MPI takes to pass on the last line of a rank."""
 _PATIENCE = 5.0
 """s after which a signal that could not be taken yet is answered by a line."""
 _AGAIN = 0.25
@@ -198,7 +198,7 @@ def _end_at_the_second(receiver: int) -> None:
                 first = monotonic()
             elif monotonic() - first >= _APART:
                 os.write(2, b"ended at once; files are whole, and what was kept last stays\n")
-                sleep(_HEARD)
+                sleep(HEARD)
                 _state.end(128 + number)
                 os._exit(128 + number)
 

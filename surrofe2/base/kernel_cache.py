@@ -62,8 +62,9 @@ def _imported(source: Path) -> frozenset[Path]:
 
 @cache
 def _digest_of_kernels(source: Path) -> str:
-    """That of all sources on which the machine code of this file's kernels can depend."""
-    sources, new = set(), {source}
+    """Digest of all sources on which the machine code of this file's kernels can depend."""
+    sources: set[Path] = set()
+    new = {source}
     while new:
         sources |= new
         new = {each for one in new for each in _imported(one)} - sources
@@ -176,7 +177,8 @@ class _Place:
     """Where the files of a kernel are, as numba asks for it."""
 
     def __init__(self, function: Callable[..., Any], folder: Path) -> None:
-        self._folder, self._line = folder, function.__code__.co_firstlineno
+        self._folder = folder
+        self._line = function.__code__.co_firstlineno
         self._py_file = function.__code__.co_filename  # for numba's warnings
 
     def ensure_cache_path(self) -> None:
@@ -210,8 +212,10 @@ class KernelCache(FunctionCache):
     """
 
     def __init__(self, function: Callable[..., Any], folder: Path) -> None:
-        self._name, self._py_func = repr(function), function
-        self._folder, self._cache_path = folder, str(folder)
+        self._name = repr(function)
+        self._py_func = function
+        self._folder = folder
+        self._cache_path = str(folder)
         self._impl = _Kernel(function, folder)
         self._cache_file = CheckedFiles(str(folder), self._impl.filename_base, folder.name)
         self.enable()

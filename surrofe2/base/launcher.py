@@ -10,8 +10,12 @@ from contextlib import suppress
 
 ALONE = "SURROFE2_ALONE"
 """Environment variable by which every process that a launcher starts works for itself."""
-_ENOUGH = 2.0
-"""s that a launcher takes to end its processes, at most."""
+HEARD = 0.3
+"""s that a launcher takes to pass on the last lines of a rank. It ends ranks as soon as it has
+reason to, and what it has not read of their pipes by then is lost."""
+ENOUGH = 2.0
+"""s that a launcher takes to end its processes, and ranks to come to the same line of a command, at
+most."""
 _SIZES = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE")
 _RANKS = ("PMI_RANK", "OMPI_COMM_WORLD_RANK", "MV2_COMM_WORLD_RANK", "PMIX_RANK")
 
@@ -32,18 +36,24 @@ def rank() -> int:
     return int(known[0]) if known and known[0].isdigit() else 0
 
 
+def pass_on_lines() -> None:
+    """Wait until the launcher has passed on what this process has printed."""
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    time.sleep(HEARD)
+
+
 def end_job() -> None:
-    """End this process so that the launcher ends the other ranks, too.
+    """End this process so that the launcher ends the other ranks, too, once it is heard.
 
     Ranks that load MPI wait for all others, and a launcher lets them wait where one has ended with
     an exit code before it came to MPI. So this one asks the launcher, by the message that MPI
     itself would send, to end all; to launchers without such a connection a signal says it.
     """
-    for stream in (sys.stdout, sys.stderr):
-        if stream is not None:
-            stream.flush()
+    pass_on_lines()
     with suppress(KeyError, ValueError, OSError):
         os.write(int(os.environ["PMI_FD"]), b"cmd=abort exitcode=1\n")
-        time.sleep(_ENOUGH)
+        time.sleep(ENOUGH)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.kill(os.getpid(), signal.SIGTERM)

@@ -17,6 +17,7 @@ import errno
 import gc
 import logging
 import re
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -30,7 +31,7 @@ from typer.core import TyperCommand, TyperGroup, TyperOption
 from surrofe2.base.environment import LONG_SPIN, SPIN, take_process
 from surrofe2.base.errors import InputError, Surrofe2Error, printable, shortened
 from surrofe2.base.interruption import begin_work, cause, end_work, exit_code, interruptible
-from surrofe2.base.launcher import ALONE, rank, world_size
+from surrofe2.base.launcher import ALONE, ENOUGH, rank, world_size
 from surrofe2.cli import console
 
 COMMANDS = {
@@ -160,6 +161,7 @@ def _check_ranks(command: str, arguments: Iterable[str]) -> None:
     if world_size() < 2 or command in ON_RANKS or {"-h", "--help"} & {*arguments}:
         return
     if rank() > 0:
+        time.sleep(ENOUGH)  # a launcher may end all ranks with the first that fails
         raise typer.Exit(1)
     raise InputError(
         f"{command}: {world_size()} ranks were started, and only {', '.join(ON_RANKS)} shares its "

@@ -151,11 +151,12 @@ def all_ranks(threads: int | None, what: str) -> Iterator[int | None]:
     message = f"error: a rank died; {what}; any number of ranks resumes with: {again}"
     with watched(printable(message)) if rank() == 0 else nullcontext():
         comm = world()
-        atexit.register(leave)  # when all is said: a launcher may not listen any longer
         if comm.rank:
             with held():
                 code = serve(comm, sys.argv[1:])
-                end_work()  # rank 0 has said what became of the run
+                end_work()  # rank 0 says what became of the run
+            atexit.register(leave, code)
             raise typer.Exit(code)
+        atexit.register(leave)  # when all is said: a launcher may not listen any longer
         with Driver(comm, sys.argv[1:]):
             yield threads

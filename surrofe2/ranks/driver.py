@@ -8,6 +8,7 @@ import os
 import platform
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
@@ -23,7 +24,7 @@ from surrofe2.base.clock import clock
 from surrofe2.base.environment import cores
 from surrofe2.base.errors import InputError, SimulationError, Surrofe2Error, quoted, shortened
 from surrofe2.base.interruption import end_by, exit_code, held, pass_on, received, uncaught
-from surrofe2.base.launcher import ALONE, end_job, rank, world_size
+from surrofe2.base.launcher import ALONE, HEARD, end_job, pass_on_lines, rank, world_size
 from surrofe2.rve.rve_law import RveLaw
 from surrofe2.rve.rve_state import RveState
 
@@ -95,12 +96,28 @@ def watched(message: str) -> Iterator[None]:
         watcher.communicate(b"done\n")
 
 
-def leave() -> None:
-    """Leave MPI, which takes a rank that ends without leaving for one that was lost."""
-    if "mpi4py" in sys.modules:
-        from mpi4py import MPI
+def leave(code: int = 0) -> None:
+    """Leave MPI with all ranks together, when rank 0 has printed how the command ended.
 
-        MPI.Finalize()
+    MPI takes a rank that ends without leaving for one that was lost. Some launchers end all ranks
+    as soon as one has ended with an exit code that is not 0, so such a rank is not the first.
+
+    Args:
+        code: exit code of this rank.
+    """
+    if "mpi4py" not in sys.modules:
+        return
+    from mpi4py import MPI
+
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    everybody = MPI.COMM_WORLD.Ibarrier()
+    while not everybody.Test():  # a barrier that waits keeps a core busy, and rank 0 may still work
+        time.sleep(0.01)
+    if MPI.COMM_WORLD.rank and code:
+        time.sleep(HEARD)
+    MPI.Finalize()
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +153,18 @@ class Driver(AbstractContextManager["Driver"]):
         self._comm = comm
         end_by(comm.Abort)
         with held():
-            problem = _disagreement(comm.gather(_identity(arguments)))
+            try:
+                problem = _disagreement(comm.gather(_identity(arguments)))
+            except Exception as error:  # another version's identity may be of another kind
+                log.error(
+                    "error: mpiexec: ranks cannot be compared (%s: %s); install the same version "
+                    "of surrofe2 on all machines",
+                    type(error).__name__,
+                    shortened(str(error)),
+                )
+                pass_on_lines()
+                comm.Abort(1)
+                raise
             if problem:
                 comm.scatter([1] * int(comm.size))
                 raise InputError(f"mpiexec: {problem}")
@@ -208,6 +236,7 @@ def serve(comm: Any, arguments: Sequence[str] = ()) -> int:
             type(error).__name__,
             shortened(str(error)),
         )
+        pass_on_lines()
         comm.Abort(1)
         raise
     return task
