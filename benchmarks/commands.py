@@ -59,8 +59,17 @@ def record(folder: Path) -> dict[str, Any]:
 def compared(reference: Path, *folders: Path, out: Path) -> dict[str, dict[str, Any]]:
     """What `surrofe2 compare` finds of runs against a reference, by the name of their folder."""
     surrofe2("compare", reference, *folders, "--out", out, "--fresh")
-    found = json.loads((out / "comparison.json").read_text(encoding="utf-8"))
+    found = json.loads((out / "comparison" / "comparison.json").read_text(encoding="utf-8"))
     return {each["name"]: each for each in found["runs"]}
+
+
+def studied(recipe: Path, out: Path) -> dict[str, Any]:
+    """What `surrofe2 study` finds of the cached run, and under "process" the command's seconds."""
+    seconds = surrofe2("study", recipe, "--out", out, "--fresh")
+    text = (out / "comparison" / "comparison.json").read_text(encoding="utf-8")
+    found = json.loads(text)["runs"]
+    (cached,) = [each for each in found if each["law"] == "cached"]
+    return cached | {"process": seconds}
 
 
 def shipped(name: str, out: Path, old: str = "", new: str = "") -> Path:

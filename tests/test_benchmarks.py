@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from benchmarks.__main__ import TOPICS
 from benchmarks.measured import ROOT, Bench, merge, number, read
 from benchmarks.pages import pages, stale, unmarked, with_figures
 from benchmarks.trust import digest, picture_digest, shown
@@ -91,7 +92,7 @@ def test_figures_are_merged_by_name(tmp_path):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("topic", ["runs", "large", "solve", "tissue", "start", "trust", "ranks"])
+@pytest.mark.parametrize("topic", [*TOPICS, "examples", "ranks"])
 def test_each_topic_runs_in_quick_mode(tmp_path, topic):
     command = [sys.executable, "-m", "benchmarks", topic, "--quick", "--out", str(tmp_path)]
     before = (ROOT / "docs" / "measured.json").read_bytes()
