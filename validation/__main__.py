@@ -20,6 +20,7 @@ STUDIES: Mapping[str, tuple[str, str, str]] = {
     "problems": ("tissues", "problems", "strip, block between plates and skin against tissues"),
     "thin": ("tissues", "thin", "thin tissue with and without the surface law of its free sides"),
     "arrangements": ("arrangements", "arrangements", "irregular cells: equilibria, Cauchy–Born"),
+    "irregular": ("irregular", "irregular", "moduli over the plant cells of an RVE, both fluids"),
     "locking": ("locking", "locking", "elements of nearly incompressible tissue"),
     "ablation": ("ablation", "ablation", "what each part of the surrogate is worth"),
     "worst-answer": ("worst_answer", "worst_answer", "the worst states that the cache accepts"),

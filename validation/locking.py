@@ -261,5 +261,6 @@ def _panel(name: str, ratio: float, rows: list[Measured]) -> Panel:
         y_label="deflection off (%)",
         curves=tuple(curves),
         log_x=True,
+        x_ticks=tuple(sorted({float(row.across) for row in these})),
         zero=True,
     )

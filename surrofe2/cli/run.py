@@ -29,6 +29,7 @@ from surrofe2.ranks.driver import (
 from surrofe2.recipe.recipe import changed
 from surrofe2.workflow.laws import open_study, recipe_notes, surrogates_by_cell, use_threads
 from surrofe2.workflow.run import run_notes, run_study, run_summary
+from surrofe2.workflow.scale import sap_notes
 from surrofe2.workflow.zoom import add_cell_fields
 
 
@@ -113,6 +114,7 @@ def run(
             cache=changed(study.cache, tolerance=tolerance, audit=audit),
             macro=changed(study.macro, integrator=integrator),
         )
+        console.show_notes(sap_notes(study))
         with console.running(f"run by {law}", study.duration, "µs", out) as report:
             record = run_study(
                 study,
@@ -130,6 +132,7 @@ def run(
         seconds = time.perf_counter() - begin
         console.print_line(f"{out}: cell fields of {count} RVEs in {time_text(seconds)}")
     console.show_notes(run_notes(record, study))
+    console.show_notes(sap_notes(study, record.duration / record.counts["steps"]))
 
 
 @contextmanager

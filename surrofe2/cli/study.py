@@ -133,6 +133,7 @@ def check(
         f"{rough_number(run.solves)} RVE solves. The run would take "
         f"about {rough_time(by_rves / 2.0)} to {rough_time(2.0 * by_rves)} by --law rve"
     )
+    console.show_notes(scale.sap_notes(study))
     console.print_line(scale.particles_sentence(particles))
     advice = f"use --law {checking.advised_law(study, by_rves)}"
     if particles and particles.is_possible and particles.seconds < by_rves:
@@ -175,6 +176,7 @@ def study(
         raise InputError("--true: not with --without-true; leave one of them out")
     stated = open_study(recipe, threads)
     console.show_notes(recipe_notes(stated))
+    console.show_notes(scale.sap_notes(stated))
     folder = console.folder_of(out, recipe)
     laws = (law,) if true is not None or without_true else ("rve", law)
     first = 3 if law == "cached" else 1

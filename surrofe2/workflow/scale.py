@@ -16,7 +16,7 @@ import numpy as np
 
 from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError
-from surrofe2.base.units import rough_number, rough_time
+from surrofe2.base.units import number, rough_number, rough_time
 from surrofe2.macro.elements import make_discretisation
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe.recipe import Recipe
@@ -80,6 +80,40 @@ def scale_warnings(recipe: Recipe, halvings: int = 0) -> Iterator[str]:
                 "RVE sees as even varies within it; take larger elements or fewer plant cells per "
                 "RVE"
             )
+
+
+def sap_notes(recipe: Recipe, step: float | None = None) -> Iterator[tuple[str, bool]]:
+    """A message on the time steps of an explicit run with undrained sap, and that it is no warning.
+
+    Args:
+        step: mean step of a finished run, µs; None: before the run.
+    """
+    undrained = {
+        name: part.cell for name, part in recipe.parts().items() if part.cell.sap_bulk_modulus > 0.0
+    }
+    if not undrained or recipe.macro.integrator != "explicit":
+        return
+    elements = _elements_by_cell(recipe)
+    crossings = {
+        name: float(elements[name].widths.min()) / sap_wave_speed(cell)
+        for name, cell in undrained.items()
+    }
+    name = min(crossings, key=crossings.__getitem__)
+    cell = undrained[name]
+    steps = "steps are short" if step is None else f"steps of {number(step)} µs on average"
+    yield (
+        f"explicit: {steps}, since waves in undrained sap (sap_bulk_modulus "
+        f"{cell.sap_bulk_modulus:g} MPa) run at {number(sap_wave_speed(cell))} µm/µs and cross "
+        f"{number(crossings[name] * sap_wave_speed(cell))} µm, the smallest element, in "
+        f'{number(crossings[name])} µs; integrator = "implicit" takes longer ones, `surrofe2 rest` '
+        "none, and shear is the same from 40 MPa on",
+        False,
+    )
+
+
+def sap_wave_speed(cell: CellParameters) -> float:
+    """Speed √(K/ρ) of pressure waves by the sap's bulk modulus alone, µm/µs."""
+    return math.sqrt(cell.sap_bulk_modulus * cell.tissue_thickness / cell.density)
 
 
 def all_particles(recipe: Recipe) -> Particles | None:

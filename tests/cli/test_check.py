@@ -5,6 +5,7 @@ import math
 import re
 import sys
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from surrofe2.tissue.simulation import make_conditions
 from surrofe2.workflow import check, scale
 from surrofe2.workflow.laws import law_by_region, quadratic_law
 from surrofe2.workflow.run import run_study
-from surrofe2.workflow.scale import all_particles, scale_warnings
+from surrofe2.workflow.scale import all_particles, sap_notes, sap_wave_speed, scale_warnings
 from surrofe2.workflow.tissue import tissue_of
 from tests.cli.conftest import call
 from tests.conftest import CELLS, RANGE, RECIPE, ROOT, changed
@@ -203,6 +204,30 @@ def test_the_warning_is_of_the_kind_of_cell_whose_elements_are_too_small(written
     )
     (warning,) = scale_warnings(load_recipe(path))
     assert warning.startswith("an element of flesh is 20 µm wide, a plant cell 25 µm")
+
+
+UNDRAINED = 'preset = "apple"\nsap_bulk_modulus = 2200.0'
+
+
+def test_explicit_runs_with_undrained_sap_name_their_step_and_why(changed_recipe):
+    """Water in `apple`: √(2200 MPa / 860 kg/m³) = 1,599 m/s, through an element of 50 µm."""
+    recipe = load_recipe(changed_recipe('preset = "printed"', UNDRAINED))
+    assert sap_wave_speed(recipe.cell) == pytest.approx(1599.0, rel=1e-3)
+    ((before, is_warning),) = sap_notes(recipe)
+    ((after, _),) = sap_notes(recipe, 0.01234)
+    assert not is_warning
+    assert before.startswith("explicit: steps are short, since waves in undrained sap (sap_bulk")
+    assert "run at 1599 µm/µs and cross 50 µm, the smallest element, in 0.0313 µs; " in before
+    assert after.startswith("explicit: steps of 0.0123 µs on average, since waves in undrained")
+
+
+def test_drained_sap_implicit_steps_and_sph_fluid_need_no_such_note(changed_recipe, recipe):
+    assert not [*sap_notes(recipe)]
+    drained = UNDRAINED.replace("2200.0", "0.0")
+    assert not [*sap_notes(load_recipe(changed_recipe('preset = "printed"', drained)))]
+    undrained = load_recipe(changed_recipe("sap_bulk_modulus = 0.0", "sap_bulk_modulus = 2200.0"))
+    implicit = replace(undrained, macro=replace(undrained.macro, integrator="implicit"))
+    assert not [*sap_notes(implicit)]
 
 
 def test_all_particles_are_those_of_the_tissue(recipe, changed_recipe):
