@@ -1,4 +1,4 @@
-"""Irregular tissue: how many plant cells an RVE needs, and one pressure against particles.
+"""Irregular tissue: how large an RVE must be, and one pressure against particles.
 
 Moduli at rest of Voronoi cells over the number of plant cells in an RVE: mean and scatter of
 several seeds, and how far they are from isotropic. docs/validation/irregular.md has the tables.
