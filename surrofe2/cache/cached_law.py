@@ -127,17 +127,17 @@ class CachedLaw(Viewed):
         """Begin as if nothing had been asked: counts, audits and trust."""
         self._begin(Trust())
 
-    def begin_run(self, state: CachedState | None) -> bool:
-        """Count and audit from here on for one run alone, with the trust that earlier ones left;
+    def begin_run(self, state: CachedState | None, t: float = 0.0) -> bool:
+        """Count and audit from t (µs) on for one run alone, with the trust that earlier ones left;
         but continue where `state` is what `state_from_arrays` gave last. Whether it is."""
         resumes = state is not None and state is self._restored
         self._restored = None
         if not resumes:
-            self._begin(self._trust.of_next_run())
+            self._begin(self._trust.of_next_run(), t)
         return resumes
 
-    def _begin(self, trust: Trust) -> None:
-        """Count and audit again from zero, with this trust."""
+    def _begin(self, trust: Trust, since: float = 0.0) -> None:
+        """Count and audit again from zero, with this trust; of answers since this time, µs."""
         surrogate, own = self.surrogate, self.settings
         allowed = own.tolerance * surrogate.stress_spread
         self._counts = Counter({**NO_EFFORT, "in_domain": 0, "steps": 0, "switched": 0})
@@ -147,7 +147,8 @@ class CachedLaw(Viewed):
             surrogate, self.fallback, own.seed, allowed, is_wanted=own.audit > 0.0
         )
         self._trust = trust
-        self._window = Window(0.0, 0, self._trust.limit)
+        self._since = since
+        self._window = Window(since, 0, self._trust.limit)
         self._decisions: list[dict[str, Any]] = []
         self._marked: CachedState | None = None  # also of a run that resumed cold at its mark
         self._points = 0  # of the last step
@@ -163,6 +164,7 @@ class CachedLaw(Viewed):
         """How the cache has done so far, as plain values for run.json."""
         own, record = self.settings, self._audit.record
         return {
+            "since": self._since,
             "tolerance": {
                 "share": own.tolerance,
                 "relative": own.relative,
@@ -291,6 +293,7 @@ class CachedLaw(Viewed):
         """All that decides what comes next, `state` being what `accept` gave last."""
         values = {
             **self._counted(),
+            "since": self._since,
             "trust": asdict(self._trust),
             "audit": self._audit.to_values(),
             "closing": self._closing.to_values(),
@@ -311,6 +314,7 @@ class CachedLaw(Viewed):
         """Continue where a law of the same parts and settings gave these; the state to do so by."""
         values = json.loads(arrays["values"].tobytes())
         self._counts, self._left_range = Counter(values["counts"]), values["left_range"]
+        self._since = float(values["since"])
         self._trust = Trust(**values["trust"])
         self._window = Window(**values["window"])
         self._decisions = values["decisions"]

@@ -112,11 +112,11 @@ class RegionalLaw(Viewed):
         """Whether all laws are."""
         return len(self._audited) == len(self.laws) and all(law.is_audited for law in self._audited)
 
-    def begin_run(self, state: Any) -> bool:
+    def begin_run(self, state: Any, t: float = 0.0) -> bool:
         """As of `AuditedLaw`; whether all laws know the state that they go on from."""
         states = (None,) * len(self.laws) if state is None else state
         pairs = zip(self.laws.values(), states, strict=True)
-        known = [law.begin_run(part) for law, part in pairs if isinstance(law, AuditedLaw)]
+        known = [law.begin_run(part, t) for law, part in pairs if isinstance(law, AuditedLaw)]
         return all(known)
 
     def mark(self, t: float, state: Any) -> None:

@@ -276,10 +276,10 @@ class AuditedLaw(StressLaw, Protocol):
     audit of a sample of the answers, which decides nothing, says how many are wrong at most.
     """
 
-    def begin_run(self, state: Any) -> bool:
-        """A run begins, or continues from a committed `state`: count and audit for it alone, unless
-        the state is what `state_from_arrays` gave last. Whether it is, so that the law knows the
-        window that it lies in."""
+    def begin_run(self, state: Any, t: float = 0.0) -> bool:
+        """A run begins, or continues from a committed `state`: count and audit for it alone, from t
+        (µs) on, unless the state is what `state_from_arrays` gave last. Whether it is, so that the
+        law knows the window that it lies in."""
 
     @property
     def is_audited(self) -> bool:

@@ -309,9 +309,10 @@ class Recorder:
         self._reporting = law if isinstance(law, AuditedLaw) else None
         self._audited: AuditedLaw | None = None
         # Before the law is asked for the first time: from there on it counts.
-        self._is_window_known = self._reporting is not None and self._reporting.begin_run(
-            None if resume is None else resume.law_state
-        )
+        self._is_window_known = False
+        if self._reporting is not None:
+            law_state, t = (None, 0.0) if resume is None else (resume.law_state, resume.t)
+            self._is_window_known = self._reporting.begin_run(law_state, t)
         self._state: MacroState
         if resume is not None:
             self._state = resume.copy()

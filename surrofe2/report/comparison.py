@@ -249,7 +249,7 @@ def audit_sentence(cache: Mapping[str, Any]) -> str:
     audit, allowed = cache["audit"], float(cache["tolerance"]["absolute"])
     if not audit["audited"]:
         return "none of the cache's answers"
-    text = f"{audit['audited']:,} of {cache['accepted']['hits']:,} accepted answers"
+    text = f"{audit['audited']:,} of {cache['accepted']['hits']:,} accepted answers{_since(cache)}"
     if audit["quantiles"]:
         text += (
             f", error {number(audit['quantiles']['0.99'], 2)} µN/µm at 99 %, "
@@ -269,16 +269,26 @@ def closing_sentence(cache: Mapping[str, Any]) -> str:
         return ""
     sampled, answers, wrong = audit["sampled"], audit["answers"], audit["violations"]
     above = f"wrong by more than the tolerance of {number(audit['tolerance'], 2)} µN/µm"
+    since = _since(cache)
+    stand = f"{answers:,} answers that stand{since}"
+    whole = "these" if since else "all"
     if sampled == answers:
-        return f"all {answers:,} answers that stand; {wrong:,} {above}, {percent(2)(bound)} of all"
+        return f"all {stand}; {wrong:,} {above}, {percent(2)(bound)} of {whole}"
     formula = "Clopper–Pearson"
     if not wrong:
         formula += f", 1 − 0.05^(1/{sampled})"
     return (
-        f"{sampled:,} of the {answers:,} answers that stand, drawn at random, which decided "
-        f"nothing; {wrong:,} {above}, so with 95 % confidence at most {percent(2)(bound)} of all "
-        f"are ({formula})"
+        f"{sampled:,} of the {stand}, drawn at random, which decided nothing; {wrong:,} {above}, "
+        f"so with 95 % confidence at most {percent(2)(bound)} of {whole} are ({formula})"
     )
+
+
+def _since(cache: Mapping[str, Any]) -> str:
+    """From when on a cache has counted and audited; empty where that is the whole run."""
+    since = cache.get("since", 0.0)  # which runs of earlier versions have not
+    if not since:
+        return ""
+    return f" since t = {number(since)} µs, where the run resumed without the state of its law"
 
 
 def fallback_reasons(counts: Mapping[str, int]) -> str:

@@ -10,7 +10,9 @@ from surrofe2.base.sampling import SamplingRange
 from surrofe2.cache import CachedLaw, CacheSettings, StressTable
 from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.macro import MacroSettings, simulate
+from surrofe2.report.comparison import audit_sentence, closing_sentence
 from surrofe2.run.displacement_curve import difference
+from surrofe2.store.run_folder import caches_of
 from tests.cache.tables import cached, keeping, resumed, rising
 from tests.folders import assert_equal
 from tests.laws import Truth, failing, shear_error
@@ -81,13 +83,32 @@ def test_a_run_resumes_cold_and_rolls_back_to_where_it_did(is_regional, stop):
     run = simulate(LOAD_CASE, law, SETTINGS, resume=state, checkpoint_interval=0.0,
                    checkpoint=keeping(law, states))  # fmt: skip
     assert run.finished
+    assert {part["since"] for part in caches_of(run.cache).values()} == {state.t}
     back = [line for line in law.decisions if line["decision"] == "rolled back"]
     assert back[0]["from_t"] == state.t
     true = simulate(LOAD_CASE, Truth(), SETTINGS)
     assert difference(run.curve, true.curve).largest < 2e-3
     # A checkpoint that was taken right after the law went back to there is whole.
     first = next(each for each in states if each[0]["t"] == state.t)
-    assert_same_run(resumed(LOAD_CASE, make(), SETTINGS, first), run)
+    again = resumed(LOAD_CASE, make(), SETTINGS, first)
+    assert_same_run(again, run)
+    assert_equal(again.cache, run.cache, exact=True)
+
+
+def test_a_run_that_resumed_cold_states_its_bound_since_then():
+    kept = []
+    simulate(LOAD_CASE, falling_back(), SETTINGS, checkpoint=kept.append, checkpoint_interval=0.0)
+    state = replace(next(each for each in kept if each.t > 1.0), law_state=None)
+    law = falling_back()
+    run = simulate(LOAD_CASE, law, SETTINGS, resume=state)
+    answered = run.cache["accepted"]["hits"]
+    assert run.cache["since"] == state.t
+    assert run.cache["closing_audit"]["answers"] == answered
+    since = f"since t = {state.t:.3g} µs, where the run resumed without the state of its law"
+    sentence = closing_sentence(run.cache)
+    assert sentence.startswith(f"all {answered:,} answers that stand {since};")
+    assert sentence.endswith(" of these")
+    assert f" of {answered:,} accepted answers {since}" in audit_sentence(run.cache)
 
 
 def told(law):

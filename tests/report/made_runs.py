@@ -68,6 +68,7 @@ def cache_report():
     audit = audited(0.05, np.geomspace(1e-6, WORST, 40))
     why = np.full(6, Status.OUT_OF_RANGE, dtype=np.int8)
     return {
+        "since": 0.0,
         "tolerance": {"share": 1e-3, "spread": 50.0, "absolute": 0.05},
         "accepted": {**effort_of(206, why), "steps": 10},
         "left_range": {},
