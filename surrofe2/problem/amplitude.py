@@ -1,8 +1,8 @@
 """Factors in time by which loads, motions and rigid bodies follow their largest value.
 
 A factor is smooth but at its corners, where it or its rate jumps. Time integration ends a step at
-each corner, so a step only ever sees one smooth piece; `within` names that piece by any time inside
-it, for at a corner itself both sides may differ.
+each corner, so a step only ever sees one smooth piece. The argument `within` names that piece by
+any time inside it, for at a corner itself both sides may differ.
 """
 
 from __future__ import annotations
@@ -29,17 +29,24 @@ from surrofe2.base.units import NONE, TIME
 Value = tuple[float, float, float]
 """A factor, its rate (1/µs) and the rate of that (1/µs²)."""
 
+# Time steps that a smooth ramp, a half sine or a whole oscillation must have at least.
+_STEPS_OF_A_SHAPE = 8.0
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Amplitude(ABC):
-    """A factor in time; one without corners and without a shape that steps must resolve."""
+    """A factor in time.
+
+    A subclass states `at`; it overrides `corners` and `resolved_by` where it has corners, or a
+    shape that time steps must resolve.
+    """
 
     def __post_init__(self) -> None:
         check_settings(self, "amplitude")
 
     @staticmethod
     def read(where: str, entry: Any) -> Amplitude:
-        """What a recipe states: a number, a list of (time, factor), or a table with `kind`."""
+        """Read what a recipe states: a number, a list of (time, factor), or a table with `kind`."""
         if isinstance(entry, list | tuple):
             entry = {"kind": "table", "points": entry}
         if not isinstance(entry, dict):
@@ -47,16 +54,22 @@ class Amplitude(ABC):
         return build_kind(KINDS, entry, where)
 
     def entry(self) -> dict[str, Any]:
-        """The table that a recipe has; of a class that recipes do not know, its name alone."""
+        """Return the table that states this amplitude in a recipe.
+
+        For a class that recipes do not know, it is the name of the class alone.
+        """
         kind, entries = with_kind(self, KINDS)
         return {"kind": kind, **entries}
 
     @abstractmethod
     def at(self, t: float, within: float) -> Value:
-        """The factor and its rates at time t (µs) of the smooth piece that holds `within`."""
+        """Compute the factor and its rates at time t, µs, by the smooth piece that holds `within`.
+
+        At a corner, t belongs to two pieces; elsewhere `within` may be t itself.
+        """
 
     def corners(self) -> tuple[float, ...]:
-        """Times (µs) at which the factor or its rate jumps, increasing."""
+        """Return the times (µs) at which the factor or its rate jumps, increasing."""
         return ()
 
     @property
@@ -89,12 +102,17 @@ class Table(Amplitude):
             raise InputError("amplitude.points", f"{list(self.points)}; times must increase")
 
     def at(self, t: float, within: float) -> Value:
-        k = bisect_right(self.points, within, key=itemgetter(0))
-        if k in (0, len(self.points)):
-            return self.points[0 if k == 0 else -1][1], 0.0, 0.0
-        (begin, first), (end, last) = self.points[k - 1], self.points[k]
-        slope = (last - first) / (end - begin)
-        return first + slope * (t - begin), slope, 0.0
+        following = bisect_right(self.points, within, key=itemgetter(0))  # first point after it
+        if following == 0:
+            _, first_factor = self.points[0]
+            return first_factor, 0.0, 0.0
+        if following == len(self.points):
+            _, last_factor = self.points[-1]
+            return last_factor, 0.0, 0.0
+        begin, factor_at_begin = self.points[following - 1]
+        end, factor_at_end = self.points[following]
+        slope = (factor_at_end - factor_at_begin) / (end - begin)
+        return factor_at_begin + slope * (t - begin), slope, 0.0
 
     def corners(self) -> tuple[float, ...]:
         return tuple(t for t, _ in self.points)
@@ -102,7 +120,9 @@ class Table(Amplitude):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ramp(Amplitude):
-    """From 0 to 1 between two times; a smooth one begins and ends without rate and acceleration.
+    """A rise from 0 to 1 between two times.
+
+    A smooth ramp begins and ends without rate and acceleration.
 
     With s = (t − begin)/(end − begin) the factor is s, or s³ (10 − 15 s + 6 s²) if smooth.
     """
@@ -119,22 +139,27 @@ class Ramp(Amplitude):
             )
 
     def at(self, t: float, within: float) -> Value:
-        if within <= self.begin or within >= self.end:
-            return float(within >= self.end), 0.0, 0.0
+        if within <= self.begin:
+            return 0.0, 0.0, 0.0
+        if within >= self.end:
+            return 1.0, 0.0, 0.0
         length = self.end - self.begin
         s = (t - self.begin) / length
         if not self.smooth:
             return s, 1.0 / length, 0.0
         value = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
         rate = 30.0 * s**2 * (1.0 - s) ** 2 / length
-        return value, rate, 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / length**2
+        acceleration = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / length**2
+        return value, rate, acceleration
 
     def corners(self) -> tuple[float, ...]:
         return self.begin, self.end
 
     @property
     def resolved_by(self) -> float:
-        return (self.end - self.begin) / 8.0 if self.smooth else math.inf
+        if not self.smooth:  # a step ends at each corner, and a line needs no more
+            return math.inf
+        return (self.end - self.begin) / _STEPS_OF_A_SHAPE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,24 +172,27 @@ class Sine(Amplitude):
     begin: float = setting(0.0, "time at which the oscillation begins", TIME)
 
     def at(self, t: float, within: float) -> Value:
-        omega, phase = 2.0 * math.pi * self.frequency, math.radians(self.phase)
+        omega = 2.0 * math.pi * self.frequency
+        phase = math.radians(self.phase)
         if within <= self.begin:
             return self.offset + math.sin(phase), 0.0, 0.0
         angle = omega * (t - self.begin) + phase
+        value = self.offset + math.sin(angle)
         rate = omega * math.cos(angle)
-        return self.offset + math.sin(angle), rate, -(omega**2) * math.sin(angle)
+        acceleration = -(omega**2) * math.sin(angle)
+        return value, rate, acceleration
 
     def corners(self) -> tuple[float, ...]:
         return (self.begin,)
 
     @property
     def resolved_by(self) -> float:
-        return 1.0 / (8.0 * self.frequency)
+        return 1.0 / (_STEPS_OF_A_SHAPE * self.frequency)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pulse(Amplitude):
-    """From 0 to 1 and back to 0 within `length`: by a half sine, a triangle or at once."""
+    """A rise from 0 to 1 and back to 0 within `length`: by a half sine, a triangle or at once."""
 
     begin: float = setting(0.0, "time at which the factor leaves 0", TIME)
     length: float = setting(about="time until it is 0 again", unit=TIME, above=0.0)
@@ -173,25 +201,33 @@ class Pulse(Amplitude):
     )
 
     def at(self, t: float, within: float) -> Value:
-        s, place = (t - self.begin) / self.length, (within - self.begin) / self.length
-        if not 0.0 < place < 1.0:
+        s = (t - self.begin) / self.length
+        s_within = (within - self.begin) / self.length
+        if not 0.0 < s_within < 1.0:
             return 0.0, 0.0, 0.0
         if self.shape == "rectangle":
             return 1.0, 0.0, 0.0
         if self.shape == "triangle":
-            slope = 2.0 if place < 0.5 else -2.0
-            return (2.0 * s if place < 0.5 else 2.0 - 2.0 * s), slope / self.length, 0.0
+            is_rising = s_within < 0.5
+            if is_rising:
+                return 2.0 * s, 2.0 / self.length, 0.0
+            return 2.0 - 2.0 * s, -2.0 / self.length, 0.0
         omega = math.pi / self.length
         value = math.sin(math.pi * s)
         return value, omega * math.cos(math.pi * s), -(omega**2) * value
 
     def corners(self) -> tuple[float, ...]:
-        middle = (self.begin + 0.5 * self.length,) if self.shape == "triangle" else ()
-        return self.begin, *middle, self.begin + self.length
+        end = self.begin + self.length
+        if self.shape == "triangle":
+            middle = self.begin + 0.5 * self.length
+            return self.begin, middle, end
+        return self.begin, end
 
     @property
     def resolved_by(self) -> float:
-        return self.length / 8.0 if self.shape == "half-sine" else math.inf
+        if self.shape != "half-sine":  # corners show a triangle and a rectangle fully
+            return math.inf
+        return self.length / _STEPS_OF_A_SHAPE
 
 
 KINDS: dict[str, type[Amplitude]] = {
@@ -209,7 +245,10 @@ IN_TIME = "its factor in time: a number, a list of (time, factor), or a table wi
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Proportional(Amplitude):
-    """Loads that grow together by a load factor instead of time; what they move has no velocity."""
+    """The factor t itself: loads grow together by a load factor, which takes the place of time.
+
+    Its rate is 0, so what such loads move has no velocity.
+    """
 
     def at(self, t: float, within: float) -> Value:
         return t, 0.0, 0.0

@@ -37,31 +37,32 @@ class LoadSettings:
     def __post_init__(self) -> None:
         check_settings(self, "load")
         if self.amplitude:
-            Table(points=self.amplitude)  # checks them
+            Table(points=self.amplitude)  # raises where times do not increase
 
     @property
     def conditions(self) -> tuple[Condition, ...]:
         """The clamp and the load."""
+        clamp = Fixed(on="left", name="clamp")
         amplitude = Table(points=self.amplitude) if self.amplitude else ONE
         load = BodyForce(name="load", acceleration=self.body_force, amplitude=amplitude)
-        return Fixed(on="left", name="clamp"), load
+        return clamp, load
 
     def sections(self, elements: tuple[int, int]) -> dict[str, dict[str, Any]]:
-        """The sections of a recipe that state the same problem."""
-        return {
-            "mesh": {"width": self.width, "height": self.height, "elements": elements},
-            **sections_of(self.conditions, (), {"point": self.watched}),
-            "time": {
-                "duration": self.duration,
-                "output_interval": min(self.output_interval, self.duration),
-            },
+        """Return the sections of a recipe that state the same problem, on a mesh of `elements`."""
+        sections = {"mesh": {"width": self.width, "height": self.height, "elements": elements}}
+        sections |= sections_of(self.conditions, (), {"point": self.watched})
+        sections["time"] = {
+            "duration": self.duration,
+            "output_interval": min(self.output_interval, self.duration),
         }
+        return sections
 
 
 def LoadCase(*, elements: tuple[int, int] = (4, 4), **load: Any) -> Problem:
-    """The bar as a problem, on a rectangle of so many elements in x and in y.
+    """Make the bar as a problem.
 
     Args:
+        elements: number of elements in x and in y.
         load: fields of `LoadSettings`: width, height, body_force, amplitude, duration, watched,
             output_interval.
 

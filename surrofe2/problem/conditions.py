@@ -1,8 +1,7 @@
-"""What acts on a tissue: supports, prescribed motion, loads, foundations, initial velocity,
-surface tension.
+"""Conditions on a tissue: supports, motion, loads, foundations, initial velocity, surface tension.
 
 Each condition names the boundary or region it acts `on`; None is the whole mesh. Conditions with an
-amplitude give their largest value, which the amplitude multiplies in time.
+amplitude state their largest value, which the amplitude multiplies in time.
 """
 
 from __future__ import annotations
@@ -25,10 +24,11 @@ FREE: Final = "free"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Condition:
-    """What all conditions have.
+    """The base of all conditions.
 
     Attributes:
-        name: by which results call it; by default its kind and where it acts.
+        on: name of the boundary or region on which it acts; None: everywhere.
+        name: name by which results call it; by default its kind and where it acts.
     """
 
     on: str | None = setting(None, "boundary or region; left out: everywhere")
@@ -39,14 +39,20 @@ class Condition:
 
     @classmethod
     def kind(cls) -> str:
-        """What recipes call it, such as body_force."""
+        """Return the name of this kind in recipes: that of the class in lower case, body_force."""
         letters = (f"_{letter.lower()}" if letter.isupper() else letter for letter in cls.__name__)
-        return "".join(letters)[1:]
+        return "".join(letters).removeprefix("_")
 
     @staticmethod
     def read(where: str, entry: Any, name: str | None = None) -> Condition:
-        """What a recipe states; `name` is that of its section."""
-        kinds = {each.kind(): each for each in CONDITIONS}
+        """Read the condition that a recipe states at `where`.
+
+        Args:
+            where: place of the entry in the recipe, for messages.
+            entry: the table of the recipe.
+            name: name of its section, which names the condition; None: it may have an entry `name`.
+        """
+        kinds = {condition.kind(): condition for condition in CONDITIONS}
         if name is None:
             return build_kind(kinds, entry, where)
         if isinstance(entry, Mapping) and "name" in entry:
@@ -54,7 +60,7 @@ class Condition:
         return build_kind(kinds, entry, where, name=name)
 
     def entry(self) -> dict[str, Any]:
-        """What a recipe has under its name."""
+        """Return the table that states this condition in a recipe, under its name."""
         entries = {"kind": self.kind(), **asdict(self)}
         del entries["name"]
         return entries
@@ -86,9 +92,9 @@ class Symmetry(Condition):
 
 
 def _components_of(where: str, entry: Any) -> tuple[float | None, float | None]:
-    """Components of a displacement, of which "free" ones are None."""
+    """Read the components of a displacement, µm; a component that is "free" becomes None."""
     if isinstance(entry, list | tuple):
-        entry = [None if each == "free" else each for each in entry]
+        entry = [None if component == "free" else component for component in entry]
     components: tuple[float | None, float | None] = check_value(
         where, entry, tuple[float | None, float | None], {"unit": LENGTH}
     )
@@ -166,9 +172,9 @@ class Surface:
     """The free sides of a tissue that have a surface law.
 
     Attributes:
-        law: of all sides, or of the sides of a region's elements by the region's name.
-        on: boundaries; "free": all outer sides but those that a condition or a body names.
-        regions: elements of each law by its name; left out: the mesh's regions of these names.
+        law: one law for all sides, or laws by the name of the region whose elements have the sides.
+        on: names of boundaries; "free": all outer sides but those that a condition or a body names.
+        regions: elements of each law by its name; None: the mesh's regions of these names.
     """
 
     law: SurfaceLaw | Mapping[str, SurfaceLaw]
@@ -180,8 +186,13 @@ class Surface:
 
 
 def checked_sides(on: Any) -> tuple[str, ...] | Literal["free"]:
-    """What `Surface.on` says. Raises `InputError` where it is no list of names and not "free"."""
-    if isinstance(on, tuple | list) and on and all(isinstance(name, str) for name in on):
+    """Return `Surface.on` as a tuple of names, or "free".
+
+    Raises:
+        InputError: it is neither "free" nor a list of names.
+    """
+    is_list = isinstance(on, tuple | list) and len(on) > 0
+    if is_list and all(isinstance(name, str) for name in on):
         return tuple(on)
     if on != FREE:
         raise InputError("surface.on", f'{quoted(on)}; it must be names of boundaries, or "{FREE}"')

@@ -1,4 +1,4 @@
-"""Meshes are those of scikit-fem: what a problem needs of one, and names for its parts.
+"""Meshes of scikit-fem: checks of what a problem needs of one, and names for its parts.
 
 Quadrilaterals are `skfem.MeshQuad1`, triangles `skfem.MeshTri2` with six nodes; a `skfem.MeshTri1`
 gets the middles of its sides. Lengths are in µm. Boundaries are named sets of facets, which must be
@@ -28,12 +28,18 @@ from surrofe2.base.settings import build_only, check_settings, check_value, sett
 from surrofe2.base.units import LENGTH, with_micro_sign
 
 MOST_ELEMENTS = 10_000_000
+# An end of a box may be infinite.
 _CORNER: Mapping[str, Any] = {"unit": LENGTH, "inf": True}
 _ELEMENTS = skfem.ElementQuad1, skfem.ElementTriP1, skfem.ElementTriP2
 DIGITS = 1e-6
-"""Of the largest coordinate: what files of single precision or of six digits may lose."""
+"""Fraction of the largest coordinate that files of single precision or of six digits may lose."""
 CLOSED = 1e-3
-"""Of a side's length: parts of a mesh that are nearer to each other are meant to be one."""
+"""Fraction of a side's length: parts of a mesh that are nearer to each other are meant to be one.
+"""
+# An element is degenerate where the sine of a corner, relative to its longest side, is below this.
+_FLAT = 1e-6
+# The middle of a curved side may be off its chord by this fraction of the longest side.
+_MOST_BEND = 0.25
 
 
 class Part(ABC):
@@ -43,22 +49,26 @@ class Part(ABC):
 
     @abstractmethod
     def holds(self, points: Array, slack: float = 0.0) -> Flags:
-        """(n,) whether each of the points (n, 2) is in it, or at most `slack` outside, µm; what
-        rounding moves is inside in any case."""
+        """Return (n,) whether each of the points (n, 2), µm, is in the part.
+
+        A point that is at most `slack` outside, µm, is in it, and one that only rounding has moved
+        out in any case.
+        """
 
     @staticmethod
     def read(where: str, entry: Any) -> Part:
-        """What a recipe states: a box, a half plane or a circle."""
+        """Read what a recipe states: a box, a half plane or a circle."""
         return build_only(PARTS, entry, where)
 
     def entry(self) -> dict[str, Any]:
-        """What a recipe has under its name."""
-        return dict([with_kind(self, PARTS)])
+        """Return the table that states this part in a recipe, under its name."""
+        kind, entries = with_kind(self, PARTS)
+        return {kind: entries}
 
 
 @dataclass(frozen=True, slots=True)
 class Box(Part):
-    """x from low[0] to high[0], y from low[1] to high[1], edges included, µm."""
+    """A rectangle from `low` to `high`, edges included; coordinates in µm may be infinite."""
 
     low: tuple[float, float]
     high: tuple[float, float]
@@ -69,9 +79,11 @@ class Box(Part):
             object.__setattr__(self, name, corner)
 
     def holds(self, points: Array, slack: float = 0.0) -> Flags:
-        low, high = np.array(self.low), np.array(self.high)
+        low = np.array(self.low)
+        high = np.array(self.high)
         width = high - low
-        slack = max(slack, 1e-9 * np.max(width[np.isfinite(width)], initial=1.0))
+        rounding = 1e-9 * np.max(width[np.isfinite(width)], initial=1.0)
+        slack = max(slack, rounding)
         inside = (points >= low - slack) & (points <= high + slack)
         return np.asarray(inside.all(axis=1))
 
@@ -100,7 +112,8 @@ class HalfPlane(Part):
             raise InputError("half_plane.normal", f"{list(self.normal)}; it must not be zero")
 
     def holds(self, points: Array, slack: float = 0.0) -> Flags:
-        slack = max(slack, 1e-9 * abs(points).max(initial=1.0))
+        rounding = 1e-9 * abs(points).max(initial=1.0)
+        slack = max(slack, rounding)
         normal = np.array(self.normal) / np.linalg.norm(self.normal)
         return (points - np.array(self.through)) @ normal >= -slack
 
@@ -117,16 +130,20 @@ class Disc(Part):
 
     def holds(self, points: Array, slack: float = 0.0) -> Flags:
         distance = np.linalg.norm(points - np.array(self.centre), axis=1)
-        return np.asarray(distance <= self.radius + max(slack, 1e-9 * self.radius))
+        rounding = 1e-9 * self.radius
+        return np.asarray(distance <= self.radius + max(slack, rounding))
 
 
 PARTS: dict[str, type[Part]] = {"box": Box, "half_plane": HalfPlane, "circle": Disc}
 
 
 def rectangle(width: float, height: float, elements: tuple[int, int]) -> skfem.MeshQuad1:
-    """[0, width] × [0, height] µm in equal quadrilaterals, numbered along y, then x.
+    """Make [0, width] × [0, height] µm in equal quadrilaterals, numbered along y, then x.
 
     Its sides are the boundaries left, right, bottom and top.
+
+    Raises:
+        InputError: a size is not positive, or `elements` in x and y are none or too many.
     """
     nx, ny = check_value("mesh.elements", elements, tuple[int, int], {})
     width = check_value("mesh.width", width, float, {"unit": LENGTH, "above": 0.0})
@@ -139,6 +156,7 @@ def rectangle(width: float, height: float, elements: tuple[int, int]) -> skfem.M
     mesh = skfem.MeshQuad1.init_tensor(
         np.linspace(0.0, width, nx + 1), np.linspace(0.0, height, ny + 1)
     )
+    # scikit-fem's own are clockwise
     counter_clockwise = skfem.MeshQuad1(mesh.p, mesh.t[[0, 3, 2, 1]])
     return with_boundaries(
         counter_clockwise,
@@ -150,48 +168,60 @@ def rectangle(width: float, height: float, elements: tuple[int, int]) -> skfem.M
 
 
 def with_boundaries(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
-    """The mesh with more boundaries: the outer sides whose nodes all lie in a part, or as near to
-    it as `precision` says.
+    """Return the mesh with more boundaries, each of the outer sides whose nodes lie in a part.
+
+    A node that is as near to the part as `precision` says lies in it.
 
     Raises:
-        InputError: there is none.
+        InputError: a part holds no outer side.
     """
     if not parts:
         return mesh
-    outer, slack = mesh.boundary_facets(), precision(mesh)
-    sides, named = facet_nodes(mesh, outer), {}
+    outer = mesh.boundary_facets()
+    nodes_of_side = facet_nodes(mesh, outer)
+    slack = precision(mesh)
+    boundaries = {}
     for name, part in _by_name("mesh.boundaries", parts):
-        named[name] = outer[part.holds(mesh.p.T, slack)[sides].all(axis=1)]
-        if not named[name].size:
+        is_in_part = part.holds(mesh.p.T, slack)
+        facets = outer[is_in_part[nodes_of_side].all(axis=1)]
+        if not facets.size:
             raise InputError(
                 f"mesh.boundaries.{name}: {part}; it must hold both ends of an outer side; "
                 f"the mesh {_reach(mesh)}"
             )
-    return mesh.with_boundaries(named)
+        boundaries[name] = facets
+    return mesh.with_boundaries(boundaries)
 
 
 def with_regions(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
-    """The mesh with more regions: the elements whose centre lies in a part, or as near to it as
-    `precision` says.
+    """Return the mesh with more regions, each of the elements whose centre lies in a part.
+
+    A centre that is as near to the part as `precision` says lies in it.
 
     Raises:
-        InputError: there is none.
+        InputError: a part holds no centre.
     """
     if not parts:
         return mesh
-    centres, slack, named = mesh.p.T[element_nodes(mesh)].mean(axis=1), precision(mesh), {}
+    centres = mesh.p.T[element_nodes(mesh)].mean(axis=1)
+    slack = precision(mesh)
+    regions = {}
     for name, part in _by_name("mesh.regions", parts):
-        named[name] = np.flatnonzero(part.holds(centres, slack))
-        if not named[name].size:
+        elements = np.flatnonzero(part.holds(centres, slack))
+        if not elements.size:
             raise InputError(
                 f"mesh.regions.{name}: {part}; it must hold the centre of an element; the mesh "
                 f"{_reach(mesh)}"
             )
-    return mesh.with_subdomains(named)
+        regions[name] = elements
+    return mesh.with_subdomains(regions)
 
 
 def _by_name(where: str, parts: Mapping[str, Part]) -> Iterator[tuple[str, Part]]:
-    """Names, in which Python makes Greek mu of the micro sign, and their parts."""
+    """Yield the parts by name, each checked to be one.
+
+    Names come as keywords, in which Python turns the micro sign into a Greek mu; it is put back.
+    """
     for name, part in parts.items():
         if not hasattr(part, "holds"):
             raise InputError(
@@ -201,10 +231,10 @@ def _by_name(where: str, parts: Mapping[str, Part]) -> Iterator[tuple[str, Part]
 
 
 def precision(mesh: skfem.Mesh) -> float:
-    """Distance within which two places of a mesh are the same, µm.
+    """Return the distance within which two places of a mesh are the same, µm.
 
     Files of single precision, or of six digits, have coordinates that are off by a millionth of the
-    largest one. It is at most a thousandth of the shortest side.
+    largest one. The distance is at most a thousandth of the shortest side.
     """
     ends = mesh.p[:, mesh.facets]
     shortest = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=0).min()
@@ -212,36 +242,44 @@ def precision(mesh: skfem.Mesh) -> float:
 
 
 def _reach(mesh: skfem.Mesh) -> str:
+    """Say for a message from where to where a mesh reaches."""
     low, high = extent(mesh)
     return f"reaches from ({low[0]:.9g}, {low[1]:.9g}) to {_at(high, 9)}"
 
 
 def element_nodes(mesh: skfem.Mesh) -> Index:
-    """(n_el, 4) or (n_el, 6) nodes of each element: corners, then the middles of a triangle's sides
-    0–1, 1–2 and 0–2."""
+    """Return the nodes of each element, (n_el, 4) or (n_el, 6).
+
+    Corners come first, then the middles of a triangle's sides 0–1, 1–2 and 0–2.
+    """
     return np.ascontiguousarray(mesh.dofs.element_dofs.T, dtype=np.int64)
 
 
 def facet_nodes(mesh: skfem.Mesh, facets: NDArray[np.integer]) -> Index:
-    """(m, 2) or (m, 3) nodes of facets: both ends with the tissue on the left of the way from the
-    first to the second, then the middle."""
+    """Return the nodes of facets, (m, 2) or (m, 3): both ends, then the middle.
+
+    The ends are ordered so that the tissue is on the left of the way from the first to the second.
+    """
     facets = np.asarray(facets, dtype=np.int64)
     ends = mesh.facets[:, facets].T.astype(np.int64)
-    x, centre = mesh.p.T[ends], mesh.p[:, mesh.t[:, mesh.f2t[0, facets]]].mean(axis=1).T
-    along, inward = x[:, 1] - x[:, 0], centre - x[:, 0]
-    is_right = along[:, 0] * inward[:, 1] < along[:, 1] * inward[:, 0]
-    ends[is_right] = ends[is_right, ::-1]
+    x = mesh.p.T[ends]
+    element = mesh.f2t[0, facets]
+    centre = mesh.p[:, mesh.t[:, element]].mean(axis=1).T
+    along = x[:, 1] - x[:, 0]
+    inward = centre - x[:, 0]
+    is_on_the_right = along[:, 0] * inward[:, 1] < along[:, 1] * inward[:, 0]
+    ends[is_on_the_right] = ends[is_on_the_right, ::-1]
     if mesh.elem is skfem.ElementTriP2:
         ends = np.column_stack([ends, mesh.dofs.facet_dofs[0, facets]])
     return ends
 
 
 def boundary(mesh: skfem.Mesh, name: str, where: str = "boundary") -> Index:
-    """(m,) outer facets of a boundary; `where` says who asks.
+    """Return the outer facets (m,) of a boundary; `where` is the field that errors name.
 
     Raises:
-        InputError: there is none of that name, another thing has the name, or it has facets within
-            the tissue, or none.
+        InputError: there is no boundary of that name, a region has the name, too, or the boundary
+            has facets within the tissue, or none.
     """
     facets = facets_of(mesh, name, where)
     inner = facets[mesh.f2t[1, facets] != -1]
@@ -255,12 +293,20 @@ def boundary(mesh: skfem.Mesh, name: str, where: str = "boundary") -> Index:
 
 
 def facets_of(mesh: skfem.Mesh, name: str, where: str = "boundary") -> Index:
-    """(m,) facets of a boundary, within the tissue or outside; errors as of `boundary`."""
+    """Return the facets (m,) of a boundary, within the tissue or outside it.
+
+    Raises:
+        InputError: the name is unknown or ambiguous, or the boundary is empty.
+    """
     return np.asarray(_named(mesh, mesh.boundaries, name, where, "boundary"), dtype=np.int64)
 
 
 def region(mesh: skfem.Mesh, name: str | None, where: str = "region") -> Index:
-    """(k,) elements of a region, of None all; else an `InputError` as of `boundary`."""
+    """Return the elements (k,) of a region; None: all elements.
+
+    Raises:
+        InputError: the name is unknown or ambiguous, or the region is empty.
+    """
     if name is None:
         return np.arange(mesh.nelements)
     return np.asarray(_named(mesh, mesh.subdomains, name, where, "region"), dtype=np.int64)
@@ -269,22 +315,35 @@ def region(mesh: skfem.Mesh, name: str | None, where: str = "region") -> Index:
 def region_numbers(
     mesh: skfem.Mesh, regions: Mapping[str, Index], where: str, elements: Index
 ) -> Index:
-    """(m,) which of the regions each of the elements is in; an `InputError` unless in just one."""
-    number, claims = np.zeros((2, mesh.nelements), np.int64)
-    for k, own in enumerate(regions.values()):
-        number[own] = k
-        claims[own] += 1
-    for e in elements[claims[elements] != 1][:1]:
+    """Return the number (m,) of the region that each of the elements (m,) is in.
+
+    Raises:
+        InputError: an element is in none of the regions, or in several.
+    """
+    number = np.zeros(mesh.nelements, np.int64)
+    claims = np.zeros(mesh.nelements, np.int64)  # regions that hold an element
+    for k, members in enumerate(regions.values()):
+        number[members] = k
+        claims[members] += 1
+    unclear = elements[claims[elements] != 1]
+    if unclear.size:
+        e = unclear[0]
+        centre = mesh.p[:, element_nodes(mesh)[e]].mean(axis=1)
         raise InputError(
-            f"{where}: element {e} at {_at(mesh.p[:, element_nodes(mesh)[e]].mean(axis=1))} is in "
-            f"{claims[e]} of {', '.join(regions)}; every element must be in one"
+            f"{where}: element {e} at {_at(centre)} is in {claims[e]} of {', '.join(regions)}; "
+            "every element must be in one"
         )
     return number[elements]
 
 
 def nodes_on(mesh: skfem.Mesh, name: str | None, where: str = "on") -> Index:
-    """(k,) nodes of a boundary or a region, of None all; an `InputError` as of `boundary`, but for
-    sides within the tissue, whose nodes may be held or moved."""
+    """Return the nodes (k,) of a boundary or a region; None: all nodes.
+
+    A boundary may have sides within the tissue, for their nodes may be held or moved.
+
+    Raises:
+        InputError: the name is unknown or ambiguous, or the part is empty.
+    """
     regions = mesh.subdomains or {}
     if name is None or name in regions:
         return np.unique(element_nodes(mesh)[region(mesh, name, where)])
@@ -294,66 +353,78 @@ def nodes_on(mesh: skfem.Mesh, name: str | None, where: str = "on") -> Index:
 
 
 def length_of(mesh: skfem.Mesh, facets: NDArray[np.integer]) -> float:
-    """Length of facets together, µm."""
+    """Return the length of facets together, µm."""
     if not len(facets):
         return 0.0
     return float(skfem.FacetBasis(mesh, mesh.elem(), facets=facets, intorder=6).dx.sum())
 
 
 def area_of(mesh: skfem.Mesh, elements: NDArray[np.integer]) -> float:
-    """Area of elements together, µm²."""
+    """Return the area of elements together, µm²."""
     if not len(elements):
         return 0.0
     return float(skfem.Basis(mesh, mesh.elem(), elements=elements, intorder=4).dx.sum())
 
 
 def extent(mesh: skfem.Mesh) -> tuple[Array, Array]:
-    """Lowest and highest x and y, µm."""
+    """Return the lowest x and y, and the highest, (2,) each, µm."""
     return mesh.p.min(axis=1), mesh.p.max(axis=1)
 
 
 def check_name(mesh: skfem.Mesh, name: str, where: str) -> None:
-    """Refuse a name that boundaries or regions of a mesh share, but for capitals and blanks.
+    """Reject a name that boundaries or regions of a mesh share, but for capitals and blanks.
 
     Raises:
-        InputError: it is ambiguous.
+        InputError: several of them have the name.
     """
-    plain = _plain(name)
-    alike = [
-        f"the {what} {quoted(known)}"
-        for what, names in (("boundary", mesh.boundaries), ("region", mesh.subdomains))
-        for known in names or {}
-        if _plain(known) == plain
-    ]
+    alike = []
+    for kind, parts in (("boundary", mesh.boundaries), ("region", mesh.subdomains)):
+        for other in parts or {}:
+            if _plain(other) == _plain(name):
+                alike.append(f"the {kind} {quoted(other)}")
     if len(alike) > 1:
         raise InputError(f"{where}: {name}; it may mean {' or '.join(alike)}; name them apart")
 
 
 def _plain(name: str) -> str:
-    """A name without blanks and capitals."""
+    """Return a name without blanks and capitals."""
     return "".join(name.split()).casefold()
 
 
 def _named(
-    mesh: skfem.Mesh, known: Mapping[str, NDArray] | None, name: str, where: str, what: str
+    mesh: skfem.Mesh, parts: Mapping[str, NDArray] | None, name: str, where: str, kind: str
 ) -> NDArray[np.integer]:
-    known = known or {}
-    if name in known:
-        check_name(mesh, name, where)
-        if not len(known[name]):
-            raise InputError(f"{where}: {name}; the mesh has that name, and no {what} of it")
-        return known[name]
-    if not known:
-        raise InputError(f"{where}: {name}; the mesh has no {what} with a name; name parts of it")
-    close = difflib.get_close_matches(name, known, n=1)
-    hint = f"did you mean {close[0]}? " if close else ""
-    raise InputError(f"{where}: {name}; no such {what}; {hint}known are {', '.join(known)}")
+    """Return the part of a mesh that has a name.
+
+    Args:
+        mesh: the mesh.
+        parts: its named parts of this kind.
+        name: the name that is looked for.
+        where: field that errors name.
+        kind: the word for such parts in errors.
+
+    Raises:
+        InputError: the name is unknown or ambiguous, or the part is empty.
+    """
+    if not parts:
+        raise InputError(f"{where}: {name}; the mesh has no {kind} with a name; name parts of it")
+    if name not in parts:
+        close = difflib.get_close_matches(name, parts, n=1)
+        hint = f"did you mean {close[0]}? " if close else ""
+        raise InputError(f"{where}: {name}; no such {kind}; {hint}known are {', '.join(parts)}")
+    check_name(mesh, name, where)
+    if not len(parts[name]):
+        raise InputError(f"{where}: {name}; the mesh has that name, and no {kind} of it")
+    return parts[name]
 
 
 def check_mesh(mesh: skfem.Mesh) -> skfem.Mesh:
-    """The mesh of a problem, a `MeshTri1` with the middles of its sides. Raises `InputError` where
-    it is of another kind, an element is inverted or degenerate, elements lie on one another, a node
-    has no element, there are several pieces, or parts touch that are not glued.
+    """Check the mesh of a problem, and return it; a `MeshTri1` gets the middles of its sides.
+
+    Raises:
+        InputError: the mesh is of another kind, an element is inverted or degenerate, elements lie
+            on one another, a node has no element, there are several pieces, or parts touch that
+            are not glued.
     """
     if not isinstance(mesh, skfem.Mesh) or mesh.elem not in _ELEMENTS:
         raise InputError(
@@ -369,7 +440,8 @@ def check_mesh(mesh: skfem.Mesh) -> skfem.Mesh:
     if mesh.elem is skfem.ElementTriP1:
         _check_orphans(mesh.p.T, mesh.t)
         # Facets and elements keep their numbers, so boundaries and regions are the same, too.
-        boundaries, regions = mesh.boundaries or {}, mesh.subdomains or {}
+        boundaries = mesh.boundaries or {}
+        regions = mesh.subdomains or {}
         mesh = skfem.MeshTri2.from_mesh(mesh)
         mesh = mesh.with_boundaries(boundaries).with_subdomains(regions)
     _check_orphans(mesh.p.T, element_nodes(mesh))
@@ -380,20 +452,24 @@ def check_mesh(mesh: skfem.Mesh) -> skfem.Mesh:
 
 
 def _check_overlaps(mesh: skfem.Mesh) -> None:
-    twice, count = np.unique(np.sort(mesh.t.T, axis=1), axis=0, return_counts=True)
+    """Reject elements of the same nodes, and sides of more than two elements."""
+    corners, count = np.unique(np.sort(mesh.t.T, axis=1), axis=0, return_counts=True)
     if count.max() > 1:
-        at = mesh.p[:, twice[count.argmax()]].mean(axis=1)
-        raise InputError(f"mesh: {count.max()} elements of the same nodes at {_at(at)}; keep one")
-    shared = np.bincount(mesh.t2f.ravel())
-    if shared.max() > 2:
-        at = mesh.p[:, mesh.facets[:, shared.argmax()]].mean(axis=1)
+        centre = mesh.p[:, corners[count.argmax()]].mean(axis=1)
         raise InputError(
-            f"mesh: {shared.max()} elements share the side at {_at(at)}; elements must not lie on "
-            "one another"
+            f"mesh: {count.max()} elements of the same nodes at {_at(centre)}; keep one"
+        )
+    elements_at_side = np.bincount(mesh.t2f.ravel())
+    if elements_at_side.max() > 2:
+        middle = mesh.p[:, mesh.facets[:, elements_at_side.argmax()]].mean(axis=1)
+        raise InputError(
+            f"mesh: {elements_at_side.max()} elements share the side at {_at(middle)}; elements "
+            "must not lie on one another"
         )
 
 
 def _check_orphans(nodes: Array, elements: NDArray[np.integer]) -> None:
+    """Reject nodes (n, 2) that no element has: nothing would determine their motion."""
     alone = np.setdiff1d(np.arange(len(nodes)), elements)
     if alone.size:
         raise InputError(
@@ -403,59 +479,63 @@ def _check_orphans(nodes: Array, elements: NDArray[np.integer]) -> None:
 
 
 def _check_shapes(nodes: Array, elements: Index) -> None:
-    """The corners of every element must turn one way, and the middles lie near their sides."""
-    x = nodes[elements[:, :4] if elements.shape[1] == 4 else elements[:, :3]]
-    ahead = np.roll(x, -1, axis=1) - x
+    """Reject elements whose corners do not all turn one way, or whose sides are bent too far."""
+    corners = elements[:, :4] if elements.shape[1] == 4 else elements[:, :3]
+    x = nodes[corners]
+    ahead = np.roll(x, -1, axis=1) - x  # from each corner to the next
     behind = np.roll(ahead, 1, axis=1)
     turn = behind[..., 0] * ahead[..., 1] - behind[..., 1] * ahead[..., 0]
     # scikit-fem takes elements either way round.
     turn *= np.where(turn.sum(axis=1, keepdims=True) < 0.0, -1.0, 1.0)
     size = np.linalg.norm(ahead, axis=2).max(axis=1)
-    flat = turn.min(axis=1) / np.maximum(size, np.finfo(float).tiny) ** 2
+    bulge = turn.min(axis=1) / np.maximum(size, np.finfo(float).tiny) ** 2
     if elements.shape[1] == 6:
-        middle = 0.5 * (x + np.roll(x, -1, axis=1))
-        away = np.linalg.norm(nodes[elements[:, 3:]] - middle, axis=2).max(axis=1)
-        flat = np.where(away > 0.25 * size, -1.0, flat)
-    worst = int(flat.argmin())
-    if not flat[worst] > 1e-6:
-        what = "inverted" if flat[worst] < -1e-6 else "degenerate"
+        middle_of_chord = 0.5 * (x + np.roll(x, -1, axis=1))
+        bend = np.linalg.norm(nodes[elements[:, 3:]] - middle_of_chord, axis=2).max(axis=1)
+        bulge = np.where(bend > _MOST_BEND * size, -1.0, bulge)
+    worst = int(bulge.argmin())
+    if not bulge[worst] > _FLAT:
+        fault = "inverted" if bulge[worst] < -_FLAT else "degenerate"
         raise InputError(
-            f"mesh: element {worst} at {_at(x[worst].mean(axis=0))} is {what}; its corners must go "
-            "round it and bulge outward"
+            f"mesh: element {worst} at {_at(x[worst].mean(axis=0))} is {fault}; its corners must "
+            "go round it and bulge outward"
         )
 
 
 def _check_seams(mesh: skfem.Mesh) -> None:
-    """Nodes of outer sides must not lie on one another, nor on outer sides that do not have them:
-    a crack would run there."""
-    nodes, outer = mesh.p.T, mesh.boundary_facets()
+    """Reject outer sides along which parts of a mesh touch and are not glued.
+
+    A crack would run there. Nodes of outer sides must neither lie on one another, nor on outer
+    sides that do not have them.
+    """
+    nodes = mesh.p.T
+    outer = mesh.boundary_facets()
     ends = mesh.facets[:, outer].T
     x = nodes[ends]
     length = np.linalg.norm(x[:, 1] - x[:, 0], axis=1)
-    outline = np.unique(ends)
-    shortest = np.full(len(nodes), np.inf)  # of the outer sides at each node
-    np.minimum.at(shortest, ends, length[:, None])
+    outline = np.unique(ends)  # nodes of outer sides
+    # only nodes of the outline can be at a seam, so the tree is small
     tree = scipy.spatial.cKDTree(nodes[outline])
-    near = outline[tree.query_pairs(CLOSED * shortest[outline].max(), output_type="ndarray")]
-    apart = np.linalg.norm(nodes[near[:, 0]] - nodes[near[:, 1]], axis=1)
-    for pair in near[apart <= CLOSED * shortest[near].min(axis=1)][:1]:
-        raise InputError(
-            f"mesh: two nodes at {_at(nodes[pair[0]])}, so parts of the mesh touch there and are "
-            "not glued; merge such nodes (in Gmsh: Coherence before meshing, or Coherence Mesh)"
-        )
+    _check_glued(nodes, outline, ends, length, tree)
+
+    centre = x.mean(axis=1)
     if mesh.elem is skfem.ElementTriP2:
         middle = nodes[mesh.dofs.facet_dofs[0, outer]]
     else:
-        middle = x.mean(axis=1)
-    sagitta = np.linalg.norm(middle - x.mean(axis=1), axis=1)
+        middle = centre
+    sagitta = np.linalg.norm(middle - centre, axis=1)
     radius = (0.5 - CLOSED) * length + sagitta  # without the ends of a straight side
-    inside = tree.query_ball_point(x.mean(axis=1), radius)
-    side = np.repeat(np.arange(len(outer)), [*map(len, inside)])
-    node = outline[np.concatenate([np.zeros(0, np.int64), *inside]).astype(np.int64)]
+    near_side = tree.query_ball_point(centre, radius)
+    # flat pairs (side, node near it), without the side's own ends
+    side = np.repeat(np.arange(len(outer)), [len(near) for near in near_side])
+    node = outline[np.concatenate([np.zeros(0, np.int64), *near_side]).astype(np.int64)]
     is_other = (ends[side] != node[:, None]).all(axis=1)
-    side, node = side[is_other], node[is_other]
-    gap = _distance_to_sides(nodes[node], x[side], middle[side])
-    for k in np.flatnonzero(gap <= CLOSED * length[side])[:1]:
+    side = side[is_other]
+    node = node[is_other]
+    distance = _distance_to_sides(nodes[node], x[side], middle[side])
+    touching = np.flatnonzero(distance <= CLOSED * length[side])
+    if touching.size:
+        k = touching[0]
         a, b = x[side[k]]
         raise InputError(
             f"mesh: the node at {_at(nodes[node[k]])} lies on the side of an element from {_at(a)} "
@@ -463,47 +543,76 @@ def _check_seams(mesh: skfem.Mesh) -> None:
         )
 
 
-def _distance_to_sides(points: Array, ends: Array, middles: Array) -> Array:
-    """(n,) distance of points (n, 2) to sides through their ends (n, 2, 2) and middles (n, 2).
+def _check_glued(nodes: Array, outline: Index, ends: Index, length: Array, tree: Any) -> None:
+    """Reject two nodes of the outline at one place.
 
-    A side is x(s) = (1−s)(1−2s) a + 4s(1−s) m + s(2s−1) b, on which Newton's method finds the
-    nearest s.
+    Args:
+        nodes: (n, 2) positions of all nodes, µm.
+        outline: (k,) numbers of the nodes of outer sides.
+        ends: (m, 2) nodes of each outer side.
+        length: (m,) length of each outer side, µm.
+        tree: `cKDTree` of the outline's positions.
     """
-    a, b = ends[:, 0], ends[:, 1]
+    shortest = np.full(len(nodes), np.inf)  # length of the shortest outer side at each node
+    np.minimum.at(shortest, ends, length[:, None])
+    pairs = outline[tree.query_pairs(CLOSED * shortest[outline].max(), output_type="ndarray")]
+    distance = np.linalg.norm(nodes[pairs[:, 0]] - nodes[pairs[:, 1]], axis=1)
+    same = pairs[distance <= CLOSED * shortest[pairs].min(axis=1)]
+    if len(same):
+        first_node = same[0, 0]
+        raise InputError(
+            f"mesh: two nodes at {_at(nodes[first_node])}, so parts of the mesh touch there and "
+            "are not glued; merge such nodes (in Gmsh: Coherence before meshing, or Coherence "
+            "Mesh)"
+        )
+
+
+def _distance_to_sides(points: Array, ends: Array, middles: Array) -> Array:
+    """Return the distance (n,) of points (n, 2) to sides, each point to its side.
+
+    A side through its ends a and b (n, 2, 2) and its middle m (n, 2) is x(s) = (1−s)(1−2s) a +
+    4s(1−s) m + s(2s−1) b, on which Newton's method finds the nearest s.
+    """
+    a = ends[:, 0]
+    b = ends[:, 1]
     chord = b - a
     s = np.einsum("ni,ni->n", points - a, chord) / np.einsum("ni,ni->n", chord, chord)
-    for _ in range(3):
+    for _ in range(3):  # a straight side is exact at once; sides bend by a quarter at most
         t = s[:, None]
-        at = (
+        on_side = (
             (1.0 - t) * (1.0 - 2.0 * t) * a
             + 4.0 * t * (1.0 - t) * middles
             + t * (2.0 * t - 1.0) * b
         )
         slope = (4.0 * t - 3.0) * a + (4.0 - 8.0 * t) * middles + (4.0 * t - 1.0) * b
-        s = s + np.einsum("ni,ni->n", points - at, slope) / np.einsum("ni,ni->n", slope, slope)
+        step = np.einsum("ni,ni->n", points - on_side, slope)
+        s = s + step / np.einsum("ni,ni->n", slope, slope)
         s = np.clip(s, 0.0, 1.0)
-    return np.linalg.norm(points - at, axis=1)
+    return np.linalg.norm(points - on_side, axis=1)
 
 
 def _check_pieces(mesh: skfem.Mesh) -> None:
-    first, second = mesh.t, np.roll(mesh.t, 1, axis=0)
+    """Reject a mesh of several pieces, and parts that share a node alone, like a hinge."""
+    next_corner = np.roll(mesh.t, 1, axis=0)
     corners = int(mesh.t.max()) + 1
-    pieces, label = _connected(corners, first.ravel(), second.ravel())
+    pieces, piece_of_node = _connected(corners, mesh.t.ravel(), next_corner.ravel())
     if pieces > 1:
-        sizes = np.bincount(label[mesh.t[0]])
-        piece = int(sizes.argmin())
-        node = int(np.flatnonzero(label == piece)[0])
+        sizes = np.bincount(piece_of_node[mesh.t[0]])
+        smallest = int(sizes.argmin())
+        node = int(np.flatnonzero(piece_of_node == smallest)[0])
         raise InputError(
             f"mesh: {pieces} pieces that do not touch, the smallest of {sizes.min()} elements "
             f"at {_at(mesh.p[:, node])}; it must be one"
         )
-    inner = mesh.f2t[:, mesh.f2t[1] != -1]
-    parts, part = _connected(mesh.nelements, *inner)
+    # elements that share sides are of one part; a node of two parts is a hinge
+    one_side, other_side = mesh.f2t[:, mesh.f2t[1] != -1]
+    parts, part_of_element = _connected(mesh.nelements, one_side, other_side)
     if parts > 1:
-        lowest, highest = np.full(corners, parts), np.full(corners, -1)
-        of_corner = np.broadcast_to(part, mesh.t.shape)
-        np.minimum.at(lowest, mesh.t, of_corner)
-        np.maximum.at(highest, mesh.t, of_corner)
+        lowest = np.full(corners, parts)
+        highest = np.full(corners, -1)
+        part_of_corner = np.broadcast_to(part_of_element, mesh.t.shape)
+        np.minimum.at(lowest, mesh.t, part_of_corner)
+        np.maximum.at(highest, mesh.t, part_of_corner)
         node = int(np.flatnonzero(lowest != highest)[0])
         raise InputError(
             f"mesh: two parts share the node at {_at(mesh.p[:, node])} and no side, so that they "
@@ -512,11 +621,15 @@ def _check_pieces(mesh: skfem.Mesh) -> None:
 
 
 def _connected(count: int, first: NDArray, second: NDArray) -> tuple[int, NDArray]:
-    """How many pieces `count` things are that are connected in pairs, and the piece of each."""
+    """Return how many pieces `count` things make, and the number (count,) of the piece of each.
+
+    The things `first` and `second`, (m,) each, are connected in pairs.
+    """
     graph = coo_matrix((np.ones(first.size), (first, second)), (count, count))
-    pieces, label = connected_components(graph, directed=False)
-    return int(pieces), label
+    pieces, piece_of_thing = connected_components(graph, directed=False)
+    return int(pieces), piece_of_thing
 
 
 def _at(point: Array, digits: int = 6) -> str:
+    """Write a point (2,) in µm for a message."""
     return f"({point[0]:.{digits}g}, {point[1]:.{digits}g}) µm"

@@ -1,6 +1,6 @@
-"""What is computed: a mesh, what acts on it, for how long, and what is watched.
+"""`Problem`: a mesh, the conditions on it, the length of a run, and the points to be recorded.
 
-`Support` says which components are held or moved, each owned by one condition.
+`Support` lists the components that a condition holds or moves; each belongs to one condition.
 """
 
 from __future__ import annotations
@@ -42,8 +42,12 @@ from surrofe2.problem.rigid_bodies import RigidBody
 Point = tuple[float, float]
 
 MOST_ROWS = 1_000_000
-_PARTS = np.array([0.0, 0.13, 0.51, 0.77, 1.0])
-"""Of a piece of an amplitude, where it is looked at."""
+"""Rows of results that a run has at most."""
+# Fractions of a piece of an amplitude at which it is sampled: its ends, and places between at which
+# an oscillation that is zero at its quarters is not.
+_SAMPLED_AT = np.array([0.0, 0.13, 0.51, 0.77, 1.0])
+# A jump of a motion that is larger than rounding, as a fraction of its largest displacement.
+_JUMP = 1e-9
 SURFACE = "surface"
 TAKEN = (
     "kinetic", "internal", "elastic", "dissipated", "balance", "motion", "numerical", "contact",
@@ -65,15 +69,16 @@ class Problem:
         output_interval: time between rows of the results, µs.
         watched: reference positions whose displacement is recorded, µm, by name; the first is
             the one of the displacement curve. The tissue's middle if there is none.
-        boundaries, regions: more of them, by name the part of the plane that holds the ends of
-            outer sides, or centres of elements; of a full tissue wall particles, or middles of
-            plant cells.
+        boundaries: further boundaries, by name the part of the plane that holds the ends of their
+            outer sides (in a full tissue, the wall particles).
+        regions: further regions, by name the part of the plane that holds the centres of their
+            elements (in a full tissue, the middles of plant cells).
         surface: free sides with a surface law, under which the tissue comes to rest before the
             run; displacements count from there. None: there are none. A full tissue needs none.
 
     Raises:
-        InputError: as of `check_mesh` and `check_name`; two conditions have one name, or a number
-            is out of range.
+        InputError: the mesh or a name is rejected by `check_mesh` or `check_name`, two conditions
+            have one name, or a number is out of range.
     """
 
     mesh: skfem.Mesh
@@ -89,7 +94,8 @@ class Problem:
     def __post_init__(self) -> None:
         mesh = with_boundaries(check_mesh(self.mesh), **self.boundaries)
         object.__setattr__(self, "mesh", with_regions(mesh, **self.regions))
-        object.__setattr__(self, "watched", self.watched or {"middle": _middle_node(self.mesh)})
+        if not self.watched:
+            object.__setattr__(self, "watched", {"middle": _middle_node(self.mesh)})
         if not 0.0 < self.duration < np.inf:
             raise InputError(f"problem.duration: {self.duration}; it must be positive, finite (µs)")
         least = self.duration / MOST_ROWS
@@ -98,9 +104,16 @@ class Problem:
                 f"problem.output_interval: {self.output_interval}; it must be finite and at least "
                 f"{least:g} µs, a millionth of the duration"
             )
-        # Results tell conditions, bodies and energies apart by name.
-        names = Counter([*map(label, self.conditions), *(body.name for body in self.bodies)])
-        for name, number in names.items():
+        self._check_names()
+
+    def _check_names(self) -> None:
+        """Check that names are unique, and that conditions and bodies act on places of the mesh.
+
+        Results tell conditions, bodies and energies apart by name.
+        """
+        names_of_conditions = [label(condition) for condition in self.conditions]
+        names_of_bodies = [body.name for body in self.bodies]
+        for name, number in Counter(names_of_conditions + names_of_bodies).items():
             if number > 1:
                 raise InputError(f"problem: {number} conditions are called {name}; name them apart")
             if name in TAKEN:
@@ -110,66 +123,82 @@ class Problem:
                 check_name(self.mesh, condition.on, f"{label(condition)}.on")
         for body in self.bodies:
             check_name(self.mesh, body.on, f"{body.name}.on")
-        thrown = Counter(each.on for each in self.conditions if isinstance(each, InitialVelocity))
-        for place, number in thrown.items():
+        thrown = [
+            condition.on for condition in self.conditions if isinstance(condition, InitialVelocity)
+        ]
+        for place, number in Counter(thrown).items():
             if number > 1:
                 where = place or "the whole mesh"
                 raise InputError(f"problem: {number} initial velocities on {where}; give one")
 
     def amplitudes(self) -> list[Amplitude]:
-        """Those of all conditions and bodies."""
-        driven = [each.amplitude for each in self.conditions if isinstance(each, DrivenCondition)]
-        return driven + [body.amplitude for body in self.bodies]
+        """Return the amplitudes of all conditions and bodies."""
+        of_conditions = [
+            condition.amplitude
+            for condition in self.conditions
+            if isinstance(condition, DrivenCondition)
+        ]
+        return of_conditions + [body.amplitude for body in self.bodies]
 
     def check_course(self) -> None:
-        """Refuse amplitudes that no run can follow, or that are zero all of it but not constant.
+        """Reject amplitudes that no run can follow, or that do nothing during the run.
+
+        A constant amplitude of zero is meant, and passes.
 
         Raises:
             InputError: a prescribed motion does not begin at 0 or jumps, or a load or a motion is
                 zero from the start of the run to its end.
         """
-        driven = [each for each in self.conditions if isinstance(each, DrivenCondition)]
-        moved = [body for body in self.bodies if any(body.displacement)]
-        for name, amplitude, moves in (
-            *((label(each), each.amplitude, isinstance(each, PrescribedMotion)) for each in driven),
-            *((body.name, body.amplitude, True) for body in moved),
-        ):
-            values = np.array([
-                [amplitude.at(t, 0.5 * (begin + end))[0] for t in begin + _PARTS * (end - begin)]
-                for begin, end in pairwise(self.corners())
-            ])  # fmt: skip
-            before = np.append(0.0, values[:-1, -1])
-            jumps = np.flatnonzero(abs(values[:, 0] - before) > 1e-9)
-            if moves and jumps.size:
-                k = jumps[0]
-                raise InputError(
-                    f"{name}.amplitude: jumps from {before[k]:g} to {values[k, 0]:g} at "
-                    f"t = {self.corners()[k]:g} µs; a prescribed motion must begin at 0 and must "
-                    "not jump"
-                )
-            if not isinstance(amplitude, Constant) and not values[:, 1:-1].any():
-                raise InputError(
-                    f"{name}.amplitude: zero during the whole run of {self.duration:g} µs; it must "
-                    "act before the end, or be left out"
-                )
+        for condition in self.conditions:
+            if isinstance(condition, DrivenCondition):
+                is_motion = isinstance(condition, PrescribedMotion)
+                self._check_amplitude(label(condition), condition.amplitude, is_motion)
+        for body in self.bodies:
+            if any(body.displacement):
+                self._check_amplitude(body.name, body.amplitude, is_motion=True)
+
+    def _check_amplitude(self, name: str, amplitude: Amplitude, is_motion: bool) -> None:
+        """Reject one amplitude as `check_course` says; `name` is that of its condition or body."""
+        corners = self.corners()
+        values = np.empty((len(corners) - 1, len(_SAMPLED_AT)))
+        for k, (begin, end) in enumerate(pairwise(corners)):
+            middle = 0.5 * (begin + end)
+            for j, t in enumerate(begin + _SAMPLED_AT * (end - begin)):
+                values[k, j], _, _ = amplitude.at(t, within=middle)
+        # the value that each piece must begin with: 0 at first, then the end of the last piece
+        before = np.append(0.0, values[:-1, -1])
+        jumps = np.flatnonzero(abs(values[:, 0] - before) > _JUMP)
+        if is_motion and jumps.size:
+            k = jumps[0]
+            raise InputError(
+                f"{name}.amplitude: jumps from {before[k]:g} to {values[k, 0]:g} at "
+                f"t = {corners[k]:g} µs; a prescribed motion must begin at 0 and must not jump"
+            )
+        # ends of pieces do not count: a load that begins at the end of the run does nothing
+        is_zero = not values[:, 1:-1].any()
+        if is_zero and not isinstance(amplitude, Constant):
+            raise InputError(
+                f"{name}.amplitude: zero during the whole run of {self.duration:g} µs; it must "
+                "act before the end, or be left out"
+            )
 
     def proportional(self) -> Problem:
-        """The same with loads and motions that grow in proportion to t, which is then a factor."""
-
-        def grows(acts: Any) -> Any:
-            return replace(acts, amplitude=Proportional()) if hasattr(acts, "amplitude") else acts
-
+        """Return the problem with loads and motions in proportion to t, which is then a factor."""
         return replace(
-            self, conditions=(*map(grows, self.conditions),), bodies=(*map(grows, self.bodies),),
-            boundaries={}, regions={},
-        )  # fmt: skip
+            self,
+            conditions=tuple(_in_proportion(condition) for condition in self.conditions),
+            bodies=tuple(_in_proportion(body) for body in self.bodies),
+            boundaries={},  # the mesh has them already
+            regions={},
+        )
 
     def places(self) -> set[str | None]:
-        """Boundaries and regions that conditions and bodies act on; None: everywhere."""
-        return {each.on for each in self.conditions} | {body.on for body in self.bodies}
+        """Return the boundaries and regions with conditions or bodies; None: everywhere."""
+        of_conditions = {condition.on for condition in self.conditions}
+        return of_conditions | {body.on for body in self.bodies}
 
     def acted_boundaries(self) -> list[str]:
-        """Boundaries that conditions and bodies act on, in the order of the mesh."""
+        """Return the boundaries with conditions or bodies, in the order of the mesh."""
         places = self.places()
         return [name for name in self.mesh.boundaries or {} if name in places]
 
@@ -186,42 +215,58 @@ class Problem:
         return np.isin(elements, region(self.mesh, name)).reshape(cells)
 
     def corners(self) -> Array:
-        """(m,) times in µs at which a step must end, from 0 to the end of the run."""
-        inner = [t for amplitude in self.amplitudes() for t in amplitude.corners()]
-        inside = [t for t in inner if 0.0 < t < self.duration]
-        return np.array(sorted({0.0, *inside, self.duration}))
+        """Return the times (m,) in µs at which a step must end, from 0 to the end of the run."""
+        times = {0.0, self.duration}
+        for amplitude in self.amplitudes():
+            times.update(t for t in amplitude.corners() if 0.0 < t < self.duration)
+        return np.array(sorted(times))
 
     @property
     def resolved_by(self) -> float:
         """Longest step (µs) that sees the shape of all amplitudes."""
-        return min((each.resolved_by for each in self.amplitudes()), default=np.inf)
+        return min((amplitude.resolved_by for amplitude in self.amplitudes()), default=np.inf)
 
     def output_times(self) -> Array:
-        """(m,) times in µs at which results are kept: multiples of the interval, and the end."""
+        """Return the times (m,) in µs of results: multiples of the interval, and the end."""
+        # 1e-12: a whole number of intervals may round to just below it
         count = int(np.floor(self.duration / self.output_interval * (1.0 + 1e-12)))
         times: Array = self.output_interval * np.arange(count + 1.0)
-        return times if np.isclose(times[-1], self.duration) else np.append(times, self.duration)
+        if np.isclose(times[-1], self.duration):
+            return times
+        return np.append(times, self.duration)
+
+
+def _in_proportion(acting: Any) -> Any:
+    """Return a condition or body whose amplitude, where it has one, is t itself."""
+    if hasattr(acting, "amplitude"):
+        return replace(acting, amplitude=Proportional())
+    return acting
 
 
 def _middle_node(mesh: skfem.Mesh) -> Point:
-    middle = 0.5 * np.add(*extent(mesh))
-    x, y = mesh.p[:, abs(mesh.p.T - middle).sum(axis=1).argmin()]
+    """Return the position of the node that is nearest to the middle of the mesh's extent, µm."""
+    low, high = extent(mesh)
+    middle = 0.5 * np.add(low, high)
+    nearest = abs(mesh.p.T - middle).sum(axis=1).argmin()
+    x, y = mesh.p[:, nearest]
     return float(x), float(y)
 
 
 def label(condition: Condition) -> str:
-    """What results call a condition: its name, or its kind and where it acts."""
+    """Return the name of a condition in results: its own, or its kind and where it acts."""
     if condition.name is not None:
         return condition.name
-    return f"{condition.kind()} {condition.on}" if condition.on else condition.kind()
+    if condition.on:
+        return f"{condition.kind()} {condition.on}"
+    return condition.kind()
 
 
 def sections_of(
     conditions: Iterable[Condition], bodies: Iterable[RigidBody], watched: Mapping[str, Point]
 ) -> dict[str, dict[str, Any]]:
-    """What acts on a tissue and what is watched, as a recipe has it."""
+    """Return the sections of a recipe that state conditions, bodies and watched points."""
     return {
-        "conditions": {label(each): each.entry() for each in conditions},
+        "conditions": {label(condition): condition.entry() for condition in conditions},
         "bodies": {body.name: body.entry() for body in bodies},
         "watch": dict(watched),
     }
@@ -229,9 +274,15 @@ def sections_of(
 
 @dataclass(frozen=True, slots=True)
 class Support:
-    """Unknowns that a condition holds or moves: `largest` times the amplitude, µm.
+    """The unknowns that a condition holds or moves.
 
     Places are nodes of a mesh or particles of a tissue; component i of place a is unknown 2 a + i.
+
+    Attributes:
+        name: name of the condition in results.
+        unknowns: (m,) numbers of the unknowns.
+        largest: (m,) displacement of each at an amplitude of 1, µm.
+        amplitude: factor in time of these displacements.
     """
 
     name: str
@@ -241,22 +292,31 @@ class Support:
 
 
 def supports_of(problem: Problem, places_of: Callable[[Condition], Index]) -> list[Support]:
-    """A support for each condition that holds or moves `places_of` it; they may share unknowns."""
+    """Make a support for each condition that holds or moves something; they may share unknowns.
+
+    Args:
+        problem: the problem with the conditions.
+        places_of: returns the places, nodes or particles, on which a condition acts.
+    """
     supports = []
     for condition in problem.conditions:
+        # largest displacement by component, µm; a component that is free is left out
+        largest: dict[int, float]
+        amplitude: Amplitude = ONE
         match condition:
             case Fixed():
-                ends = {k: 0.0 for k in (0, 1) if "xy"[k] in condition.components}
+                largest = {k: 0.0 for k in (0, 1) if "xy"[k] in condition.components}
             case Symmetry():
-                ends = {_normal_component(problem.mesh, condition): 0.0}
-            case PrescribedMotion(displacement=moved):
-                ends = {k: value for k, value in enumerate(moved) if value is not None}
-            case _:
+                largest = {_normal_component(problem.mesh, condition): 0.0}
+            case PrescribedMotion():
+                components = enumerate(condition.displacement)
+                largest = {k: value for k, value in components if value is not None}
+                amplitude = condition.amplitude
+            case _:  # loads leave all components free
                 continue
         places = places_of(condition)
-        unknowns = (2 * places[:, None] + np.array([*ends], dtype=np.int64)).ravel()
-        amplitude = condition.amplitude if isinstance(condition, PrescribedMotion) else ONE
-        values = np.tile([*ends.values()], places.size)
+        unknowns = (2 * places[:, None] + np.array([*largest], dtype=np.int64)).ravel()
+        values = np.tile([*largest.values()], places.size)
         supports.append(Support(label(condition), unknowns, values, amplitude))
     return supports
 
@@ -264,22 +324,27 @@ def supports_of(problem: Problem, places_of: Callable[[Condition], Index]) -> li
 def without_overlap(
     supports: Sequence[Support], at: Array, what: str = "node"
 ) -> tuple[Support, ...]:
-    """Supports that share no unknown: fixed ones may meet, what moves must agree.
+    """Take from supports the unknowns that an earlier one has already.
+
+    Supports that hold may meet; those that move must prescribe the same where they meet.
 
     Args:
-        at: (n, 2) where the places are that may be shared, µm.
-        what: a place is.
+        supports: supports that may share unknowns.
+        at: (n, 2) positions of the places, µm, for messages.
+        what: name of a place in messages.
 
     Raises:
-        InputError: two move one component differently.
+        InputError: two supports move one component differently.
     """
-    owners, kept = dict[int, tuple[Support, float]](), list[Support]()
+    owners: dict[int, tuple[Support, float]] = {}  # first support of an unknown, and its value
+    disjoint: list[Support] = []
     for support in supports:
-        mine = np.ones(support.unknowns.size, dtype=bool)
-        for k, each in enumerate(zip(support.unknowns.tolist(), support.largest, strict=True)):
-            unknown, largest = each
+        is_owned = np.ones(support.unknowns.size, dtype=bool)
+        pairs = zip(support.unknowns.tolist(), support.largest, strict=True)
+        for k, (unknown, largest) in enumerate(pairs):
             owner, value = owners.setdefault(unknown, (support, largest))
-            mine[k] = owner is support
+            is_owned[k] = owner is support
+            # at a displacement of 0 the amplitude does not matter
             moves_apart = largest != 0.0 and owner.amplitude != support.amplitude
             if largest != value or moves_apart:
                 place, component = divmod(unknown, 2)
@@ -289,15 +354,26 @@ def without_overlap(
                     f"({x:.6g}, {y:.6g}) µm; {owner.name} prescribes it otherwise, "
                     "and only one may"
                 )
-        unknowns, values = support.unknowns[mine], support.largest[mine]
-        kept.append(replace(support, unknowns=unknowns, largest=values))
-    return tuple(kept)
+        disjoint.append(
+            replace(
+                support,
+                unknowns=support.unknowns[is_owned],
+                largest=support.largest[is_owned],
+            )
+        )
+    return tuple(disjoint)
 
 
 def _normal_component(mesh: skfem.Mesh, condition: Symmetry) -> int:
-    extent = np.ptp(mesh.p.T[nodes_on(mesh, condition.on, "symmetry.on")], axis=0)
-    if extent.min() > max(1e-9 * extent.max(), 2.0 * precision(mesh)):
+    """Return the component, 0 or 1, of the displacement across a straight boundary.
+
+    Raises:
+        InputError: the boundary is not straight along x or y.
+    """
+    width = np.ptp(mesh.p.T[nodes_on(mesh, condition.on, "symmetry.on")], axis=0)
+    rounding = max(1e-9 * width.max(), 2.0 * precision(mesh))
+    if width.min() > rounding:
         raise InputError(
             f"{label(condition)}.on: {condition.on}; a symmetry must be straight along x or along y"
         )
-    return int(extent.argmin())
+    return int(width.argmin())

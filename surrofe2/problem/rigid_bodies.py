@@ -1,8 +1,8 @@
 """Rigid bodies that tissue comes into contact with: a plane, a circle, a rounded corner.
 
-A body translates without turning. A shape gives, at points p relative to the body's position, the
-gap (positive outside), its gradient n, which is the outward normal, and the curvature κ of its
-level line, so that ∂n/∂p = κ (I − n nᵀ).
+A body translates without turning. At points p relative to the body's position, a shape has a gap
+(positive outside), its gradient n, which is the outward normal, and the curvature κ of its level
+line, so that ∂n/∂p = κ (I − n nᵀ).
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from surrofe2.problem.amplitude import IN_TIME, ONE, Amplitude
 from surrofe2.problem.contact_law import gap
 
 Outline = tuple[float, float, float, float, float, float]
+"""A rounded wedge as six numbers, see `contact_law.gap`."""
 
 
 class Shape(ABC):
@@ -40,29 +41,36 @@ class Shape(ABC):
 
     def __post_init__(self) -> None:
         check_settings(self, type(self).__name__.lower())
-        _ = self.outline  # refuses a direction without length
+        _ = self.outline  # raises for a direction without length
 
     @property
     @abstractmethod
     def outline(self) -> Outline:
-        """As `contact_law.gap` has it."""
+        """The six numbers that `contact_law.gap` takes."""
 
     def gap(self, p: Array) -> tuple[Array, Array, Array]:
-        """(n,) gap in µm, (n, 2) outward normal, (n,) curvature in 1/µm at points p (n, 2)."""
-        found = np.empty(len(p)), np.empty((len(p), 2)), np.empty(len(p))
-        set_gaps(np.ascontiguousarray(p, dtype=np.float64), self.outline, found)
-        return found
+        """Compute gaps (n,) in µm, outward normals (n, 2), and curvatures (n,) in 1/µm.
+
+        p: (n, 2) points relative to the body's position, µm.
+        """
+        gaps = np.empty(len(p))
+        normals = np.empty((len(p), 2))
+        curvatures = np.empty(len(p))
+        points = np.ascontiguousarray(p, dtype=np.float64)
+        set_gaps(points, self.outline, (gaps, normals, curvatures))
+        return gaps, normals, curvatures
 
 
 @kernel
-def set_gaps(p: Any, outline: Any, found: Any) -> None:
-    """Set what `Shape.gap` gives at points p (n, 2)."""
-    distance, normal, curvature = found
+def set_gaps(p: Any, outline: Any, results: Any) -> None:
+    """Set the three arrays of `Shape.gap` at points p (n, 2)."""
+    distance, normal, curvature = results
     for k in range(p.shape[0]):
         distance[k], normal[k, 0], normal[k, 1], curvature[k] = gap(p[k, 0], p[k, 1], outline)
 
 
 def _unit(where: str, vector: tuple[float, float]) -> tuple[float, float]:
+    """Return the vector divided by its length; `where` names it in the error of a zero one."""
     length = math.hypot(*vector)
     if not length > 0.0:
         raise InputError(where, f"{list(vector)}; it must not be zero")
@@ -116,7 +124,7 @@ class RigidBody:
     It flies freely if it has a `mass`; else it follows `displacement` times `amplitude`.
 
     Attributes:
-        shape: its outline.
+        shape: the outline of the body; the settings below describe the other fields.
     """
 
     name: str = setting("body", "by which results call it")
@@ -169,7 +177,7 @@ class RigidBody:
 
     @staticmethod
     def read(where: str, entry: Any) -> RigidBody:
-        """What a recipe states in its section of bodies."""
+        """Read a body that a recipe states in its section of bodies, with all faults at once."""
         faults = Faults()
         check_table(where, entry)
         shapes = {key: entry[key] for key in SHAPES if key in entry}
@@ -188,27 +196,40 @@ class RigidBody:
         return body
 
     def entry(self) -> dict[str, Any]:
-        """What a recipe has under its name."""
-        entries = asdict(self) | {"amplitude": self.amplitude.entry()}
-        del entries["name"], entries["shape"]
-        return entries | dict([with_kind(self.shape, SHAPES)])
+        """Return the table that states this body in a recipe, under its name."""
+        entries = asdict(self)
+        del entries["name"]
+        del entries["shape"]
+        entries["amplitude"] = self.amplitude.entry()
+        kind, shape = with_kind(self.shape, SHAPES)
+        entries[kind] = shape
+        return entries
 
     @property
     def moves(self) -> bool:
-        """Whether it follows an amplitude, rather than resting or flying."""
+        """Whether the body follows an amplitude; else it rests or flies."""
         return self.mass is None and any(self.displacement)
 
 
 def check_outside(body: str, shape: Shape, position: Array, points: Array, allowed: float) -> None:
-    """Refuse a body that begins with points (n, 2) of a tissue deeper inside it than `allowed`.
-    Raises `InputError` naming the deepest place.
+    """Check that a body does not begin with a tissue inside it.
+
+    Args:
+        body: name of the body.
+        shape: its outline.
+        position: (2,) its position, µm.
+        points: (n, 2) points of the tissue, µm.
+        allowed: depth inside the body that a point may have, µm.
+
+    Raises:
+        InputError: a point is deeper; the message names the deepest.
     """
-    distance, _, _ = shape.gap(points - position)
-    deepest = int(distance.argmin())
-    if distance[deepest] < -allowed:
+    gaps, _, _ = shape.gap(points - position)
+    deepest = int(gaps.argmin())
+    if gaps[deepest] < -allowed:
         x, y = points[deepest]
         raise InputError(
             f"bodies.{body}.position",
-            f"{position.tolist()}; the tissue begins {-distance[deepest]:.3g} "
+            f"{position.tolist()}; the tissue begins {-gaps[deepest]:.3g} "
             f"µm inside it, at ({x:.6g}, {y:.6g}) µm; it must begin outside",
         )
