@@ -15,26 +15,28 @@ from surrofe2.base.errors import InputError, quoted
 from surrofe2.base.settings import unknown
 from surrofe2.base.units import with_micro_sign
 
+# Sections whose entries users name: a name that is not there is a mistake, not a new entry.
 _NAMED = ("cells", "conditions", "bodies", "watch")
-"""Sections in which users name what there is."""
+# FIRST:LAST:COUNT or FIRST:LAST:COUNT:log.
 _SPAN = re.compile(r"([^:]+):([^:]+):(\d{1,6})(:log)?")
+# A part between two commas. Commas in quotes, brackets and braces do not count.
 _PART = re.compile(r"""(?:"[^"]*"|'[^']*'|\[(?:\[[^\]]*\]|[^\]])*\]|\{[^}]*\}|[^,])+""")
-"""What stands between commas that are in no quotes and brackets."""
+# Tables and lists may be nested so deeply.
 _DEEPEST = 50
-"""Tables and lists in one another."""
+# A key of so many parts, which takes tomllib seconds where there are thousands.
 _DOTTED = re.compile(
     rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_DEEPEST}}}"""
 )
-"""A key of so many parts, which takes tomllib seconds where there are thousands."""
+# Characters of a file's name, without its digest and its end.
 _LONGEST = 120
-"""Characters of a name of a file, but for its digest and its end."""
 
 
 def read_toml(text: str) -> dict[str, Any]:
-    """The tables of a text in TOML.
+    """Read the tables of a text in TOML.
 
     Raises:
-        ValueError: it is none, or tables and lists in it are nested more than `_DEEPEST` times.
+        ValueError: the text is no TOML, or tables and lists in it are nested more than `_DEEPEST`
+            times.
     """
     too_deep = f"tables or lists nested more than {_DEEPEST} times"
     if _DOTTED.search(text):
@@ -43,29 +45,35 @@ def read_toml(text: str) -> dict[str, Any]:
         table = tomllib.loads(text)
     except RecursionError:
         raise ValueError(too_deep) from None
+    # level by level, for recursion would have a limit of its own
     level: list[Any] = [table]
     for _ in range(_DEEPEST):
-        level = [entry for each in level for entry in _entries_of(each)]
+        next_level: list[Any] = []
+        for value in level:
+            next_level.extend(_entries_of(value))
+        level = next_level
     if level:
         raise ValueError(too_deep)
     return table
 
 
 def _entries_of(value: Any) -> list[Any]:
-    """What stands in a table or a list; of another value nothing."""
+    """Return the values in a table or a list; another value has none."""
     if isinstance(value, Mapping):
         return [*value.values()]
-    return value if isinstance(value, list) else []
+    if isinstance(value, list):
+        return value
+    return []
 
 
 def with_micro_keys(entry: Any, where: str = "") -> Any:
-    """A copy of nested tables and lists whose keys are spelt with the micro sign, as names are.
+    """Copy nested tables and lists, with keys spelt with the micro sign, as names are.
 
     Raises:
         InputError: two keys of a table are then the same.
     """
     if isinstance(entry, list):
-        return [with_micro_keys(each, f"{where}[{k}]") for k, each in enumerate(entry)]
+        return [with_micro_keys(value, f"{where}[{k}]") for k, value in enumerate(entry)]
     if not isinstance(entry, Mapping):
         return entry
     table: dict[Any, Any] = {}
@@ -79,35 +87,39 @@ def with_micro_keys(entry: Any, where: str = "") -> Any:
 
 
 def with_changes(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """The tables of a recipe with other entries, by their dotted names.
+    """Return the tables of a recipe with other entries, which are named by dotted names.
 
-    What stands in a list, as [[conditions]] do, is named by its number, from 0. A name that leads
-    to nothing is an InputError."""
+    An entry of a list, such as [[conditions]], is named by its number, from 0.
+
+    Raises:
+        InputError: a name leads to nothing that a recipe could have.
+    """
     changed = with_micro_keys(table)
     for name, value in with_micro_keys(changes).items():
         *way, last = name.split(".")
         if not way or not all((*way, last)):
             raise InputError(f"{quoted(name)}: it must be an entry, such as cell.wall_stiffness")
-        at: Any = changed
+        parent: Any = changed
         for k, part in enumerate(way):
             where = ".".join(way[: k + 1])
-            if isinstance(at, list):
-                at = _of_list(at, where, part)
-            elif part not in at and way[0] in _NAMED and k == 1:
-                raise unknown(where, part, f"name in [{way[0]}]", at)
-            else:
-                at = at.setdefault(part, {})
-            if not isinstance(at, dict | list):
-                raise InputError(where, f"{quoted(at)}; it has no entry {last}")
-        if isinstance(at, list):
-            _of_list(at, name, last)
-            at[int(last)] = value
+            if isinstance(parent, list):
+                parent = _of_list(parent, where, part)
+            elif part not in parent and way[0] in _NAMED and k == 1:
+                raise unknown(where, part, f"name in [{way[0]}]", parent)
+            else:  # a section that the recipe leaves out may be changed, too
+                parent = parent.setdefault(part, {})
+            if not isinstance(parent, dict | list):
+                raise InputError(where, f"{quoted(parent)}; it has no entry {last}")
+        if isinstance(parent, list):
+            _of_list(parent, name, last)
+            parent[int(last)] = value
         else:
-            at[last] = value
+            parent[last] = value
     return changed
 
 
 def _of_list(entries: list[Any], where: str, part: str) -> Any:
+    """Return the entry of a list whose number `part` is; `where` names it in errors."""
     if not (part.isdecimal() and int(part) < len(entries)):
         raise InputError(
             where, f"{quoted(part)}; it must be a number from 0 to {len(entries) - 1} of a list"
@@ -116,18 +128,20 @@ def _of_list(entries: list[Any], where: str, part: str) -> Any:
 
 
 def listed_values(name: str, text: str) -> list[Any]:
-    """The values that a text lists between commas, each as TOML has it, or a bare word.
+    """Read the values that a text lists between commas, each as TOML has it, or a bare word.
 
     FIRST:LAST:COUNT stands for as many numbers at equal distances, FIRST:LAST:COUNT:log at equal
     ratios.
 
     Raises:
-        InputError: there is none, one is there twice, or a span is not of numbers.
+        InputError: there is no value, one is there twice, or a span is not of numbers.
     """
     parts = _PART.findall(text)
     if ",".join(parts) != text or not text:
         raise InputError(f"{name}: {quoted(text)}; nothing stands between two commas")
-    values = [value for part in parts for value in _values(name, part.strip())]
+    values: list[Any] = []
+    for part in parts:
+        values.extend(_values(name, part.strip()))
     for k, value in enumerate(values):
         if value in values[:k]:
             raise InputError(f"{name}: {quoted(value)}; it is there twice")
@@ -135,7 +149,9 @@ def listed_values(name: str, text: str) -> list[Any]:
 
 
 def _values(name: str, part: str) -> list[Any]:
-    if span := _SPAN.fullmatch(part):
+    """Read one part of a list: a span of numbers, a value of TOML, or else a bare word."""
+    span = _SPAN.fullmatch(part)
+    if span is not None:
         return _span(name, part, span)
     try:
         return [read_toml(f"value = {part}")["value"]]
@@ -144,38 +160,49 @@ def _values(name: str, part: str) -> list[Any]:
 
 
 def _span(name: str, part: str, span: re.Match[str]) -> list[Any]:
+    """Return the numbers of a span; whole numbers where none is written with a point."""
     try:
-        first, last = float(span[1]), float(span[2])
-    except ValueError:
+        first = float(span[1])
+        last = float(span[2])
+    except ValueError:  # the check below has the message
         first = last = float("nan")
-    count, is_log = int(span[3]), bool(span[4])
-    if not (np.isfinite([first, last]).all() and count > 1 and (not is_log or first * last > 0.0)):
+    count = int(span[3])
+    is_log = bool(span[4])
+    is_finite = np.isfinite([first, last]).all()
+    has_ratios = first * last > 0.0
+    if not (is_finite and count > 1 and (has_ratios or not is_log)):
         raise InputError(
             f"{name}: {quoted(part)}; it must be FIRST:LAST:COUNT of two numbers and at least 2 "
             "values, or FIRST:LAST:COUNT:log of two numbers of one sign"
         )
     values = np.geomspace(first, last, count) if is_log else np.linspace(first, last, count)
-    plain = [float(f"{value:.12g}") for value in values]
-    whole = "." not in part and all(value.is_integer() for value in plain)
-    return [int(value) if whole else value for value in plain]
+    # 12 digits: 0.1:0.5:5 is to mean 0.3, not 0.30000000000000004
+    rounded = [float(f"{value:.12g}") for value in values]
+    is_whole = "." not in part and all(value.is_integer() for value in rounded)
+    if is_whole:
+        return [int(value) for value in rounded]
+    return rounded
 
 
 def name_of_values(changes: Mapping[str, Any], *first: str) -> str:
-    """A name for files: KEY=VALUE and so on with commas; what comes `first` begins it.
+    """Make a name for files: the texts `first`, then KEY=VALUE of each change, with commas.
 
-    What no file should be called is left out, and a digest of all of it tells such names apart.
+    Characters that no file's name should have are replaced, and then a digest of the whole text
+    is added, so that different changes have different names.
     """
-    plainly = ",".join([*first, *(f"{key}={text_of(changes[key])}" for key in changes)])
-    name = re.sub(r"[^\w.,=+-]+", "_", plainly.replace('"', ""))[:_LONGEST]
-    if name == plainly:
+    settings = [f"{key}={text_of(value)}" for key, value in changes.items()]
+    text = ",".join([*first, *settings])
+    name = re.sub(r"[^\w.,=+-]+", "_", text.replace('"', ""))[:_LONGEST]
+    if name == text:
         return name
-    return f"{name}-{hashlib.sha256(plainly.encode()).hexdigest()[:8]}"
+    return f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
 def text_of(value: Any) -> str:
-    """A value of an entry as people write it; a number that is whole without a point."""
+    """Write a value of an entry as people do: a whole number without a point."""
     if isinstance(value, str):
         return value
+    # from 1e15 on, digits of an integer would claim more than a float has
     if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:
         return str(int(value))
     return json.dumps(value, ensure_ascii=False)

@@ -57,12 +57,12 @@ T = TypeVar("T")
 
 
 def _without(kind: type[T], key: str) -> Callable[[str, Any], T]:
-    """Reads settings from a table that has another key, too, which is read elsewhere."""
+    """Return a reader of settings whose table has one more key, which is read elsewhere."""
 
     def read(where: str, entry: Any) -> T:
         check_table(where, entry)
         others = {name: value for name, value in entry.items() if name != key}
-        return build(kind, others, where, (key,))
+        return build(kind, others, where, (key,))  # the key counts as known in messages
 
     return read
 
@@ -70,15 +70,15 @@ def _without(kind: type[T], key: str) -> Callable[[str, Any], T]:
 # The problem.
 
 PROBLEM_SECTIONS = ("mesh", "conditions", "watch", "bodies", "time")
-"""Those that state a problem."""
+"""Sections that state a problem."""
 
+# The function that looks up where a condition acts; of conditions that are not here, `nodes_on`.
 _PLACES: dict[type, Any] = {
     BodyForce: region,
     Traction: boundary,
     Pressure: boundary,
     Foundation: boundary,
 }
-"""What finds where a condition acts, if it is not `nodes_on`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,8 +115,17 @@ class MeshSettings:
             )
 
     def mesh(self, folder: Path) -> skfem.Mesh:
-        """The mesh with the boundaries and regions that it has by itself."""
+        """Make or read the mesh, with the boundaries and regions that it has by itself.
+
+        Args:
+            folder: the recipe's folder, against which a file resolves.
+
+        Raises:
+            FileError: the mesh file cannot be read.
+            InputError: it is no mesh, or has a name already that the recipe uses for a part.
+        """
         if self.file is None:
+            # `__post_init__` has checked these
             assert self.width is not None
             assert self.height is not None
             assert self.elements is not None
@@ -126,28 +135,28 @@ class MeshSettings:
                 mesh = load_mesh(folder / self.file, self.length_unit or "µm")
             except InputError as error:
                 raise InputError("mesh.file", str(error)) from None
-        for kind, known, more in (
+        for kind, known, stated in (
             ("boundaries", mesh.boundaries, self.boundaries),
             ("regions", mesh.subdomains, self.regions),
         ):
-            for name in {*(known or ())} & {*(more or ())}:
-                raise InputError(
-                    f"mesh.{kind}.{name}", "the mesh has one of that name; take another"
-                )
+            for name in stated or {}:
+                if name in (known or {}):
+                    raise InputError(
+                        f"mesh.{kind}.{name}", "the mesh has one of that name; take another"
+                    )
         return mesh
 
     def to_dict(self) -> dict[str, Any]:
-        """The section, defaults filled in."""
-        parts = {
-            kind: {name: part.entry() for name, part in (stated or {}).items()}
-            for kind, stated in (("boundaries", self.boundaries), ("regions", self.regions))
-        }
-        return asdict(self) | parts
+        """Return the section, with defaults filled in."""
+        section = asdict(self)
+        section["boundaries"] = {name: p.entry() for name, p in (self.boundaries or {}).items()}
+        section["regions"] = {name: p.entry() for name, p in (self.regions or {}).items()}
+        return section
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimeSettings:
-    """How long, and how often results are kept."""
+    """Length of a run, and how often results are kept."""
 
     duration: float = setting(250.0, "length of the run", TIME, above=0.0)
     output_interval: float | None = setting(
@@ -169,47 +178,53 @@ class TimeSettings:
 
 
 def _conditions(where: str, entry: Any) -> tuple[Condition, ...]:
-    """Conditions by name, or in a list."""
+    """Read conditions, which stand by name in [conditions.NAME] or in a list [[conditions]]."""
     if not isinstance(entry, list | dict):
         raise InputError(where, f"{quoted(entry)}; it must be a section [{where}]")
+    stated: list[tuple[str, Any, str | None]]  # place in the recipe, table, name
     if isinstance(entry, dict):
-        named = [(f"{where}.{name}", one, name) for name, one in entry.items()]
+        stated = [(f"{where}.{name}", table, name) for name, table in entry.items()]
     else:
-        named = [(f"{where}[{k}]", one, None) for k, one in enumerate(entry)]
-    acting, faults = dict[str, Condition](), Faults()
-    for place, one, name in named:
+        stated = [(f"{where}[{k}]", table, None) for k, table in enumerate(entry)]
+    conditions: dict[str, Condition] = {}
+    faults = Faults()
+    for place, table, name in stated:
         with faults.noted():
-            condition = Condition.read(place, one, name)
-            if label(condition) in acting:
+            condition = Condition.read(place, table, name)
+            if label(condition) in conditions:
                 raise InputError(
                     place, f"a second one called {label(condition)}; give it another name"
                 )
-            acting[label(condition)] = condition
+            conditions[label(condition)] = condition
     faults.check()
-    return tuple(acting.values())
+    return tuple(conditions.values())
 
 
 def _bodies(where: str, entry: Any) -> tuple[RigidBody, ...]:
+    """Read the rigid bodies of [bodies.NAME]."""
     return tuple(check_value(where, entry, Mapping[str, RigidBody], {}).values())
 
 
 # Its plant cells.
 
 REST = "rest"
-"""As a region of a cell: what no other cell fills, unless the mesh has a region of that name."""
+"""Region that a cell names to fill what no other cell fills; a region of the mesh by that name goes
+first."""
 CELL_SECTIONS = ("range", "samples", "training")
-"""Sections that a cell may have; what they leave out is as in the recipe's section."""
+"""Sections that a cell may have; keys that they leave out are those of the recipe's section."""
+# Sections with a file, which cells cannot share.
 _WITH_FILE = ("samples", "training")
-"""Those with a file, which cells cannot share."""
 ALIASES = {"ghysels2009": "printed", "ghysels2009-light": "water"}
-"""Presets by the paper that they are of."""
-FIRST_COUNT, MOST_COUNT = 512, 16384
-"""Samples that training begins with, and takes at most, where a recipe leaves their number out."""
+"""Further names of presets: the paper from which each comes."""
+FIRST_COUNT = 512
+"""Samples that training begins with where a recipe leaves their number out."""
+MOST_COUNT = 16384
+"""Samples that training takes at most where a recipe leaves their number out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SampleSettings:
-    """How many samples of the range, by which seed of the low-discrepancy sequence; their file."""
+    """Number of samples of the range, the seed of the low-discrepancy sequence, and their file."""
 
     count: int | None = setting(
         None,
@@ -224,13 +239,16 @@ class SampleSettings:
         check_settings(self, "samples")
 
     def counts(self, bound: float) -> tuple[int, ...]:
-        """How many samples training takes, in turn, until its bound is met.
+        """Return the numbers of samples that training takes, in turn, until its bound is met.
 
         Args:
-            bound: that training wants, of the spread of stress; 0: none, and so the most at once.
+            bound: bound that training is to reach, as a fraction of the spread of stress. Without
+                one (0) training takes the largest number at once.
         """
-        if self.count is not None or not bound:
-            return (self.count or MOST_COUNT,)
+        if self.count is not None:
+            return (self.count,)
+        if not bound:
+            return (MOST_COUNT,)
         counts = [FIRST_COUNT]
         while counts[-1] < MOST_COUNT:
             counts.append(2 * counts[-1])
@@ -239,8 +257,18 @@ class SampleSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellType:
-    """A plant cell, whether the recipe names its fluid, the regions it fills (of [cell] none are
-    named: all of them), and how its stress is sampled and learnt."""
+    """A plant cell of a recipe, with how its stress is sampled and learnt.
+
+    Attributes:
+        preset: name of the preset of its parameters.
+        cell: its parameters.
+        names_fluid: whether the recipe names its fluid, and does not leave it to the preset.
+        regions: regions of the mesh that it fills; empty for [cell], which fills all of them.
+        training_file: file of its surrogate, relative to the recipe.
+        range: range of (F, Ḟ) in which its stress is sampled and learnt.
+        samples: samples of this range.
+        training: training of its surrogate.
+    """
 
     preset: str
     cell: CellParameters
@@ -254,17 +282,19 @@ class CellType:
     )
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
-        """The sections of a recipe that state it, defaults filled in."""
+        """Return the sections of a recipe that state this cell, with defaults filled in."""
         sections = {
             "cell": {"preset": self.preset, **self.cell.to_dict()},
             "samples": asdict(self.samples),
             "training": {**asdict(self.training), "file": self.training_file},
         }
-        return sections if self.range is None else sections | {"range": asdict(self.range)}
+        if self.range is not None:
+            sections["range"] = asdict(self.range)
+        return sections
 
 
 def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
-    """The cell types that a recipe's tables state, by name; that of [cell] is called "".
+    """Read the cell types that a recipe's tables state, by name; that of [cell] is called "".
 
     Raises:
         InputError: naming the entry that is not what it must be.
@@ -293,64 +323,89 @@ def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
                 f"{section}.file",
                 f"{quoted(file)}; each cell has its own: give cells.NAME.{section}.file",
             )
-    build(dict, shared, "", of=CellType)  # what is wrong there is reported once, of no cell
+    build(dict, shared, "", of=CellType)  # reports faults there once, instead of for each cell
     faults = Faults()
-    types = {name: faults.take(_cell_type, name, one, shared) for name, one in cells.items()}
+    types = {name: faults.take(_cell_type, name, entry, shared) for name, entry in cells.items()}
     faults.check()
-    whose = dict[tuple[str, str], str]()
-    for name, each in types.items():
-        for section, file in zip(_WITH_FILE, (each.samples.file, each.training_file), strict=True):
-            first = name if file is None else whose.setdefault((section, str(Path(file))), name)
-            if first != name:
-                raise InputError(
-                    f"cells.{name}.{section}.file", f"{quoted(file)}; that is {first}'s"
-                )
+    _check_files_differ(types)
     return types
 
 
+def _check_files_differ(types: Mapping[str, CellType]) -> None:
+    """Reject a file of samples or of a surrogate that two cells name: one would overwrite it."""
+    owners: dict[tuple[str, str], str] = {}  # name of the cell, by section and file
+    for name, cell in types.items():
+        files = (cell.samples.file, cell.training_file)
+        for section, file in zip(_WITH_FILE, files, strict=True):
+            if file is None:
+                continue
+            owner = owners.setdefault((section, str(Path(file))), name)
+            if owner != name:
+                raise InputError(
+                    f"cells.{name}.{section}.file", f"{quoted(file)}; that is {owner}'s"
+                )
+
+
 def _cell_type(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]]) -> CellType:
-    """The cell of [cell], called "", or [cells.NAME]; what its sections leave out is shared."""
-    where, faults = f"cells.{name}" if name else "cell", Faults()
-    if name and not re.fullmatch(r"[\w-]+", name):
+    """Read the cell of [cell], whose name is "", or of [cells.NAME].
+
+    Args:
+        name: name of the cell.
+        entries: its table.
+        shared: the recipe's sections of `CELL_SECTIONS`, for keys that the cell's leave out.
+    """
+    is_named = name != ""
+    where = f"cells.{name}" if is_named else "cell"
+    if is_named and not re.fullmatch(r"[\w-]+", name):
         raise InputError(where, f"{quoted(name)}; a name must be of letters, digits, _ and -")
     if not isinstance(entries, dict):
         raise InputError(where, f"{quoted(entries)}; it must be a section [{where}]")
-    extras = ("preset", "regions", *CELL_SECTIONS) if name else ("preset",)
-    constants = {key: value for key, value in entries.items() if key not in extras}
-    preset, regions, sections, cell = "", (), dict(shared), None
+    other_keys = ("preset", "regions", *CELL_SECTIONS) if is_named else ("preset",)
+    parameters = {key: value for key, value in entries.items() if key not in other_keys}
+    # Faults are noted and reading continues, so that a recipe's faults are reported together. The
+    # values here stand where a fault is noted; `faults.check` raises before they are used.
+    faults = Faults()
+    preset = ""
+    cell: Any = None
+    regions: tuple[str, ...] = ()
     with faults.noted():
         preset = check_value(f"{where}.preset", entries.get("preset", "printed"), str, {})
         preset = ALIASES.get(preset, preset)
         make = partial(CellParameters.preset, preset)
-        cell = build(make, constants, where, extras, of=CellParameters)
-    with faults.noted():
-        stated = entries.get("regions", [name]) if name else []
-        regions = check_value(f"{where}.regions", stated, tuple[str, ...], {})
-        if name and not regions:
-            raise InputError(f"{where}.regions", "[]; it must name a region of the mesh")
-    for section in CELL_SECTIONS if name else ():
+        cell = build(make, parameters, where, other_keys, of=CellParameters)
+    if is_named:
         with faults.noted():
-            own = entries.get(section, {})
-            check_table(f"{where}.{section}", own)
-            if merged := {**shared.get(section, {}), **own}:
-                sections[section] = merged
-    settings = faults.take(partial(build, dict, sections, where if name else "", of=CellType))
-    file, named = sections.get("training", {}).get("file"), "training.file"
-    named = f"{where}.{named}" if name else named
-    file = faults.take(check_value, named, file, str | None, {"is_file": True})
+            stated = entries.get("regions", [name])
+            regions = check_value(f"{where}.regions", stated, tuple[str, ...], {})
+            if not regions:
+                raise InputError(f"{where}.regions", "[]; it must name a region of the mesh")
+    sections = dict(shared)
+    if is_named:
+        for section in CELL_SECTIONS:
+            with faults.noted():
+                table = entries.get(section, {})
+                check_table(f"{where}.{section}", table)
+                merged = {**shared.get(section, {}), **table}
+                if merged:
+                    sections[section] = merged
+    prefix = where if is_named else ""
+    settings = faults.take(partial(build, dict, sections, prefix, of=CellType))
+    file_entry = f"{where}.training.file" if is_named else "training.file"
+    stated_file = sections.get("training", {}).get("file")
+    training_file = faults.take(check_value, file_entry, stated_file, str | None, {"is_file": True})
     faults.check()
     return CellType(
         preset=preset,
         cell=cell,
-        names_fluid="fluid" in constants,
+        names_fluid="fluid" in parameters,
         regions=regions,
-        training_file=file,
+        training_file=training_file,
         **settings,
     )
 
 
 def _takes_rest(cell: CellType, known: Container[str]) -> bool:
-    """Whether a cell fills what no other does."""
+    """Return whether a cell fills what no other does; `known` are the regions of the mesh."""
     return not cell.regions or (REST in cell.regions and REST not in known)
 
 
@@ -389,19 +444,20 @@ def kinds_of_cells(
 
 # All of it.
 
+# Bytes of a file's name. File systems allow 255, and names made from this one are longer.
 _LONGEST_NAME = 200
-"""Bytes of a file's name; others that are made from it are longer."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe:
-    """Everything a study needs. `path` is the recipe's file, against which its files resolve.
+    """Everything that a study needs; sections without a line here are described at their settings.
 
     Attributes:
-        cells: by name; that of a section [cell] is called "".
+        path: the recipe's file, against which its files resolve.
+        cells: plant cells by name; that of a section [cell] is called "".
         part: name of the selected cell; None: the only one, or all of several.
         is_bar: whether section [load] states the problem.
-        sha256: of the mesh file.
+        sha256: digest of the mesh file; None without one.
     """
 
     path: Path
@@ -427,83 +483,112 @@ class Recipe:
     sha256: str | None = None
 
     def parts(self, name: str | None = None) -> dict[str, Recipe]:
-        """The recipe for each of its cells by name, or for the selected one."""
-        name = None if name is None else with_micro_sign(name)
-        if name is not None and name not in {*self.cells} - {""}:
-            known = [each or "[cell]" for each in self.cells]
-            raise unknown(f"--cell: {quoted(name)}", name, "cell", known)
-        wanted = self.part if name is None else name
-        names = self.cells if wanted is None else (wanted,)
-        return {each: replace(self, part=each) for each in names}
+        """Return the recipe for each of its cells by name, or for one of them.
+
+        Args:
+            name: the cell to select; None: the one that is selected already, or all.
+
+        Raises:
+            InputError: there is no cell of that name; the cell of [cell] has none.
+        """
+        if name is not None:
+            name = with_micro_sign(name)
+            if name == "" or name not in self.cells:
+                known = [cell or "[cell]" for cell in self.cells]
+                raise unknown(f"--cell: {quoted(name)}", name, "cell", known)
+            names = [name]
+        elif self.part is not None:
+            names = [self.part]
+        else:
+            names = list(self.cells)
+        return {name: replace(self, part=name) for name in names}
 
     @property
     def cell_name(self) -> str:
-        """Of the selected cell, or of the only one; an InputError where there are several."""
-        if self.part is None and len(self.cells) > 1:
+        """The name of the selected cell, or of the only one.
+
+        Raises:
+            InputError: there are several, and none is selected.
+        """
+        if self.part is not None:
+            return self.part
+        if len(self.cells) > 1:
             raise InputError(
                 f"{self.path.name}: cells: {', '.join(self.cells)}; this needs a recipe with one "
                 "[cell]"
             )
-        return next(iter(self.cells)) if self.part is None else self.part
+        return next(iter(self.cells))
 
     @property
     def cell(self) -> CellParameters:
-        """The plant cell that is selected; so all these."""
+        """The parameters of the selected plant cell, as `cell_name` says."""
         return self.cells[self.cell_name].cell
 
     @property
     def range(self) -> SamplingRange | None:
-        """Of (F, Ḟ), in which its stress is sampled and learnt."""
+        """The range of (F, Ḟ) in which the selected cell's stress is sampled and learnt."""
         return self.cells[self.cell_name].range
 
     @property
     def samples(self) -> SampleSettings:
-        """How its stress is sampled."""
+        """The samples of the selected cell's stress."""
         return self.cells[self.cell_name].samples
 
     @property
     def training(self) -> TrainingSettings:
-        """How its stress is learnt."""
+        """The training of the selected cell's surrogate."""
         return self.cells[self.cell_name].training
 
     @property
     def training_file(self) -> str | None:
-        """Of its surrogate."""
+        """The file of the selected cell's surrogate, relative to the recipe."""
         return self.cells[self.cell_name].training_file
 
     def with_cell(self, **changes: Any) -> Recipe:
-        """The recipe with other settings of the selected cell."""
+        """Return the recipe with other settings of the selected cell."""
         name = self.cell_name
-        return replace(self, cells={**self.cells, name: replace(self.cells[name], **changes)})
+        cell = replace(self.cells[name], **changes)
+        return replace(self, cells={**self.cells, name: cell})
 
     @property
     def fingerprint(self) -> str:
-        """Of the cell, or of all cells in their order."""
+        """The fingerprints of all cells in their order, or that of the selected cell."""
         return " ".join(part.cell.fingerprint for part in self.parts().values())
 
     def points_of_cells(self, mesh: skfem.Mesh) -> dict[str, Index]:
-        """Numbers of the points of the mesh that each cell fills; together the whole mesh.
+        """Return the numbers of the points of the mesh that each cell fills.
+
+        Together the cells fill the whole mesh.
 
         Raises:
             InputError: there is no such region, or an element is of no cell or of two.
         """
-        known, filled = mesh.subdomains or {}, dict[str, Index]()
-        for name, each in self.cells.items():
-            parts = [part for part in each.regions if part in known or part != REST]
-            inside = [region(mesh, part, f"cells.{name}.regions") for part in parts]
-            filled[name] = np.unique(np.concatenate([np.zeros(0, np.int64), *inside]))
-        others = np.setdiff1d(np.arange(mesh.nelements), np.concatenate([*filled.values()]))
-        for name, each in self.cells.items():
-            if _takes_rest(each, known):
-                filled[name] = np.union1d(filled[name], others)
-            if not filled[name].size:
+        regions = mesh.subdomains or {}
+        elements_of: dict[str, Index] = {}
+        for name, cell in self.cells.items():
+            members = [np.zeros(0, np.int64)]
+            for part in cell.regions:
+                is_remainder = part == REST and part not in regions
+                if not is_remainder:
+                    members.append(region(mesh, part, f"cells.{name}.regions"))
+            elements_of[name] = np.unique(np.concatenate(members))
+        filled = np.concatenate([*elements_of.values()])
+        remainder = np.setdiff1d(np.arange(mesh.nelements), filled)
+        for name, cell in self.cells.items():
+            if _takes_rest(cell, regions):
+                elements_of[name] = np.union1d(elements_of[name], remainder)
+            if not elements_of[name].size:
                 raise InputError(
                     f"cells.{name}.regions", f"{REST}; the other cells fill the whole mesh"
                 )
-        return points_by_region(mesh.with_subdomains(filled), tuple(filled), "cells")
+        return points_by_region(mesh.with_subdomains(elements_of), tuple(elements_of), "cells")
 
     def sampling_range(self) -> SamplingRange:
-        """The range of (F, Ḟ), for what cannot do without; an InputError where there is none."""
+        """Return the range of (F, Ḟ), for commands that need one.
+
+        Raises:
+            InputError: the recipe states none.
+        """
         if self.range is None:
             name = self.section("range")
             raise InputError(
@@ -514,18 +599,18 @@ class Recipe:
 
     @contextmanager
     def named(self, *kinds: type[FileError | InputError]) -> Iterator[None]:
-        """Errors of these kinds in what the recipe states begin with the name of its file."""
+        """Let errors of these kinds in a block begin with the name of the recipe's file."""
         try:
             yield
         except kinds as error:
             raise type(error)(f"{self.path.name}: {error}") from None
 
     def problem(self) -> Problem:
-        """What a run computes, but for the surface law of [surface].
+        """Make the problem that a run computes, without the surface law of [surface].
 
         Raises:
             FileError: the mesh file cannot be read.
-            InputError: the mesh is none, or has not what the recipe names.
+            InputError: it is no mesh, or the mesh lacks a place that the recipe names.
         """
         with self.named(FileError, InputError):
             problem = Problem(
@@ -538,24 +623,33 @@ class Recipe:
                 boundaries=self.mesh.boundaries or {},
                 regions=self.mesh.regions or {},
             )
-            mesh, space = problem.mesh, make_discretisation(problem.mesh)
-            for condition in self.conditions:
-                find = _PLACES.get(type(condition), nodes_on)
-                find(mesh, condition.on, f"conditions.{label(condition)}.on")
-            for body in self.bodies:
-                boundary(mesh, body.on, f"bodies.{body.name}.on")
-            for name, at in (self.watch or {}).items():
-                try:
-                    space.locate(np.array(at), f"watch.{name}")
-                except InputError as error:
-                    x, y = mesh.p[:, np.hypot(*(mesh.p.T - np.array(at)).T).argmin()]
-                    message = f"{error}, whose nearest node is at ({x:.6g}, {y:.6g}) µm"
-                    raise InputError(message) from None
-            self.points_of_cells(mesh)
-            if self.surface is not None and self.surface.on != FREE:
-                for name in self.surface.on:
-                    boundary(mesh, name, "surface.on")
+            self._check_places(problem.mesh)
             return problem
+
+    def _check_places(self, mesh: skfem.Mesh) -> None:
+        """Check that the mesh has every place that the recipe names.
+
+        Raises:
+            InputError: naming the entry whose place is not there.
+        """
+        for condition in self.conditions:
+            find = _PLACES.get(type(condition), nodes_on)
+            find(mesh, condition.on, f"conditions.{label(condition)}.on")
+        for body in self.bodies:
+            boundary(mesh, body.on, f"bodies.{body.name}.on")
+        space = make_discretisation(mesh)
+        for name, point in (self.watch or {}).items():
+            try:
+                space.locate(np.array(point), f"watch.{name}")
+            except InputError as error:
+                offset = mesh.p.T - np.array(point)
+                x, y = mesh.p[:, np.hypot(offset[:, 0], offset[:, 1]).argmin()]
+                message = f"{error}, whose nearest node is at ({x:.6g}, {y:.6g}) µm"
+                raise InputError(message) from None
+        self.points_of_cells(mesh)
+        if self.surface is not None and self.surface.on != FREE:
+            for name in self.surface.on:
+                boundary(mesh, name, "surface.on")
 
     @property
     def duration(self) -> float:
@@ -563,52 +657,65 @@ class Recipe:
         return self.time.duration
 
     def data_path(self) -> Path:
-        """Where the data set lies."""
+        """Return the path of the selected cell's data set."""
         return self._path_of("samples", self.samples.file, "data set (.h5)")
 
     def training_path(self) -> Path:
-        """Where the trained surrogate lies."""
+        """Return the path of the selected cell's surrogate."""
         return self._path_of("training", self.training_file, "trained surrogate (.h5)")
 
-    def _path_of(self, section: str, file: str | None, what: str) -> Path:
+    def _path_of(self, section: str, file: str | None, content: str) -> Path:
+        """Return the path of a file of the recipe.
+
+        Args:
+            section: section that states the file.
+            file: the file as it is stated there.
+            content: words for its content, in errors.
+
+        Raises:
+            InputError: the section states no file, or a name that no file can have.
+        """
+        entry = f"{self.path.name}: {self.section(section)}.file"
         if file is None:
             raise InputError(
-                f"{self.path.name}: {self.section(section)}.file: missing; this command needs the "
-                f"file of the {what}, relative to the recipe"
+                f"{entry}: missing; this command needs the file of the {content}, relative to the "
+                "recipe"
             )
-        if "\0" in file or max(len(os.fsencode(part)) for part in file.split("/")) > _LONGEST_NAME:
-            raise InputError(
-                f"{self.path.name}: {self.section(section)}.file: {quoted(file)}; no file can be "
-                "called so"
-            )
+        longest = max(len(os.fsencode(part)) for part in file.split("/"))
+        if "\0" in file or longest > _LONGEST_NAME:
+            raise InputError(f"{entry}: {quoted(file)}; no file can be called so")
         return Path(os.path.normpath(self.path.parent / file))
 
     def section(self, name: str) -> str:
-        """What a section of the selected cell is called in the file."""
-        return f"cells.{self.cell_name}.{name}" if self.cell_name else name
+        """Return the name that a section of the selected cell has in the file."""
+        if self.cell_name == "":  # the cell of [cell]
+            return name
+        return f"cells.{self.cell_name}.{name}"
 
     def to_dict(self) -> dict[str, Any]:
-        """The whole recipe, defaults filled in, as JSON can hold it; no absolute folder.
+        """Return the whole recipe, with defaults filled in, as JSON can hold it.
 
-        Of one cell it has the sections of a [cell], whatever its name.
+        It has no absolute folder. The recipe of one cell has the sections of a [cell], whatever
+        the cell's name.
         """
-        stated = {name: getattr(self, name) for name in _OF_ALL_CELLS}
-        settings = {name: asdict(each) for name, each in stated.items() if each is not None}
+        entries: dict[str, Any] = {"recipe": self.path.name}
         if self.part is not None or "" in self.cells:
-            cells = self.cells[self.cell_name].to_dict()
+            entries |= self.cells[self.cell_name].to_dict()
         else:
-            cells = {"cells": {name: _entries(each) for name, each in self.cells.items()}}
-        problem = {
-            "mesh": {**self.mesh.to_dict(), "sha256": self.sha256},
-            **sections_of(self.conditions, self.bodies, self.watch or {}),
-            "time": self.time,
-        }
-        plainly: dict[str, Any] = plain({"recipe": self.path.name, **cells, **settings, **problem})
-        return plainly
+            entries["cells"] = {name: _entries(cell) for name, cell in self.cells.items()}
+        for name in _OF_ALL_CELLS:
+            settings = getattr(self, name)
+            if settings is not None:
+                entries[name] = asdict(settings)
+        entries["mesh"] = {**self.mesh.to_dict(), "sha256": self.sha256}
+        entries |= sections_of(self.conditions, self.bodies, self.watch or {})
+        entries["time"] = self.time
+        recipe: dict[str, Any] = plain(entries)
+        return recipe
 
 
 def _entries(cell: CellType) -> dict[str, Any]:
-    """What a section [cells.NAME] has."""
+    """Return the entries of a section [cells.NAME]."""
     sections = cell.to_dict()
     return {**sections.pop("cell"), "regions": list(cell.regions), **sections}
 
@@ -628,17 +735,19 @@ SECTIONS: dict[str, type] = {
     "cache": CacheSettings,
 }
 """Sections of settings by name; others state a problem, or several cells."""
+# Sections that all cells of a recipe share.
 _OF_ALL_CELLS = ("rve", "calibration", "macro", "tissue", "table", "surface", "cache")
 
-_MOST = 2**24
-"""Bytes of a recipe."""
+# Bytes of a recipe: a larger file is another one, given by mistake.
+_MOST_BYTES = 2**24
 
 
 def load_recipe(path: str | Path, changes: Mapping[str, Any] = MappingProxyType({})) -> Recipe:
     """Read and check a study recipe.
 
     Args:
-        changes: values by dotted name of the entry, {"cell.wall_stiffness": 3000.0}, instead of
+        path: the file.
+        changes: values by dotted name of the entry, {"cell.wall_stiffness": 3000.0}, that replace
             those in the file.
 
     Raises:
@@ -647,7 +756,7 @@ def load_recipe(path: str | Path, changes: Mapping[str, Any] = MappingProxyType(
     """
     path = Path(path)
     try:
-        table = read_toml(read_text(path, _MOST))
+        table = read_toml(read_text(path, _MOST_BYTES))
     except ValueError as error:  # an integer may have too many digits, too
         raise InputError(f"{path.name}: not TOML: {shortened(str(error), 150)}") from None
     try:
@@ -659,64 +768,91 @@ def load_recipe(path: str | Path, changes: Mapping[str, Any] = MappingProxyType(
 
 
 def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> Recipe:
-    """A recipe from the nested tables of a TOML file.
+    """Make a recipe from the nested tables of a TOML file.
 
     Raises:
         InputError: naming the section or key that is unknown or out of its range; its `faults`
-            are all that is wrong.
+            are all faults of the recipe.
     """
-    faults, tables = Faults(), dict[str, Any]()
+    faults = Faults()
+    tables = _known_sections(table, faults)
+    problem_sections = [name for name in PROBLEM_SECTIONS if name in tables]
+    macro = tables.get("macro", {})
+    _check_homes(tables, problem_sections, faults)
+    entries = {
+        name: section
+        for name, section in tables.items()
+        if name in problem_sections or name in _OF_ALL_CELLS
+    }
+    if problem_sections:
+        _check_problem(tables, problem_sections[0], faults)
+    else:  # [load], or nothing at all, states the paper's bar
+        value = macro.get("elements", (4, 4))
+        elements = faults.take(check_value, "macro.elements", value, tuple[int, int], {"least": 1})
+        bar = faults.take(build, LoadSettings, tables.get("load", {}), "load")
+        if bar:
+            entries |= bar.sections(elements or (4, 4))
+    settings: dict[str, Any] = {"path": path, "is_bar": not problem_sections}
+    if "mesh" not in entries:
+        settings["mesh"] = None  # a fault that was noted says so
+    settings |= faults.take(partial(build, dict, entries, "", of=Recipe, **settings)) or {}
+    mesh = entries.get("mesh")
+    if isinstance(mesh, dict) and isinstance(mesh.get("file"), str):
+        with faults.noted():
+            try:
+                settings["sha256"] = digest(path.parent / mesh["file"])
+            except FileError as error:
+                raise FileError(f"mesh.file: {error}") from None
+    settings["cells"] = faults.take(cell_types, tables)
+    faults.check()
+    recipe = Recipe(**settings)
+    # time.frames takes the place of macro.frames where it is stated
+    return replace(recipe, macro=changed(recipe.macro, frames=recipe.time.frames))
+
+
+def _known_sections(table: Mapping[str, Any], faults: Faults) -> dict[str, Any]:
+    """Return the sections that a recipe may have, and note others, and values that are no table."""
     known = (*SECTIONS, *PROBLEM_SECTIONS, "cells")
+    sections: dict[str, Any] = {}
     for name, section in with_micro_keys(table).items():
         with faults.noted():
             if name not in known:
                 raise unknown(name, name, "section", known)
             if name in SECTIONS and not isinstance(section, dict):
                 raise InputError(name, f"{quoted(section)}; it must be a section [{name}]")
-            tables[name] = section
-    stated = [name for name in PROBLEM_SECTIONS if name in tables]
-    entries = {name: each for name, each in tables.items() if name in (*stated, *_OF_ALL_CELLS)}
-    given: dict[str, Any] = {"path": path, "is_bar": not stated}
-    macro, time = tables.get("macro", {}), tables.get("time")
-    has_frames = isinstance(time, dict) and "frames" in time
-    for key, home, is_there in (("elements", "mesh", stated), ("frames", "time", has_frames)):
-        if is_there and key in macro:
-            with faults.noted():
-                raise InputError(f"macro.{key}", f"{quoted(macro[key])}; it stands in [{home}]")
-    if stated:
+            sections[name] = section
+    return sections
+
+
+def _check_homes(tables: Mapping[str, Any], problem_sections: list[str], faults: Faults) -> None:
+    """Note entries of [macro] that another section of this recipe states."""
+    macro = tables.get("macro", {})
+    time = tables.get("time")
+    if problem_sections and "elements" in macro:
         with faults.noted():
-            if "load" in tables:
-                raise InputError(
-                    "load",
-                    f"[load] states the paper's bar, [{stated[0]}] another problem; leave one out",
-                )
-            if "mesh" not in tables:
-                raise InputError("mesh", f"missing; [{stated[0]}] needs the section [mesh]")
+            raise InputError("macro.elements", f"{quoted(macro['elements'])}; it stands in [mesh]")
+    if isinstance(time, dict) and "frames" in time and "frames" in macro:
         with faults.noted():
-            if not any(tables.get(name, {}) not in ({}, []) for name in ("conditions", "bodies")):
-                raise InputError("conditions", "missing; something must hold or move the tissue")
-    else:
-        value = macro.get("elements", (4, 4))
-        elements = faults.take(check_value, "macro.elements", value, tuple[int, int], {"least": 1})
-        bar = faults.take(build, LoadSettings, tables.get("load", {}), "load")
-        entries |= bar.sections(elements or (4, 4)) if bar else {}
-    if "mesh" not in entries:
-        given["mesh"] = None  # a fault that was noted says so
-    given |= faults.take(partial(build, dict, entries, "", of=Recipe, **given)) or {}
-    mesh = entries.get("mesh")
-    if isinstance(mesh, dict) and isinstance(mesh.get("file"), str):
-        with faults.noted():
-            try:
-                given["sha256"] = digest(path.parent / mesh["file"])
-            except FileError as error:
-                raise FileError(f"mesh.file: {error}") from None
-    given["cells"] = faults.take(cell_types, tables)
-    faults.check()
-    recipe = Recipe(**given)
-    return replace(recipe, macro=changed(recipe.macro, frames=recipe.time.frames))
+            raise InputError("macro.frames", f"{quoted(macro['frames'])}; it stands in [time]")
+
+
+def _check_problem(tables: Mapping[str, Any], first: str, faults: Faults) -> None:
+    """Note where the sections of a problem, of which `first` is one, are not enough or too many."""
+    with faults.noted():
+        if "load" in tables:
+            raise InputError(
+                "load",
+                f"[load] states the paper's bar, [{first}] another problem; leave one out",
+            )
+        if "mesh" not in tables:
+            raise InputError("mesh", f"missing; [{first}] needs the section [mesh]")
+    with faults.noted():
+        is_empty = [tables.get(name, {}) in ({}, []) for name in ("conditions", "bodies")]
+        if all(is_empty):
+            raise InputError("conditions", "missing; something must hold or move the tissue")
 
 
 def changed(settings: T, **entries: Any) -> T:
-    """The settings of a section with other entries; None leaves an entry as it is."""
-    wanted = {name: value for name, value in entries.items() if value is not None}
-    return replace(settings, **wanted)  # type: ignore[type-var]
+    """Return the settings of a section with other entries; None leaves an entry as it is."""
+    stated = {name: value for name, value in entries.items() if value is not None}
+    return replace(settings, **stated)  # type: ignore[type-var]

@@ -1,8 +1,8 @@
 """A JSON schema of recipes, by which editors complete keys, explain them and mark mistakes.
 
-It is made of the settings that read a recipe. What only the program sees (keys that exclude each
-other, names of boundaries, files) is left to `surrofe2 check`. A new recipe, of a template for each
-kind of problem, names it.
+It is made from the settings that read a recipe. Mistakes that only the program sees (keys that
+exclude each other, names of boundaries, files) are left to `surrofe2 check`. `write_recipe` writes
+a new recipe from a template for each kind of problem, which names the schema.
 """
 
 from __future__ import annotations
@@ -38,9 +38,10 @@ TEMPLATES = {
     "voronoi": "irregular plant cells",
     "cells": "several kinds of plant cell by region",
 }
-"""Of recipes, by name."""
+"""The kinds of new recipes by name, each with what it is for."""
 SCHEMA = "recipe.schema.json"
 _TEXT: Schema = {"type": "string"}
+# Bounds of a setting, see `base.settings`, and their names in a JSON schema.
 _BOUNDS = {
     "least": "minimum",
     "most": "maximum",
@@ -51,36 +52,40 @@ _PLAIN = {float: "number", int: "integer", bool: "boolean", str: "string"}
 
 
 def recipe_schema() -> Schema:
-    """The schema, of JSON Schema's draft 7."""
+    """Return the schema, of JSON Schema's draft 7."""
     sections = {name: _settings(kind) for name, kind in SECTIONS.items()}
+    # entries that the recipe reads besides the settings of these sections
     sections["cell"]["properties"]["preset"] = {"enum": [*PRESETS, *ALIASES]}
     sections["training"]["properties"]["file"] = _TEXT
     sections["macro"]["properties"]["elements"] = _value(tuple[int, int], {"least": 1})
-    shared = {name: {**sections[name], "required": []} for name in CELL_SECTIONS}
-    names = {"type": "array", "items": _TEXT}
-    cell = _with(sections["cell"], {"regions": names, **shared})
-    condition = {"anyOf": _kinds({each.kind(): each for each in CONDITIONS})}
-    body = _with(_settings(RigidBody), {name: _settings(kind) for name, kind in SHAPES.items()})
+    # in [cells.NAME] these sections need nothing, since [range] and so on may have it
+    cell_sections = {name: {**sections[name], "required": []} for name in CELL_SECTIONS}
+    regions = {"type": "array", "items": _TEXT}
+    cell = _with(sections["cell"], {"regions": regions, **cell_sections})
+    condition = {"anyOf": _kinds({kind.kind(): kind for kind in CONDITIONS})}
+    shapes = {name: _settings(shape) for name, shape in SHAPES.items()}
+    body = _with(_settings(RigidBody), shapes)
     points = _value(tuple[tuple[float, float], ...], {})
+    amplitude = {"anyOf": [{"type": "number"}, points, *_kinds(KINDS)]}
+    properties = {
+        **sections,
+        "cells": _named(cell),
+        "mesh": _settings(MeshSettings),
+        "conditions": {"anyOf": [_named(condition), {"type": "array", "items": condition}]},
+        "bodies": _named(body),
+        "watch": _named(_value(Point, {})),
+        "time": _settings(TimeSettings),
+    }
     return {
         "$schema": "http://json-schema.org/draft-07/schema#",
         "title": TITLE,
-        "definitions": {"amplitude": {"anyOf": [{"type": "number"}, points, *_kinds(KINDS)]}},
-        **_table(
-            {
-                **sections,
-                "cells": _named(cell),
-                "mesh": _settings(MeshSettings),
-                "conditions": {"anyOf": [_named(condition), {"type": "array", "items": condition}]},
-                "bodies": _named(body),
-                "watch": _named(_value(Point, {})),
-                "time": _settings(TimeSettings),
-            }
-        ),
+        "definitions": {"amplitude": amplitude},
+        **_table(properties),
     }
 
 
 def _table(properties: Schema, required: list[str] | None = None) -> Schema:
+    """Return the schema of a table that has these entries and no others."""
     return {
         "type": "object",
         "properties": properties,
@@ -90,16 +95,17 @@ def _table(properties: Schema, required: list[str] | None = None) -> Schema:
 
 
 def _named(each: Schema) -> Schema:
-    """Tables under names of the user's."""
+    """Return the schema of a table in which users name the entries, which are all alike."""
     return {"type": "object", "additionalProperties": each}
 
 
 def _with(table: Schema, more: Schema) -> Schema:
+    """Return the schema of a table with more entries."""
     return {**table, "properties": {**table["properties"], **more}}
 
 
 def _kinds(kinds: Any) -> list[Schema]:
-    """The tables whose `kind` says what they are."""
+    """Return the schemas of tables whose entry `kind` says which of them they are."""
     tables = []
     for name, kind in kinds.items():
         table = _with(_settings(kind), {"kind": {"enum": [name]}})
@@ -108,56 +114,78 @@ def _kinds(kinds: Any) -> list[Schema]:
 
 
 def _settings(kind: Any) -> Schema:
-    """The table of the fields of settings."""
-    hints, properties, required = hints_of(kind), dict[str, Schema](), list[str]()
+    """Return the schema of the table that states settings, a dataclass of `setting` fields."""
+    hints = hints_of(kind)
+    properties: dict[str, Schema] = {}
+    required: list[str] = []
     for item in fields(kind):
-        if not item.metadata:
+        if not item.metadata:  # a field that recipes do not state
             continue
+        description = item.metadata["about"]
         unit = item.metadata.get("unit", NONE)
-        about = item.metadata["about"] + ("" if unit == NONE else f" ({unit})")
-        value = {"description": about, **_value(hints[item.name], item.metadata)}
+        if unit != NONE:
+            description += f" ({unit})"
+        value = {"description": description, **_value(hints[item.name], item.metadata)}
         if item.default is MISSING:
             required.append(item.name)
         elif isinstance(item.default, bool | int | float | str | tuple):
             value["default"] = item.default
         properties[item.name] = value
-    return {"description": " ".join((kind.__doc__ or "").split()), **_table(properties, required)}
+    description = " ".join((kind.__doc__ or "").split())
+    return {"description": description, **_table(properties, required)}
 
 
 def _value(hint: Any, bounds: Any) -> Schema:
+    """Return the schema of a value.
+
+    Args:
+        hint: type of the value.
+        bounds: metadata of its setting, with bounds and choices; see `base.settings.setting`.
+    """
     options = get_args(hint)
     if hint is Amplitude:
         return {"$ref": "#/definitions/amplitude"}
     if hint is Box:
         return _value(tuple[float, float, float, float], {})
     if hint is Part:
-        return {"anyOf": [_table({name: _value(each, {})}, [name]) for name, each in PARTS.items()]}
+        parts = [_table({name: _value(part, {})}, [name]) for name, part in PARTS.items()]
+        return {"anyOf": parts}
     if is_dataclass(hint):
         return _settings(hint)
-    if get_origin(hint) is Mapping:
+    origin = get_origin(hint)
+    if origin is Mapping:
         return _named(_value(options[1], bounds))
-    if get_origin(hint) in (Union, UnionType):
-        kinds = [_value(each, bounds) for each in options if each is not NoneType]
+    if origin in (Union, UnionType):
+        # an entry that may be None is left out of a recipe
+        kinds = [_value(option, bounds) for option in options if option is not NoneType]
         return kinds[0] if len(kinds) == 1 else {"anyOf": kinds}
-    if get_origin(hint) is tuple:
-        # a component that may be None is "free" in a recipe
-        entry = _value(options[0], bounds)
-        entry = (
-            {"anyOf": [entry, {"enum": ["free"]}]} if NoneType in get_args(options[0]) else entry
-        )
-        size = (
-            {} if options[-1] is Ellipsis else {k: len(options) for k in ("minItems", "maxItems")}
-        )
-        return {"type": "array", "items": entry, **size}
-    one_of = options if get_origin(hint) is Literal else bounds.get("one_of", ())
-    if one_of:
-        return {"enum": [*one_of]}
-    limits = {_BOUNDS[key]: bounds[key] for key in _BOUNDS if key in bounds}
-    return {"type": _PLAIN[hint], **(limits if hint in (float, int) else {})}
+    if origin is tuple:
+        return _list(options, bounds)
+    choices = options if origin is Literal else bounds.get("one_of", ())
+    if choices:
+        return {"enum": [*choices]}
+    schema: Schema = {"type": _PLAIN[hint]}
+    if hint in (float, int):
+        for key, schema_key in _BOUNDS.items():
+            if key in bounds:
+                schema[schema_key] = bounds[key]
+    return schema
+
+
+def _list(options: tuple[Any, ...], bounds: Any) -> Schema:
+    """Return the schema of a list, whose entries are alike; `options` are those of a tuple type."""
+    entry = _value(options[0], bounds)
+    if NoneType in get_args(options[0]):  # a component that may be None is "free" in a recipe
+        entry = {"anyOf": [entry, {"enum": ["free"]}]}
+    schema: Schema = {"type": "array", "items": entry}
+    if options[-1] is not Ellipsis:
+        schema["minItems"] = len(options)
+        schema["maxItems"] = len(options)
+    return schema
 
 
 def write_recipe(path: Path, kind: str, *, fresh: bool = False) -> list[Path]:
-    """Write the recipe of a kind, its mesh file and the schema for editors; what was written.
+    """Write a recipe of a kind, its mesh file and the schema for editors; return their paths.
 
     The recipe names the schema, which lies beside it, in its first line, as Taplo and Even Better
     TOML read it; so it stays valid where the folder moves, and needs no network.
@@ -170,21 +198,22 @@ def write_recipe(path: Path, kind: str, *, fresh: bool = False) -> list[Path]:
         raise unknown(f"--example: {kind!r}", kind, "kind", TEMPLATES)
     templates = resources.files("surrofe2") / "templates"
     stem = json.dumps(path.stem, ensure_ascii=False)[1:-1]  # as it stands in quotes, also in TOML
-    text = (templates / f"{kind}.toml").read_text(encoding="utf-8").replace("NAME", stem)
-    files = {path: f"#:schema ./{SCHEMA}\n\n{text}"}
+    recipe = (templates / f"{kind}.toml").read_text(encoding="utf-8").replace("NAME", stem)
+    files = {path: f"#:schema ./{SCHEMA}\n\n{recipe}"}
     if kind == "mesh":
         files[path.with_suffix(".msh")] = (templates / "mesh.msh").read_text(encoding="utf-8")
-    for each, text in files.items():
-        if not each.exists() or read_bytes(each) == text.encode("utf-8"):
+    # All files are checked before the first is written, so a refusal leaves nothing behind.
+    for file, text in files.items():
+        if not file.exists() or read_bytes(file) == text.encode("utf-8"):
             continue
         # A recipe names its schema in the first line; a mesh of other content is somebody's own.
-        is_mesh = each.suffix == ".msh"
-        check_replaceable(each, "recipe that `new` wrote", "#:schema" if not is_mesh else text)
+        mark = text if file.suffix == ".msh" else "#:schema"
+        check_replaceable(file, "recipe that `new` wrote", mark)
         if not fresh:
-            raise InputError(f"{each}: another file is there; --fresh writes this one in its place")
+            raise InputError(f"{file}: another file is there; --fresh writes this one in its place")
     schema = path.with_name(SCHEMA)
     check_replaceable(schema, "schema of recipes", TITLE)
     files[schema] = json.dumps(recipe_schema(), indent=1, ensure_ascii=False) + "\n"
-    for each, text in files.items():
-        write_text(each, text)
+    for file, text in files.items():
+        write_text(file, text)
     return list(files)
