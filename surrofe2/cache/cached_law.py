@@ -31,6 +31,7 @@ from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate, check_pa
 from surrofe2.cache.settings import CacheSettings
 from surrofe2.cache.table.stress_table import StressTable
 from surrofe2.cache.trust import AUDITS, Trust, Window, audits_of
+from surrofe2.law.bifurcation import beyond_bifurcation
 from surrofe2.law.stress_law import (
     SURROGATE,
     TABLE,
@@ -288,6 +289,17 @@ class CachedLaw(Viewed):
     def _decide(self, t: float, decision: str) -> None:
         step, limit = self._counts["steps"], self._trust.limit
         self._decisions.append(self._window.decision(t, step, limit, decision))
+
+    def beyond_bifurcation(self, state: CachedState) -> Flags | None:
+        """(n,) as of the fallback at the points that it answers; none of the others is."""
+        known = state.on_fallback
+        flags = np.zeros(state.count, dtype=np.bool_)
+        if known.state is not None:
+            at_known = beyond_bifurcation(self.fallback, known.state)
+            if at_known is None:
+                return None
+            flags[known.points] = at_known
+        return flags
 
     def state_to_arrays(self, state: CachedState) -> dict[str, NDArray]:
         """All that decides what comes next, `state` being what `accept` gave last."""

@@ -66,6 +66,46 @@ AnyInitialisation = Annotated[
     Literal["all", "cauchy-born", "elastic", "constrained-runs", "slow-manifold"],
     typer.Option("--initialisation", metavar="NAME", help=f"How RVEs begin: {INITIALISATIONS}."),
 ]
+Law = Annotated[
+    Literal["rve", "surrogate", "cached", "table"],
+    typer.Option(
+        metavar="LAW",
+        help="rve: RVEs; surrogate: network only; cached: network with RVE fallback; "
+        "table: adaptive tabulation of RVEs, no training.",
+    ),
+]
+SurrogateFiles = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--surrogate",
+        metavar="FILE",
+        help="Surrogate file; default: the recipe's. One for each of several cells.",
+    ),
+]
+TableFiles = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--table",
+        metavar="FILE",
+        help="Table (.h5) to start from, e.g. table.h5 of an earlier run; several tables of "
+        "the same cell are merged. Default: an empty one.",
+    ),
+]
+Tolerance = Annotated[
+    float | None,
+    typer.Option(
+        metavar="X",
+        help="Cached: allowed error of a stress relative to the spread of stress; default: "
+        "the recipe's.",
+    ),
+]
+Audit = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SHARE",
+        help="Share of the cache's answers that RVEs check, 1: all; default: the recipe's.",
+    ),
+]
 Threads = Annotated[
     int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")
 ]

@@ -12,29 +12,63 @@ from surrofe2.cli import console
 from surrofe2.recipe.recipe import changed, load_recipe
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import INITIALISATIONS
-from surrofe2.workflow.laws import open_study, recipe_notes, surface_notes, use_threads
-from surrofe2.workflow.rest import modes_study, rest_study, rest_summary
+from surrofe2.workflow.laws import (
+    open_study,
+    recipe_notes,
+    surrogates_by_cell,
+    use_threads,
+)
+from surrofe2.workflow.rest import (
+    modes_study,
+    response_lines,
+    rest_notes,
+    rest_study,
+    rest_summary,
+)
 
 
 def rest(
     recipe: console.RecipeFile,
     out: console.RunFolder,
+    law: console.Law = "rve",
     factor: Annotated[
-        float, typer.Option(help="Of all loads and prescribed motions, at the end.")
-    ] = 1.0,
+        float | None,
+        typer.Option(
+            metavar="X",
+            help="Of all loads and prescribed motions, at the end; default: the recipe's, or 1.",
+        ),
+    ] = None,
     load_steps: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Load steps; halved where one fails.")
-    ] = 10,
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Load steps; halved where one fails; default: the recipe's, or 10.",
+        ),
+    ] = None,
+    surrogate: console.SurrogateFiles = None,
+    table: console.TableFiles = None,
     initialisation: console.Initialisation = None,
+    tolerance: console.Tolerance = None,
+    audit: console.Audit = None,
+    correct: Annotated[
+        bool,
+        typer.Option(
+            "--correct",
+            help="With a cache: solve RVEs at all points at the end, and keep the corrected state.",
+        ),
+    ] = False,
     threads: console.Threads = None,
     fresh: console.Fresh = False,
 ) -> None:
-    """Find the tissue at rest under the recipe's loads, by full FE², without time.
+    """Find the tissue at rest under the recipe's loads, without time.
 
     The load rises in steps; Newton's method with line search solves each. DIR receives run.json
-    (configuration, costs), path.csv (factor of the load, displacement of the watched point in µm),
-    history.csv and energies.csv (forces and works over the factor) and fields.xdmf for ParaView,
-    where the factor stands for the time.
+    (configuration, costs), path.csv (over the factor of the load: displacement of the watched
+    points in µm, forces in µN, how many points left a bifurcation), energies.csv (works) and
+    fields.xdmf for ParaView, where the factor stands for the time; with --law table the table, with
+    --law cached or table the harvest of RVE stresses. Caches are audited as in runs in time, and at
+    the end RVEs and one Newton correction tell the error of displacements and forces.
 
     Example: surrofe2 rest data/bending-bar.toml --out out/rest
 
@@ -42,13 +76,30 @@ def rest(
     """
     study = open_study(recipe, threads)
     console.show_notes(recipe_notes(study))
-    study = replace(study, rve=changed(study.rve, initialisation=initialisation))
-    with console.running("rest", 1.0, "loads", out, "load steps up to here") as report:
+    if study.rest is None:
+        console.print_line("at rest, though the recipe states a run in time: it has no [rest]")
+    study = replace(
+        study,
+        rve=changed(study.rve, initialisation=initialisation),
+        cache=changed(study.cache, tolerance=tolerance, audit=audit),
+    )
+    with console.running(f"rest by {law}", 1.0, "loads", out, "load steps up to here") as report:
         record = rest_study(
-            study, out, factor=factor, load_steps=load_steps, fresh=fresh, report=report
+            study,
+            out,
+            law,
+            factor=factor,
+            load_steps=load_steps,
+            surrogates=surrogates_by_cell(study, surrogate or ()),
+            tables=table or (),
+            correct=correct,
+            fresh=fresh,
+            report=report,
         )
+    for line in response_lines(out, record):
+        console.print_line(line)
     console.done(out, rest_summary(record), timed=False)
-    console.show_notes(surface_notes(record))
+    console.show_notes(rest_notes(record))
 
 
 def modes(

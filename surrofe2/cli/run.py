@@ -8,7 +8,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
@@ -28,37 +27,23 @@ from surrofe2.ranks.driver import (
 )
 from surrofe2.recipe.recipe import changed
 from surrofe2.workflow.laws import open_study, recipe_notes, surrogates_by_cell, use_threads
-from surrofe2.workflow.run import run_notes, run_study, run_summary
+from surrofe2.workflow.rest import (
+    extent_of,
+    notes_of,
+    response_lines,
+    study_by_method,
+    summary_of,
+)
 from surrofe2.workflow.scale import sap_notes
 from surrofe2.workflow.zoom import add_cell_fields
 
 
 def run(
     recipe: console.RecipeFile,
-    law: Annotated[
-        Literal["rve", "surrogate", "cached", "table"],
-        typer.Option(
-            metavar="LAW",
-            help="rve: RVEs; surrogate: network only; cached: network with RVE fallback; "
-            "table: adaptive tabulation of RVEs, no training.",
-        ),
-    ],
+    law: console.Law,
     out: console.RunFolder,
-    surrogate: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="FILE",
-            help="Surrogate file; default: the recipe's. One for each of several cells.",
-        ),
-    ] = None,
-    table: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="FILE",
-            help="Table (.h5) to start from, e.g. table.h5 of an earlier run; several tables of "
-            "the same cell are merged. Default: an empty one.",
-        ),
-    ] = None,
+    surrogate: console.SurrogateFiles = None,
+    table: console.TableFiles = None,
     cell_fields: Annotated[
         bool,
         typer.Option(
@@ -72,28 +57,18 @@ def run(
         Literal["explicit", "implicit"] | None,
         typer.Option(
             metavar="NAME",
-            help="explicit, or implicit (not --law table); default: the recipe's.",
+            help="explicit, or implicit; default: the recipe's.",
         ),
     ] = None,
-    tolerance: Annotated[
-        float | None,
-        typer.Option(
-            metavar="X",
-            help="Cached: allowed error of a stress relative to the spread of stress; default: "
-            "the recipe's.",
-        ),
-    ] = None,
-    audit: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SHARE",
-            help="Share of the cache's answers that RVEs check, 1: all; default: the recipe's.",
-        ),
-    ] = None,
+    tolerance: console.Tolerance = None,
+    audit: console.Audit = None,
     threads: console.Threads = None,
     fresh: console.Fresh = False,
 ) -> None:
     """Run the recipe's problem: a tissue on its mesh, and all that holds, moves or touches it.
+
+    A recipe with a section [rest] is run by load steps to rest, as `surrofe2 rest` does; others,
+    and all with --integrator, in time.
 
     DIR receives run.json (configuration, costs), curve.csv (t in µs, displacement of the watched
     points in µm), history.csv (forces, motion of boundaries), energies.csv (pJ) and fields.xdmf for
@@ -114,9 +89,14 @@ def run(
             cache=changed(study.cache, tolerance=tolerance, audit=audit),
             macro=changed(study.macro, integrator=integrator),
         )
-        console.show_notes(sap_notes(study))
-        with console.running(f"run by {law}", study.duration, "µs", out) as report:
-            record = run_study(
+        if study.rest is None or integrator is not None:
+            console.show_notes(sap_notes(study))
+        if integrator is not None and study.rest is not None:
+            console.print_line(f"in time by {integrator} steps, though the recipe states a [rest]")
+            study = replace(study, rest=None)
+        what = "run" if study.rest is None else "rest"
+        with console.running(f"{what} by {law}", *extent_of(study), out) as report:
+            record = study_by_method(
                 study,
                 law,
                 out,
@@ -125,14 +105,17 @@ def run(
                 fresh=fresh,
                 report=report,
             )
-    console.done(out, run_summary(record), timed=False)
+    for line in response_lines(out, record):
+        console.print_line(line)
+    console.done(out, summary_of(record), timed=False)
     if cell_fields:
         begin = time.perf_counter()
         count = add_cell_fields(out)
         seconds = time.perf_counter() - begin
         console.print_line(f"{out}: cell fields of {count} RVEs in {time_text(seconds)}")
-    console.show_notes(run_notes(record, study))
-    console.show_notes(sap_notes(study, record.duration / record.counts["steps"]))
+    console.show_notes(notes_of(record, study))
+    if study.rest is None:
+        console.show_notes(sap_notes(study, record.duration / record.counts["steps"]))
 
 
 @contextmanager

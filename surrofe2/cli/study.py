@@ -23,7 +23,13 @@ from surrofe2.workflow import scale
 from surrofe2.workflow.generate import data_summary
 from surrofe2.workflow.grid import GRID_FILES, run_grid
 from surrofe2.workflow.laws import open_study, recipe_notes, use_threads
-from surrofe2.workflow.run import cache_notes, run_study, run_summary, tolerance_notes
+from surrofe2.workflow.rest import (
+    extent_of,
+    response_lines,
+    study_by_method,
+    summary_of,
+)
+from surrofe2.workflow.run import cache_notes, tolerance_notes
 from surrofe2.workflow.train import is_trained, large_errors, learn, training_summary
 from surrofe2.workflow.workers import executor_of
 
@@ -68,7 +74,8 @@ def check(
     """Check a recipe: its faults, the range it needs, how long it takes, which law to take.
 
     Reports everything that is wrong with the recipe, its mesh, names and files, and what each
-    boundary and region of the mesh holds. Then a dry run by
+    boundary and region of the mesh holds; the time scales of tissue and loads, and so whether to
+    run in time or at rest. Then a dry run or rest by
     the tangents of the RVE at rest, on a coarser mesh where the recipe's takes too long, proposes
     the [range], to be copied into the recipe. It knows neither stiffening nor loss of stability;
     the margin is for that. The number of RVEs to solve and the time of one give the order of
@@ -107,10 +114,19 @@ def check(
     if only:
         console.done(recipe, "no problem found")
         return
-    with console.working("dry run", study.duration, "µs", "nothing was changed") as report:
-        run = checking.dry_run(study, seconds, report)
+    scales = checking.scales_of(study)
+    console.print_line(f"time scales: {scales.sentence}")
+    is_rest = study.rest is not None or scales.is_slow
+    what, extent = ("rest", (1.0, "loads")) if is_rest else ("run", (study.duration, "µs"))
+    with console.working(f"dry {what}", *extent, "nothing was changed") as report:
+        if is_rest:
+            run = checking.dry_rest(study, report)
+        else:
+            run = checking.dry_run(study, seconds, report)
         by_rves = checking.seconds_by_rves(study, run)
         particles = scale.all_particles(mesh)
+    if run.omitted:
+        console.print_line(f"# this range holds only a part of the run; left out: {run.omitted}")
     for cell, met in run.met.items():
         low, high = met.stretch
         try:
@@ -123,20 +139,21 @@ def check(
             f"# by the quadratic law of the RVE at rest: met stretch {low:.4g} to {high:.4g}, "
             f"shear {met.shear:.3g}, rate {met.rate:.3g} 1/µs; margin {100.0 * margin:g} %"
         )
-    remark = study.macro.remark(run.displacement)
+    remark = None if is_rest else study.macro.remark(run.displacement)
     if remark is not None:
         console.print_warning(remark)
-    if run.omitted:
-        console.print_line(f"# left out, for lack of time: {run.omitted}")
     console.print_line(
         f"{run.points:,} points, about {rough_number(run.calls, 2)} evaluations of the stress: "
-        f"{rough_number(run.solves)} RVE solves. The run would take "
+        f"{rough_number(run.solves)} RVE solves. The {what} would take "
         f"about {rough_time(by_rves / 2.0)} to {rough_time(2.0 * by_rves)} by --law rve"
     )
     console.show_notes(scale.sap_notes(study))
     console.print_line(scale.particles_sentence(particles))
-    advice = f"use --law {checking.advised_law(study, by_rves)}"
-    if particles and particles.is_possible and particles.seconds < by_rves:
+    advised = checking.advised_law(study, by_rves)
+    advice = f"use --law {advised}"
+    if is_rest and study.rest is None:
+        advice = f"quasi-static: use `surrofe2 rest {recipe} --law {advised}`, or state [rest]"
+    if not is_rest and particles and particles.is_possible and particles.seconds < by_rves:
         advice = f"use `surrofe2 tissue {recipe}`: all particles take less than FE²"
     # without the seconds of the check, which would read as those of the law
     console.done(recipe, advice, timed=False)
@@ -191,9 +208,12 @@ def study(
         for part in stated.parts().values() if law == "cached" else ():
             _learn(part, last, fresh, stage)
         for k, each in enumerate(laws, first):
-            with stage(f"{k}/{last} run by {each}", stated.duration, "µs") as report:
-                records.append(run_study(stated, each, folder / each, fresh=fresh, report=report))
-            console.print_line(f"{k}/{last} {folder / each}: {run_summary(records[-1])}")
+            with stage(f"{k}/{last} run by {each}", *extent_of(stated)) as report:
+                options = {"fresh": fresh, "report": report}
+                records.append(study_by_method(stated, each, folder / each, **options))
+            for line in response_lines(folder / each, records[-1]):
+                console.print_line(f"{k}/{last} {line}")
+            console.print_line(f"{k}/{last} {folder / each}: {summary_of(records[-1])}")
             folders.append(folder / each)
         # the comparison is made again: it takes no time, and its table is what people come for
         out, several = folder / "comparison", len(folders) > 1

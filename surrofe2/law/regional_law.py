@@ -9,8 +9,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.arrays import Array, Index
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import InputError
+from surrofe2.law.bifurcation import beyond_bifurcation
 from surrofe2.law.stress_law import (
     AuditedLaw,
     LearningLaw,
@@ -66,6 +67,13 @@ class RegionalLaw(Viewed):
     def has_tangents(self) -> bool:
         """Whether all laws have them."""
         return all(law.has_tangents for law in self.laws.values())
+
+    def at(self, points: Index) -> RegionalLaw:
+        """The law of these points alone, (k,) numbers, by laws that are the same."""
+        own = {
+            name: np.flatnonzero(np.isin(points, all_of)) for name, all_of in self.points.items()
+        }
+        return RegionalLaw(self.laws, {name: part for name, part in own.items() if len(part)})
 
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
@@ -152,6 +160,16 @@ class RegionalLaw(Viewed):
         for law, each in zip(self._audited, solved, strict=True):
             if each is not None:
                 law.commit_closing(each)
+
+    def beyond_bifurcation(self, state: Any) -> Flags | None:
+        """(n,) as of the laws; None where one of them cannot tell."""
+        flags = np.zeros(self.density.size, dtype=np.bool_)
+        for (law, own), part in zip(self._parts, state, strict=True):
+            at_own = beyond_bifurcation(law, part)
+            if at_own is None:
+                return None
+            flags[own] = at_own
+        return flags
 
     def state_to_arrays(self, state: Any) -> dict[str, NDArray]:
         arrays: dict[str, NDArray] = {}

@@ -276,6 +276,20 @@ class EquationsOfMotion:
             pushed += k_force @ w.ravel()
         return np.asarray(pushed[self.system.free])
 
+    def stiffness_transposed_times(self, now: Evaluation, w: Array) -> Array:
+        """(n, 2) (∂(f − l)/∂u)ᵀ w for w (n, 2), of all rows."""
+        S, P = self._gradients, now.response.first_piola(now.F)
+        blocks = point_tangents(self.discretisation, now.F, P, _tangents(now.response).P_by_F)
+        at_points = np.einsum("pij,pi->pj", blocks, (S @ w.ravel()).reshape(-1, 4))
+        pulled = S.T @ at_points.ravel()
+        for k_force, _ in self._slopes_of_forces(now):
+            pulled += k_force.T @ w.ravel()
+        return np.asarray(pulled).reshape(-1, 2)
+
+    def slopes_of_each_force(self, now: Evaluation) -> list[Slopes | None]:
+        """∂(−l)/∂u and ∂(−l)/∂v of each force of the system; None of one that is dead."""
+        return [f.slopes(now.t, now.within, now.u, now.v) for f in self.system.forces]
+
     @cached_property
     def _gradients(self) -> Matrix:
         return gradient_matrix(self.discretisation, self.system.n_rows)
@@ -285,8 +299,7 @@ class EquationsOfMotion:
         return with_transpose(self._gradients[:, self.system.free])
 
     def _slopes_of_forces(self, now: Evaluation) -> list[Slopes]:
-        slopes = (f.slopes(now.t, now.within, now.u, now.v) for f in self.system.forces)
-        return [each for each in slopes if each is not None]
+        return [each for each in self.slopes_of_each_force(now) if each is not None]
 
     def no_stress(self, t: float, point: int, F: Array, reason: str) -> NoStress:
         """The failure that names the point."""

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
 from surrofe2.base.arrays import Array
 from surrofe2.base.clock import clock, cpu_clock
 from surrofe2.base.compilation import kernel
-from surrofe2.law.stress_law import AuditedLaw, Sources
+from surrofe2.law.bifurcation import count_beyond
+from surrofe2.law.stress_law import Sources
+from surrofe2.macro.audits import Report, RunAudits
 from surrofe2.macro.elements import (
     Discretisation,
     element_mean_F,
@@ -22,7 +24,7 @@ from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.system import System
 from surrofe2.macro.time_stepping import Stepper, StepResult
-from surrofe2.run.journal import Journal, RunState, frame_series
+from surrofe2.run.journal import BEYOND, Journal, RunState, frame_series
 
 NO_EXTREMES = np.broadcast_to([[[[np.inf]]], [[[-np.inf]]]], (2, 4, 2, 2))
 """Of no point yet."""
@@ -257,20 +259,13 @@ class MacroState(RunState):
         return replace(self, journal=self.journal.copy(), mark=mark)
 
 
-class Report(NamedTuple):
-    """What an audited law says of a run: `cache`, plain values for run.json, and its decisions on
-    windows of steps; None of other laws."""
-
-    cache: dict[str, Any] | None
-    decisions: list[dict[str, Any]] | None
-
-
 def columns_of(system: System) -> list[str]:
     """What a row of a run's history holds, in its order.
 
     t; for each watched point its displacement; for each boundary its mean displacement; for each
     support, surface load and body the force it exerts on the tissue; for each body its
-    displacement and the depth of the deepest penetration; kinetic energy; works.
+    displacement and the depth of the deepest penetration; how many points are beyond a bifurcation;
+    energy stored in contact; kinetic energy; works.
     """
     vectors = [*system.probe_names]
     vectors += [f"force {name}" for name in system.force_names]
@@ -278,7 +273,30 @@ def columns_of(system: System) -> list[str]:
     both = [f"{name} {axis}" for name in vectors for axis in "xy"]
     depths = [f"penetration {contact.name}" for contact in system.contacts]
     works = ["internal", *(force.name for force in system.forces), "motion", "inertia"]
-    return ["t", *both, *depths, "contact", "kinetic", *(f"work {name}" for name in works)]
+    last = [BEYOND, "contact", "kinetic", *(f"work {name}" for name in works)]
+    return ["t", *both, *depths, *last]
+
+
+def row_of(
+    system: System, t: float, motion: tuple[Array, Array], forces: Array, beyond: float, work: Array
+) -> Array:
+    """What `columns_of` lists, with the kinetic energy ½ v·M v.
+
+    Args:
+        t: µs, or the factor of the load.
+        motion: displacement and velocity (n, 2) of all nodes and bodies.
+        forces: (k, 2) of `System.force_names`, µN.
+        beyond: points beyond a bifurcation; NaN where the law cannot tell.
+        work: (k,) of what `Evaluation.powers` lists, pJ.
+    """
+    u, v = motion
+    kinetic = 0.5 * np.vdot(v, system.inertia(v))
+    bodies = u[len(system.discretisation.nodes) :]
+    vectors = [system.probes @ u, forces, bodies]
+    depths = [contact.penetration(u) for contact in system.contacts]
+    stored = sum(contact.energy(u) for contact in system.contacts)
+    flat = [part.ravel() for part in vectors]
+    return np.concatenate([[t], *flat, depths, [beyond, stored, kinetic], work])
 
 
 class Recorder:
@@ -305,14 +323,8 @@ class Recorder:
         begin = clock() if begin is None else begin
         self._started = begin - (resume.wall_time["total"] if resume else 0.0)
         self._cpu_started = cpu_clock() - (resume.wall_time.get("cpu", 0.0) if resume else 0.0)
-        law = equations.law
-        self._reporting = law if isinstance(law, AuditedLaw) else None
-        self._audited: AuditedLaw | None = None
-        # Before the law is asked for the first time: from there on it counts.
-        self._is_window_known = False
-        if self._reporting is not None:
-            law_state, t = (None, 0.0) if resume is None else (resume.law_state, resume.t)
-            self._is_window_known = self._reporting.begin_run(law_state, t)
+        law_state, t = (None, 0.0) if resume is None else (resume.law_state, resume.t)
+        self._audits = RunAudits(equations, law_state, t)
         self._state: MacroState
         if resume is not None:
             self._state = resume.copy()
@@ -426,9 +438,7 @@ class Recorder:
         """From here on an audited law is asked after every step whether what was recorded stands;
         the window of the state that the run continues from does so, too, where the law knows it.
         """
-        law = self._reporting
-        self._audited = law if law is not None and law.is_audited else None
-        if resume is None or resume.mark is None or not self._is_window_known:
+        if self._audits.watch(has_mark=resume is not None and resume.mark is not None):
             self._mark()
 
     def settle(self, *, final: bool = False) -> MacroState | None:
@@ -436,49 +446,21 @@ class Recorder:
 
         final: no step follows, or none can.
         """
-        equations, back = self._equations, None
-        if self._audited is not None:
-            equations.is_committing = True
-            stands = self._audited.verdict(final=final)
-            if stands:
-                self._mark()
-            elif stands is not None:
-                equations.law_state = self._audited.roll_back(self.t)
-                back = self._go_back()
-        equations.is_committing = False
-        return back
+        return self._audits.settle(self.t, self._mark, self._go_back, final=final)
 
     def close(self, closing: Callable[[int, int], None] | None) -> bool:
-        """Solve a batch of the law's closing audit, and report how many are done of how many;
-        False: there is none, or it is complete."""
-        law, equations = self._reporting, self._equations
-        if law is None:
-            return False
-        began = clock()
-        solved = law.next_closing()  # pure: an interrupt leaves the batch to the resumed run
-        if solved is not None:
-            equations.is_committing = True
-            law.commit_closing(solved)
-            equations.is_committing = False
-        equations.tally.law_seconds += clock() - began
-        if solved is not None and closing is not None:
-            closing(*law.closing_progress)
-        return solved is not None
+        """Solve a batch of the law's closing audit; see `RunAudits.close`."""
+        return self._audits.close(closing)
 
     def report(self, *, finished: bool) -> Report:
-        """What an audited law has to say of this run: its report, or of a run that is not finished
-        its history; and its decisions."""
-        law = self._reporting
-        if law is None:
-            return Report(None, None)
-        return Report(law.report() if finished else law.history(), law.decisions)
+        """What an audited law has to say of this run; see `RunAudits.report`."""
+        return self._audits.report(finished=finished)
 
     def _mark(self) -> None:
         """What was recorded so far stands."""
-        if self._audited is not None:
-            self._audited.mark(self.t, self._equations.law_state)
-            marked = replace(self._state, law_state=None, mark=None)
-            self._state = replace(self._state, mark=marked)
+        self._audits.mark(self.t)
+        marked = replace(self._state, law_state=None, mark=None)
+        self._state = replace(self._state, mark=marked)
 
     def _go_back(self) -> MacroState:
         """The state at the mark, by the law's state as it is now, with its counts; what has been
@@ -529,13 +511,8 @@ class Recorder:
         return self._system.resultants(now.forces, self._equations.reaction(now))
 
     def _row(self, t: float, y: Array, work: Array, forces: Array) -> Array:
-        """What `columns_of` lists, with the kinetic energy ½ v·M v."""
-        system = self._system
-        u, v = system.spread(y, t, self._equations.within)
-        kinetic = 0.5 * np.vdot(v, system.inertia(v))
-        bodies = u[len(system.discretisation.nodes) :]
-        vectors = [system.probes @ u, forces, bodies]
-        depths = [contact.penetration(u) for contact in system.contacts]
-        stored = sum(contact.energy(u) for contact in system.contacts)
-        flat = [part.ravel() for part in vectors]
-        return np.concatenate([[t], *flat, depths, [stored, kinetic], work])
+        """What `columns_of` lists; points beyond a bifurcation are those at the end of the step."""
+        equations = self._equations
+        motion = self._system.spread(y, t, equations.within)
+        beyond = count_beyond(equations.law, equations.law_state)
+        return row_of(self._system, t, motion, forces, beyond, work)

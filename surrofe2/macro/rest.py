@@ -8,7 +8,8 @@ step that finds no equilibrium is halved."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any, ClassVar
@@ -18,23 +19,43 @@ import skfem
 
 from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError, MismatchError, SimulationError
+from surrofe2.law.bifurcation import count_beyond
 from surrofe2.law.stress_law import StressLaw, require_tangents
+from surrofe2.macro.audits import RunAudits
 from surrofe2.macro.elements import Matrix, displacement_basis
 from surrofe2.macro.equations_of_motion import (
     EquationsOfMotion,
     Evaluation,
     NoStress,
     Switched,
+    Tally,
     factorised,
 )
 from surrofe2.macro.forces import Contact, Grip, Slopes
 from surrofe2.macro.free_sides import SurfaceForce
-from surrofe2.macro.history import NO_EXTREMES, Frames, KeepFrame, widen_extremes
+from surrofe2.macro.history import (
+    NO_EXTREMES,
+    Frames,
+    KeepFrame,
+    columns_of,
+    row_of,
+    widen_extremes,
+)
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.system import System, system_of
 from surrofe2.problem.problem import Problem
-from surrofe2.run.journal import FRAME_TIMES, Journal, RunState, frame_series
+from surrofe2.run.displacement_curve import DisplacementCurve
+from surrofe2.run.journal import (
+    FRAME_TIMES,
+    Journal,
+    RunState,
+    curves_of,
+    frame_series,
+    history_of,
+    named_columns,
+)
 from surrofe2.run.loop import carry_out
+from surrofe2.run.views import related
 
 MAX_HALVINGS = 10
 MAX_ITERATIONS = 20
@@ -45,7 +66,14 @@ _STALLED = 1e-6
 """A residual this small that no correction reduces is as small as rounding or the law allows."""
 _FREE = 1e-12
 """Stiffness of a rigid motion, relative to the largest, that holds nothing."""
-_COUNTS = ("load_steps", "halvings", "factorisations")
+_COUNTS = (
+    "load_steps",
+    "halvings",
+    "repeated_steps",
+    "factorisations",
+    "stress_calls",
+    "stress_points",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,17 +88,21 @@ class RestState(RunState):
         next_step: factor of the next load step.
         extremes: (2, 4, 2, 2) as in `MacroState`, of the equilibria on the way.
         drags: by body, friction at all points of its contact, µN/µm.
-        counts: load steps, halvings, factorisations by Newton's method.
-        journal: at each load step, from factor 0 on: ``rows`` (s, k + 6) factor, displacement of
-            the first watched point, energy stored in contact, works of `acts`; ``forces``
-            (s, f, 2) on the tissue, of `System.force_names`, µN; ``frames.…`` as of `Frames`, with
-            the factor instead of the time.
+        counts: load steps, halvings, factorisations by Newton's method; steps that were repeated
+            because points left their branch of the law; stresses asked for.
+        effort: sums of what the law's answers cost.
+        rolled_back: the same counts and sums, over what an audited law took back.
+        law_seconds: inside the stress law.
+        journal: at each load step, from factor 0 on: ``rows`` (s, c), the columns of `columns_of`
+            with the factor instead of the time; ``frames.…`` as of `Frames`, in the same way.
         rest: as `System.rest`; (0, 2) of None.
         law_state: what the law has committed.
+        mark: where an audited law goes back to if what follows does not stand, without its state,
+            which the law knows; None: it never does.
     """
 
     SERIES: ClassVar[tuple[str, ...]] = (
-        "rows", "forces", *(f"frames.{item.name}" for item in fields(Frames))
+        "rows", *(f"frames.{item.name}" for item in fields(Frames))
     )  # fmt: skip
 
     factor: float
@@ -81,9 +113,13 @@ class RestState(RunState):
     extremes: Array
     drags: dict[str, Array]
     counts: dict[str, int]
+    effort: dict[str, int]
+    rolled_back: dict[str, int]
+    law_seconds: float
     journal: Journal
     rest: Array
     law_state: Any = None
+    mark: RestState | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,6 +131,9 @@ class Rest(RestState):
         F: (n_points, 2, 2) deformation gradient.
         stiffness, damping: (m, m) of the free unknowns, as of `EquationsOfMotion.tangents`.
         residuals: of Newton's iterations in the last load step, relative to the largest force.
+        finished: whether the factor asked for was reached.
+        cache: what an audited law reports of this rest; None of other laws.
+        decisions: of an audited law on windows of load steps; None of other laws.
     """
 
     system: System
@@ -102,11 +141,21 @@ class Rest(RestState):
     stiffness: Matrix
     damping: Matrix
     residuals: tuple[float, ...]
+    finished: bool = True
+    cache: Mapping[str, Any] | None = None
+    decisions: Sequence[Mapping[str, Any]] | None = None
 
     @property
     def forces(self) -> Array:
-        """(k, 2) forces on the tissue, of `System.force_names`, µN."""
-        return self.journal["forces"][-1]
+        """(k, 2) forces on the tissue at the end, of `System.force_names`, µN."""
+        names = (f"force {name} {axis}" for name in self.system.force_names for axis in "xy")
+        last = [self.columns[name][-1] for name in names]
+        return np.array(last).reshape(-1, 2)
+
+    def state(self, **changes: Any) -> RestState:
+        """What carries this rest on, with changes of some entries."""
+        kept = {item.name: getattr(self, item.name) for item in fields(RestState)}
+        return RestState(**(kept | changes))
 
     @property
     def basis(self) -> skfem.Basis:
@@ -124,9 +173,33 @@ class Rest(RestState):
         return self.journal["rows"][:, :3]
 
     @property
+    def columns(self) -> dict[str, Array]:
+        """By name, (steps + 1,): what `columns_of` lists, the factor under the name t."""
+        return named_columns(columns_of(self.system), self.journal["rows"])
+
+    @property
+    def curves(self) -> dict[str, DisplacementCurve]:
+        """Displacement of each watched point over the factor, by name."""
+        return curves_of(self.path[:, 0], self.columns)
+
+    @property
+    def history(self) -> dict[str, Array]:
+        """By name, (steps + 1,) over the factor: mean displacement of boundaries (µm), forces of
+        supports, loads and bodies on the tissue (µN), places and penetration of bodies (µm), and
+        how many points are beyond a bifurcation, where the law can tell."""
+        return history_of(self.columns)
+
+    @property
     def watched(self) -> Array:
         """(2,) displacement of the watched point, µm."""
         return self.path[-1, 1:]
+
+    def relation(self, name: str, against: str) -> Array:
+        """(steps + 1, 2) one column of `history` over another; see `ViewedRun.relation`.
+
+        >>> rest.relation("force grip x", against="mean displacement grip x")
+        """
+        return related(self.history, name, against)
 
     @property
     def energies(self) -> dict[str, Array]:
@@ -134,11 +207,11 @@ class Rest(RestState):
         the path, by the trapezoidal rule (second order in the load step), `contact` and `contact
         dissipated`, and `balance`, the other works − internal, zero to Newton's tolerance.
         """
-        system = self.system
-        stored, internal, *others, motion = self.journal["rows"][:, 3:].T
-        works = dict(zip((force.name for force in system.forces), others, strict=True))
+        system, columns = self.system, self.columns
+        stored, internal = columns["contact"], columns["work internal"]
+        works = {force.name: columns[f"work {force.name}"] for force in system.forces}
         if system.moving:
-            works["motion"] = motion
+            works["motion"] = columns["work motion"]
         found = {"internal": internal, **works, "balance": sum(works.values()) - internal}
         if system.contacts:
             done = sum(works[each.name] for each in system.contacts)
@@ -157,9 +230,12 @@ def find_rest(
     checkpoint: Callable[[Rest], None] | None = None,
     checkpoint_interval: float = 30.0,
     resume: RestState | None = None,
+    closing: Callable[[int, int], None] | None = None,
     keep_frame: KeepFrame | None = None,
 ) -> Rest:
     """Equilibrium of all forces at v = 0 and `factor` times the loads, reached from factor 0.
+
+    Load steps of an audited law that do not stand are made again, as the steps of a run are.
 
     Friction depends on the way: a point of contact sticks where it touched until Coulomb's law lets
     it slip, from equilibrium to equilibrium, so more load steps follow its way more closely.
@@ -170,7 +246,7 @@ def find_rest(
         load_steps: load steps to begin with.
         progress: called with the factor of each equilibrium on the way, and the last one.
         checkpoint, checkpoint_interval: as of `simulate`; it is called with an equilibrium.
-        keep_frame: as of `simulate`; each load step is a frame.
+        closing, keep_frame: as of `simulate`; each load step is a frame.
         resume: such an equilibrium, of the same problem on the way to the same factor; the result
             is that of the uninterrupted way, to the bit.
 
@@ -192,11 +268,13 @@ def find_rest(
     equations = EquationsOfMotion(system, law, clock="load factor {:.6g}")
     if problem.surface is not None:
         begin_at_rest(equations, problem, settings, resume)
-    way = Loading(Newton(equations, settings, keep_frame), factor, factor / load_steps)
+    law_state, at = (None, 0.0) if resume is None else (resume.law_state, resume.factor)
+    audits = RunAudits(equations, law_state, at)
+    way = Loading(Newton(equations, settings, keep_frame), audits, factor, factor / load_steps)
     return carry_out(
-        way.steps(resume),
+        way.steps(resume, closing),
         way,
-        lambda finished: way.rest,
+        way.result,
         factor,
         progress=progress,
         checkpoint=checkpoint,
@@ -204,11 +282,21 @@ def find_rest(
     )
 
 
+def _spent(tally: Tally) -> dict[str, Any]:
+    """What a rest has cost so far, as `RestState` has it."""
+    return {
+        "counts": {name: tally.counts[name] for name in _COUNTS},
+        "effort": dict(tally.effort),
+        "law_seconds": tally.law_seconds,
+    }
+
+
 @dataclass(slots=True)
 class Loading:
     """The way from no load to a factor of it; `rest` is the last equilibrium, None before."""
 
     newton: Newton
+    audits: RunAudits
     factor: float
     longest: float
     rest: Any = None
@@ -221,11 +309,34 @@ class Loading:
     def checkpoint(self) -> Rest:
         """The last equilibrium, with memory of its own for what was recorded."""
         rest: Rest = self.rest
-        return replace(rest, journal=rest.journal.copy())
+        mark = rest.mark
+        if mark is not None:
+            mark = replace(mark, journal=mark.journal.copy())
+        return replace(rest, journal=rest.journal.copy(), mark=mark)
 
-    def steps(self, resume: RestState | None) -> Iterator[float]:
-        """The factor of each equilibrium, the one without load first. Raises `SimulationError`
-        where there is none without load, or ten halvings of a load step find none.
+    def result(self, finished: bool) -> Any:
+        """The last equilibrium with what an audited law reports; None before there is one."""
+        if self.rest is None:
+            return None
+        rest: Rest = self.rest
+        report = self.audits.report(finished=finished)
+        tally = self.newton.equations.tally
+        return replace(
+            rest,
+            **_spent(tally),
+            finished=finished,
+            cache=report.cache,
+            decisions=report.decisions,
+        )
+
+    def steps(
+        self, resume: RestState | None, closing: Callable[[int, int], None] | None
+    ) -> Iterator[float]:
+        """The factor of each equilibrium, the one without load first; then the batches of the
+        closing audit of an audited law.
+
+        Raises:
+            SimulationError: there is none without load, or ten halvings of a load step find none.
         """
         newton, equations = self.newton, self.newton.equations
         try:
@@ -233,18 +344,67 @@ class Loading:
                 self.rest = newton.rest_at(0.0, None, self.longest)
             else:
                 self.rest = newton.known(resume)
-        except (NoStress, Switched) as failure:
-            raise SimulationError(f"the load cannot start: {failure}") from failure
+        except (NoStress, Switched) as reason:
+            raise SimulationError(f"the load cannot start: {reason}") from reason
         equations.is_committing = False
         if resume is None:
             yield 0.0
         if self.rest.factor != self.factor:
             _check_held(equations.system, self.rest.stiffness)
+        if self.audits.watch(has_mark=self.rest.mark is not None):
+            self._mark()
         # They are equal at the end, for the last target is the factor itself.
         while self.rest.factor != self.factor:
-            self.rest = self._step(self.rest)
-            equations.is_committing = False
+            failure = None
+            try:
+                self.rest = self._step(self.rest)
+            except SimulationError as error:  # wrong answers may have led there
+                failure = error
+            is_last = failure is not None or self.rest.factor == self.factor
+            at = self.rest.factor
+            back = self.audits.settle(at, self._mark, self._marked_state, final=is_last)
+            if back is not None:
+                self.rest = self._again(back)
+            elif failure is not None:
+                raise failure
             yield self.rest.factor
+        while self.audits.close(closing):
+            yield self.rest.factor
+
+    def _mark(self) -> None:
+        """The load steps so far stand."""
+        rest: Rest = self.rest
+        self.audits.mark(rest.factor)
+        mark = rest.state(law_state=None, mark=None)
+        self.rest = replace(rest, mark=mark)
+
+    def _marked_state(self) -> RestState:
+        """The state at the mark, by the law's state as it is now; what was spent since counts as
+        rolled back."""
+        rest: Rest = self.rest
+        mark = rest.mark
+        assert mark is not None
+        equations = self.newton.equations
+        rolled_back = Counter(rest.rolled_back)
+        spent = _spent(equations.tally)
+        for now, then in ((spent["counts"], mark.counts), (spent["effort"], mark.effort)):
+            rolled_back.update(now)
+            rolled_back.subtract(then)
+        return replace(
+            mark,
+            law_state=equations.law_state,
+            law_seconds=equations.tally.law_seconds,
+            mark=mark,
+            rolled_back=dict(+rolled_back),
+        )
+
+    def _again(self, state: RestState) -> Rest:
+        """The equilibrium of a state to which the law went back."""
+        try:
+            return self.newton.known(state)
+        except NoStress as failure:
+            message = f"the load steps cannot be made again: {failure}"
+            raise SimulationError(message) from failure
 
     def _step(self, rest: Rest) -> Rest:
         """The equilibrium after `rest`, by a load step that is halved until there is one."""
@@ -264,6 +424,18 @@ class Loading:
                     raise SimulationError(
                         f"no load step succeeds after {MAX_HALVINGS} halvings: {failure}"
                     ) from failure
+
+
+def evaluation_at(equations: EquationsOfMotion, state: RestState) -> Evaluation:
+    """The evaluation at an equilibrium that was found before, with tangents; raises `NoStress`."""
+    free = equations.system.pick(state.u)
+    y = np.concatenate([free, np.zeros(free.size)])
+    equations.resume(state.factor, y, state.stress, state.law_state)
+    while True:
+        try:
+            return equations.evaluate(state.factor, y, tangents=True)
+        except Switched as switched:  # where the law trusts less than it did there
+            equations.restart_step(switched.points)
 
 
 def _check_held(system: System, K: Matrix) -> None:
@@ -365,15 +537,17 @@ class Newton:
             # Mean force times displacement: of second order in the load step.
             step = np.einsum("kni,ni->k", 0.5 * (last.acts + acts), now.u - last.u)
             journal, extremes = last.journal, last.extremes.copy()
-            works = journal["rows"][-1, 4:] + step
+            works = journal["rows"][-1, -1 - len(acts) : -1] + step
         widen_extremes(extremes, now.F, now.F_dot)
-        stored = sum(each.energy(now.u) for each in system.contacts)
-        row = np.concatenate([[factor], system.probes[0] @ now.u, [stored], works])
-        frame = Frames.of(equations.discretisation, now)
+        beyond = count_beyond(equations.law, equations.law_state)
+        forces, work = system.resultants(now.forces, reaction), np.append(works, 0.0)
+        row = row_of(system, factor, (now.u, now.v), forces, beyond, work)
+        sources = None if now.response.sources is None else now.response.sources()
+        frame = Frames.of(equations.discretisation, now, sources)
         if self.keep_frame is not None:
             self.keep_frame(frame, *(journal.lengths.get(name, 0) for name in FRAME_TIMES))
         of_frame = frame_series(frame, times_alone=self.keep_frame is not None)
-        rows = {"rows": row[None], "forces": system.resultants(now.forces, reaction)[None]}
+        rows = {"rows": row[None]}
         return Rest(
             factor=factor,
             u=now.u,
@@ -382,7 +556,9 @@ class Newton:
             next_step=next_step,
             extremes=extremes,
             drags={contact.name: contact.drag(now.u) for contact in system.contacts},
-            counts={name: equations.tally.counts[name] for name in _COUNTS},
+            **_spent(equations.tally),
+            rolled_back={} if last is None else last.rolled_back,
+            mark=None if last is None else last.mark,
             journal=journal.written(rows | of_frame),
             rest=np.empty((0, 2)) if system.rest is None else system.rest,
             law_state=equations.law_state,
@@ -397,15 +573,14 @@ class Newton:
         """An equilibrium that was found before; raises as `evaluate`."""
         equations = self.equations
         self._grip(state.u, state.drags)
-        y = self._still(equations.system.pick(state.u))
-        start = equations.resume(state.factor, y, state.stress, state.law_state)
-        K, C = equations.tangents(equations.evaluate(state.factor, y, tangents=True))
-        equations.tally.counts.update(state.counts)
+        now = evaluation_at(equations, state)
+        K, C = equations.tangents(now)
+        tally = equations.tally
+        tally.counts, tally.effort = Counter(state.counts), Counter(state.effort)
+        tally.law_seconds = state.law_seconds
         kept = {item.name: getattr(state, item.name) for item in fields(RestState)}
-        kept["journal"] = state.journal.copy()
-        return Rest(
-            **kept, system=equations.system, F=start.F, stiffness=K, damping=C, residuals=()
-        )
+        kept |= {"journal": state.journal.copy(), "law_state": equations.law_state}
+        return Rest(**kept, system=equations.system, F=now.F, stiffness=K, damping=C, residuals=())
 
     def balanced(
         self, factor: float, begin: Callable[[], Array]
@@ -443,7 +618,7 @@ class Newton:
         now = equations.evaluate(last.factor, self._still(u), tangents=True)
         loads = sum(force.at(factor, now.within, now.u, now.v) for force in system.forces)
         residual = system.pick(loads - now.internal) - equations.stiffness_times(now, moved)
-        return u + self._solved(now, equations.tangents(now)[0], residual)
+        return u + self._solved(now, equations.slope(now, 1.0, 0.0), residual)
 
     def corrected(self, now: Evaluation, K: Matrix) -> Evaluation:
         """Newton's correction by K, halved until the residual falls and every point has a stress.
@@ -478,16 +653,17 @@ class Newton:
         self, factor: float, u: Array, residuals: list[float]
     ) -> tuple[Evaluation, Slopes]:
         """Newton's iteration from u to its tolerance; it lists the residuals."""
-        now = self.equations.evaluate(factor, self._still(u), tangents=True)
+        equations = self.equations
+        now = equations.evaluate(factor, self._still(u), tangents=True)
         while True:
-            slopes = self.equations.tangents(now)
-            residuals.append(self.relative_residual(now, slopes[0]))
+            K = equations.slope(now, 1.0, 0.0)
+            residuals.append(self.relative_residual(now, K))
             if residuals[-1] <= self.settings.newton_tolerance:
-                return now, slopes
+                return now, (K, equations.slope(now, 0.0, 1.0))
             if len(residuals) > MAX_ITERATIONS:
                 reason = f"Newton did not converge in {MAX_ITERATIONS} iterations"
-                raise self._stopped(now, slopes[0], reason)
-            now = self.corrected(now, slopes[0])
+                raise self._stopped(now, K, reason)
+            now = self.corrected(now, K)
 
     def _solved(self, now: Evaluation, K: Matrix, residual: Array) -> Array:
         """K⁻¹ times a residual (m,)."""

@@ -69,6 +69,17 @@ class MacroSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RestSettings:
+    """Load steps to the tissue at rest: the method where time does not matter."""
+
+    factor: float = setting(1.0, "of all loads and prescribed motions, at the end")
+    load_steps: int = setting(10, "load steps to begin with; one that fails is halved", least=1)
+
+    def __post_init__(self) -> None:
+        check_settings(self, "rest")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SurfaceSettings:
     """Which sides of the tissue have the surface law of their plant cells."""
 

@@ -102,6 +102,10 @@ class DistributedLaw:
         self.density, self.has_tangents = law.density, law.has_tangents
         driver.do(_have, [(self._number, law)] * driver.ranks)
 
+    def beyond_bifurcation(self, state: RankState) -> Flags:
+        """(n,) whether the RVE of each point left its branch at a bifurcation on its way."""
+        return state.left_points
+
     def state_to_arrays(self, state: RankState) -> dict[str, NDArray]:
         """All of a state, as one `RveState` of all points would give it, piece by piece; and, by
         ``owner`` and ``ranks``, which rank has each point, of how many, and whose turn it was.

@@ -39,7 +39,7 @@ from surrofe2.base.settings import (
 from surrofe2.base.units import LENGTH, TIME, with_micro_sign
 from surrofe2.cache.settings import CacheSettings, TableSettings
 from surrofe2.macro.elements import make_discretisation, points_by_region
-from surrofe2.macro.settings import MacroSettings, SurfaceSettings
+from surrofe2.macro.settings import MacroSettings, RestSettings, SurfaceSettings
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem.bar import LoadSettings
 from surrofe2.problem.conditions import FREE, BodyForce, Condition, Foundation, Pressure, Traction
@@ -476,6 +476,7 @@ class Recipe:
     )
     tissue: TissueSettings = setting(TissueSettings(), "settings of full tissues")
     table: TableSettings = setting(TableSettings(), "table of RVE stresses")
+    rest: RestSettings | None = setting(None, "load steps to rest, instead of a run in time")
     surface: SurfaceSettings | None = setting(None, "free sides with a law of their own")
     cache: CacheSettings = setting(CacheSettings(), "cache of RVE stresses, by a surrogate")
     part: str | None = None
@@ -731,12 +732,13 @@ SECTIONS: dict[str, type] = {
     "macro": MacroSettings,
     "tissue": TissueSettings,
     "table": TableSettings,
+    "rest": RestSettings,
     "surface": SurfaceSettings,
     "cache": CacheSettings,
 }
 """Sections of settings by name; others state a problem, or several cells."""
 # Sections that all cells of a recipe share.
-_OF_ALL_CELLS = ("rve", "calibration", "macro", "tissue", "table", "surface", "cache")
+_OF_ALL_CELLS = ("rve", "calibration", "macro", "tissue", "table", "rest", "surface", "cache")
 
 # Bytes of a recipe: a larger file is another one, given by mistake.
 _MOST_BYTES = 2**24

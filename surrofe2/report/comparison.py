@@ -195,7 +195,10 @@ def compare_runs(
 def _load_of(run: StoredRun) -> dict[str, Any]:
     """All that a run's problem states, by dotted names, but the mesh it is computed on."""
     recipe, of = run.record.recipe, ("conditions", "bodies", "watch", "time")
+    if run.is_rest:
+        of = ("conditions", "bodies", "watch", "rest")
     stated = flat({name: recipe[name] for name in of if name in recipe})
+    stated.pop("rest.load_steps", None)
     stated.pop("time.frames", None)
     return stated
 
@@ -337,7 +340,7 @@ def displacement_panels(runs: Sequence[StoredRun]) -> list[Panel]:
         y_label = f"displacement $u_{'xy'[axis]}$ (µm)"
         title = "" if panels or len(curves) > 1 else in_words(label)
         height = 0.55 if panels else 1.0
-        panels.append(Panel("time (µs)", y_label, curves, title, height=height))
+        panels.append(Panel(reference.clock, y_label, curves, title, height=height))
     return panels
 
 
@@ -355,7 +358,8 @@ def difference_panel(runs: Sequence[StoredRun]) -> Panel:
         differences.append(Curve("", run.curve.t, relative, label, markers=False, colour=k))
     names = f"{differences[0].label} and " if len(differences) == 1 else "each run and "
     title = f"Difference of {names}{reference.name}, relative to the largest displacement"
-    return Panel("time (µs)", "difference (%)", tuple(differences), in_words(title), height=0.6)
+    what = tuple(differences)
+    return Panel(reference.clock, "difference (%)", what, in_words(title), height=0.6)
 
 
 def audit_panels(runs: Sequence[StoredRun]) -> list[Panel]:

@@ -204,7 +204,8 @@ def write_grid_plot(path: Path, grid: Grid) -> None:
             Curve("", curve.t, curve.displacement[:, axis], label, markers=False)
             for label, curve in shown
         )
-        panels.append(Panel("time (µs)", f"displacement $u_{'xy'[axis]}$ (µm)", tuple(lines)))
+        clock = next(row.run.clock for row in grid.rows if row.run is not None)
+        panels.append(Panel(clock, f"displacement $u_{'xy'[axis]}$ (µm)", tuple(lines)))
     groups: dict[str, list[Facts]] = {}
     for facts, _ in grid.rows if changing else ():
         if changing[0] in facts:

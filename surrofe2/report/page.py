@@ -223,7 +223,7 @@ def _over_time_and_mesh(run: StoredRun, fields: StoredFields) -> str:
         for k, (code, (words, _)) in enumerate(SOURCES.items())
         if (source == code).any()
     )
-    panel = Panel("time (µs)", "elements (%)", curves, zero=True)
+    panel = Panel(run.clock, "elements (%)", curves, zero=True)
     often = 100.0 * by_rve.mean(axis=0)
     colours = Colours.of("stored times with an RVE (%)", np.append(often, 0.0), "Oranges")
     caption = f"{run.name}: at how many of the stored times an element had a point on RVEs"

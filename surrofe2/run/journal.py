@@ -13,7 +13,9 @@ from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError
 from surrofe2.run.displacement_curve import DisplacementCurve
 
-_HISTORY = ("mean displacement", "force", "position", "penetration")
+BEYOND = "beyond bifurcation"
+"""Column of how many points of the law are beyond a bifurcation."""
+_HISTORY = ("mean displacement", "force", "position", "penetration", BEYOND)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,5 +165,9 @@ def curves_of(t: Array, columns: Mapping[str, Array]) -> dict[str, DisplacementC
 
 
 def history_of(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """Those of boundaries, supports, loads and bodies, whose names `_HISTORY` begins."""
-    return {name: column for name, column in columns.items() if name.startswith(_HISTORY)}
+    """Those of boundaries, supports, loads and bodies, whose names `_HISTORY` begins; and how many
+    points are beyond a bifurcation, unless the law cannot tell and the column is NaN."""
+    history = {name: column for name, column in columns.items() if name.startswith(_HISTORY)}
+    if np.isnan(history.get(BEYOND, 0.0)).any():
+        del history[BEYOND]
+    return history

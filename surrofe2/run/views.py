@@ -14,9 +14,11 @@ import numpy as np
 
 from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError
-from surrofe2.base.units import ENERGY, FORCE, LENGTH
+from surrofe2.base.units import ENERGY, FORCE, LENGTH, NONE
 from surrofe2.run.charts import Curve, Panel, draw_panels, encoded
 from surrofe2.run.displacement_curve import DisplacementCurve
+from surrofe2.run.journal import BEYOND
+from surrofe2.run.responses import STRAIN_NAME, STRESS_NAME
 
 Facts = Mapping[str, object]
 
@@ -78,6 +80,12 @@ class ViewedRun(Viewed):
         }
         for name, values in self.history.items():
             what = (FORCE, "force") if name.startswith("force") else (LENGTH, "place")
+            if name == BEYOND:
+                what = NONE, "count"
+            elif name.startswith(STRESS_NAME):
+                what = "MPa", "nominal stress"
+            elif name.startswith(STRAIN_NAME):
+                what = NONE, "nominal strain"
             series[name] = Series(values, *what)
         for name, values in self.energies.items():
             series[f"energy {name}"] = Series(values, ENERGY, "energy")
@@ -103,8 +111,26 @@ class ViewedRun(Viewed):
                 if each.group == group
             )
             if curves:
-                panels.append(Panel("time (µs)", f"{group} ({unit})", curves, height=0.8))
+                panels.append(Panel(self.clock, f"{group} ({unit})", curves, height=0.8))
         return panels
+
+    @property
+    def clock(self) -> str:
+        """What its curves are over, as an axis of a picture says."""
+        return "time (µs)"
+
+    def relation(self, name: str, against: str) -> Array:
+        """(m, 2) one column over another: a force–displacement or a stress–strain curve.
+
+        >>> run.relation("force grip x", against="mean displacement grip x")
+
+        Args:
+            name, against: of `history`.
+
+        Raises:
+            InputError: there is no such column; it names those that there are.
+        """
+        return related(self.history, name, against)
 
     def to_pandas(self) -> Any:
         """A `pandas.DataFrame` over t in µs of displacements, forces and energies.
@@ -143,6 +169,14 @@ class ViewedRun(Viewed):
         source = b64encode(encoded(draw_panels(self.panels()[:1]))).decode()
         image = f'<img alt="displacement over time" src="data:image/svg+xml;base64,{source}"/>'
         return f"{facts}{image}</div>"
+
+
+def related(history: Mapping[str, Array], name: str, against: str) -> Array:
+    """(m, 2) two columns of a history side by side, `against` first; see `ViewedRun.relation`."""
+    for each in (against, name):
+        if each not in history:
+            raise InputError(f"{each}: no such column; there are {', '.join(history)}")
+    return np.stack([history[against], history[name]], axis=1)
 
 
 def course(curve: DisplacementCurve, wall: Mapping[str, float], counts: Mapping[str, int]) -> Facts:

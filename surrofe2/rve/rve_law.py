@@ -157,6 +157,10 @@ class RveLaw(Viewed):
         )
         return look_into(self.unit_cell, F, F_dot, z, fluctuation)
 
+    def beyond_bifurcation(self, state: RveState) -> Flags:
+        """(n,) whether the RVE of each point left its branch at a bifurcation on its way."""
+        return state.left_points
+
     def state_to_arrays(self, state: RveState) -> dict[str, NDArray[Any]]:
         return state.to_arrays(self.unit_cell.neighbours)
 

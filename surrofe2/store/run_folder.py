@@ -30,6 +30,8 @@ from surrofe2.base.settings import check_value, hints_of
 from surrofe2.base.units import ENERGY, FORCE, LENGTH, STRESS, TIME
 from surrofe2.base.versions import describe_platform
 from surrofe2.run.displacement_curve import DisplacementCurve
+from surrofe2.run.journal import BEYOND
+from surrofe2.run.responses import STRAIN_NAME, STRESS_NAME, Response, responses
 from surrofe2.run.views import Facts, ViewedRun, course
 from surrofe2.store.fields import FIELDS, POINTS, frame_files
 from surrofe2.store.hdf5 import Kind, check_units, read, write
@@ -153,6 +155,7 @@ class RunRecord:
             **{name: list(recipe[name]) for name in _NAMED_ENTRIES if name in recipe},
             "rest.factor": rest.get("factor"),  # of other runs, whose law may be the same, nothing
             "rest.load_steps": rest.get("load_steps"),
+            "rest.correct": rest.get("correct", False),
             "law": self.law,
             "initialisation": self.initialisation,
             "solver": self.solver,
@@ -174,6 +177,21 @@ class StoredRun(ViewedRun):
         return str(plain(self.folder.name))
 
     @property
+    def is_rest(self) -> bool:
+        """Whether it is a rest, whose curves are over the factor of the load instead of time."""
+        return is_rest(self.record)
+
+    @property
+    def clock(self) -> str:
+        """What its curves are over, as an axis of a picture says."""
+        return "load factor" if self.is_rest else "time (µs)"
+
+    @property
+    def responses(self) -> list[Response]:
+        """Forces over displacements of supports, loads and bodies; see `run.responses`."""
+        return [*responses(self.history, self.record.problem.get("places", {}))]
+
+    @property
     def caches(self) -> dict[str, Mapping[str, Any]]:
         """What its caches reported, by its name and that of the cell where there are several."""
         caches = caches_of(self.record.cache)
@@ -191,6 +209,11 @@ class StoredRun(ViewedRun):
             **course(self.curve, record.wall_time, record.counts),
             "RVE solves": f"{record.counts.get('rve_solves', 0):,}",
         }
+
+
+def is_rest(record: RunRecord) -> bool:
+    """Whether a record is of a rest, not of a run in time."""
+    return "rest" in record.recipe
 
 
 def earlier_run(folder: Path, record: RunRecord) -> RunRecord | None:
@@ -439,26 +462,39 @@ def write_curves(
     *,
     is_rest: bool = False,
 ) -> None:
-    """Write curve.csv, history.csv and energies.csv.
+    """Write curve.csv, history.csv and energies.csv; of a rest path.csv for the first two.
 
     Args:
-        curves: of watched points by name, all at m times; of a rest over the factor of the load,
-            and the first file is path.csv.
-        history: (m,) forces in µN and places in µm by name, as `MacroRun` has them.
+        curves: of watched points by name, all at m times, or factors of the load.
+        history: (m,) forces in µN, places in µm and numbers of points by name, as `MacroRun` has
+            them.
         energies: (m,) pJ by name.
     """
-    clock, file = ("factor", "path.csv") if is_rest else ("t_us", "curve.csv")
     t = next(iter(curves.values())).t
     points = {
         f"u_{axis}_um {name if k else ''}".rstrip(): column
         for k, (name, curve) in enumerate(curves.items())
         for axis, column in zip("xy", curve.displacement.T, strict=True)
     }
-    units = {name: "uN" if name.startswith("force ") else "um" for name in history}
-    moved = {f"{name}_{units[name]}": values for name, values in history.items()}
+    moved = {f"{name}_{_unit_of(name)}": values for name, values in history.items()}
     works = {f"{name}_pJ": values for name, values in energies.items()}
-    for name, columns in ((file, points), ("history.csv", moved), ("energies.csv", works)):
-        write_columns(folder / name, {clock: t, **columns})
+    if is_rest:
+        write_columns(folder / "path.csv", {"factor": t, **points, **moved})
+        write_columns(folder / "energies.csv", {"factor": t, **works})
+        return
+    for name, columns in (("curve.csv", points), ("history.csv", moved), ("energies.csv", works)):
+        write_columns(folder / name, {"t_us": t, **columns})
+
+
+def _unit_of(name: str) -> str:
+    """The unit of a column of a history, as its name in a file has it."""
+    if name == BEYOND:
+        return "points"
+    if name.startswith(STRESS_NAME):
+        return "MPa"
+    if name.startswith(STRAIN_NAME):
+        return "1"
+    return "uN" if name.startswith("force ") else "um"
 
 
 def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:
@@ -466,13 +502,12 @@ def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:
 
     Raises:
         FileError: not a run folder, or damaged.
-        InputError: the run is not finished, and what to do; or it is a rest, without a time.
+        InputError: the run is not finished, and what to do.
     """
     folder = Path(folder)
     record = read_record(folder)
-    if "path.csv" in record.files:
-        raise InputError(f"{folder}: a rest, which has no course in time; name folders of runs")
-    is_there = not finished and (folder / "curve.csv").exists()
+    table = "path.csv" if is_rest(record) else "curve.csv"
+    is_there = not finished and (folder / table).exists()
     if record.status != "finished" and not is_there:
         raise InputError(f"{folder}: the run is {record.status}; its command resumes it")
     for name, wanted in record.files.items():
@@ -480,22 +515,40 @@ def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:
             raise FileError(f"{folder / 'run.json'}: files: {quoted(name)} is no file of a run")
         if digest(folder / name, _MOST_OF_A_TABLE) != wanted:
             raise FileError(f"{folder / name}: damaged, or changed since the run was recorded")
-    path = folder / "curve.csv"
+    path = folder / table
     columns = read_columns(path)
-    t, *rest = [*columns.values()] or [np.empty(0)]
-    whole = tuple(columns)[:3] == CURVE_HEADER and len(rest) % 2 == 0 and t.size > 0
-    if not whole or not np.isfinite([t, *rest]).all() or (np.diff(t) <= 0.0).any():
-        raise FileError(f"{path}: not a table of {','.join(CURVE_HEADER)}")
+    # path.csv has in the same table what history.csv has of a run
+    moved = {name: columns[name] for name in columns if not name.startswith(("u_x_um", "u_y_um"))}
+    t = next(iter(moved.values()), np.empty(0))
+    clock = next(iter(moved), None)
+    known = [name for name in columns if name not in moved]
+    header = ("factor", *CURVE_HEADER[1:]) if is_rest(record) else CURVE_HEADER
+    whole = tuple(columns)[:3] == header and len(known) % 2 == 0 and t.size > 0
+    # a factor may fall from 0 to a negative one
+    steps = np.diff(t) * (np.sign(t[-1]) if is_rest(record) and t.size else 1.0)
+    if not whole or not np.isfinite([*columns.values()]).all() or (steps <= 0.0).any():
+        raise FileError(f"{path}: not a table of {','.join(header)}")
+    if not is_rest(record) and len(moved) > 1:
+        raise FileError(f"{path}: not a table of {','.join(header)}")
     names = [next(iter(record.problem.get("watched", ())), "watched point")]
-    names += [name.partition("_um ")[2] for name in [*columns][3::2]]
-    pairs = zip(names, rest[::2], rest[1::2], strict=True)
-    curves = {name: DisplacementCurve(t, np.stack(u, axis=1)) for name, *u in pairs}
-    others: list[dict[str, np.ndarray]] = []
-    for path in (folder / "history.csv", folder / "energies.csv"):
-        found = [*read_columns(path).items()][1:] if path.exists() else []
-        others.append({name.rpartition("_")[0]: values for name, values in found})  # without unit
+    names += [name.partition("_um ")[2] for name in known[2::2]]
+    pairs = zip(names, known[::2], known[1::2], strict=True)
+    curves = {
+        name: DisplacementCurve(t, np.stack([columns[x], columns[y]], axis=1))
+        for name, x, y in pairs
+    }
+    history = {name: values for name, values in moved.items() if name != clock}
+    energies: dict[str, np.ndarray] = {}
+    for path, into in ((folder / "history.csv", history), (folder / "energies.csv", energies)):
+        if path.exists():
+            _, *others = read_columns(path).items()
+            into.update(others)
+    history, energies = (
+        {name.rpartition("_")[0]: values for name, values in each.items()}  # without unit
+        for each in (history, energies)
+    )
     return StoredRun(folder, record, curve=curves[names[0]], curves=curves,
-                     history=others[0], energies=others[1])  # fmt: skip
+                     history=history, energies=energies)  # fmt: skip
 
 
 def write_events(folder: Path, decisions: Iterable[Mapping[str, Any]]) -> None:

@@ -23,8 +23,9 @@ from surrofe2.base.clock import clock, cpu_clock
 from surrofe2.base.errors import FileError, InputError, MismatchError, SimulationError
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.law.stress_law import StressLaw, StressResponse
-from surrofe2.macro import MetRange, simulate
+from surrofe2.macro import MetRange, find_rest, simulate
 from surrofe2.macro.history import NO_EXTREMES, widen_extremes
+from surrofe2.macro.settings import RestSettings
 from surrofe2.problem.mesh import area_of, element_nodes, extent, facet_nodes, length_of
 from surrofe2.recipe.recipe import Recipe, load_recipe
 from surrofe2.run.loop import Report, no_report
@@ -33,6 +34,7 @@ from surrofe2.surrogate.deformation_paths import WatchedLaw
 from surrofe2.workflow import laws
 from surrofe2.workflow.generate import check_data
 from surrofe2.workflow.laws import law_by_region
+from surrofe2.workflow.time_scales import TimeScales, time_scales
 from surrofe2.workflow.train import is_trained
 
 MARGIN = 0.2
@@ -40,7 +42,11 @@ SECONDS = 10.0
 """Processor time of all dry runs of a check; those on the recipe's mesh have half of it."""
 MOST_ELEMENTS = 65_536
 """Of a mesh that is checked, so that memory stays below 1 GB; a rectangle of more is coarsened."""
+LEAST_RATE = 1e-4
+"""Of a proposed range, 1/µs: that of a rest, whose stress has no part by the rate."""
 _COARSEST = 4
+_FEW_ELEMENTS = 1024
+"""Of a mesh on which the time scales are known well enough."""
 _FRAMES = 21
 """Of a dry run, by which its largest displacement is known."""
 _TIMED_STEPS, _TIMED_POINTS, _TIMED_SECONDS = 24, 128, 3.0
@@ -69,7 +75,7 @@ def study_faults(recipe: Recipe, kinds: Sequence[str], *, fresh: bool = False) -
     """
     checks: list[Callable[[], Any]] = [recipe.problem]
     if "table" in kinds:
-        checks.append(partial(laws.check_tangents, recipe))
+        checks.append(partial(laws.check_solver, recipe))
     for part in recipe.parts().values():
         if kinds != ("rve",):
             checks.append(part.sampling_range)
@@ -289,6 +295,59 @@ def _dry_run(recipe: Recipe, seconds: float, report: Report) -> DryRun:
     )
 
 
+def scales_of(recipe: Recipe) -> TimeScales:
+    """The time scales of a recipe, by the tangents of its RVEs at rest on a mesh that is coarsened
+    where it can be."""
+    mesh, _ = checked_mesh(recipe)
+    elements = math.prod(mesh.mesh.elements or (1, 1))
+    halvings = math.ceil(0.5 * math.log2(max(1.0, elements / _FEW_ELEMENTS)))
+    coarse = (_coarser(mesh, halvings) if halvings else None) or mesh
+    problem = coarse.problem()
+    law = law_by_region(coarse, problem.mesh, laws.quadratic_law)
+    with recipe.named(InputError):
+        return time_scales(coarse, problem, law)
+
+
+def dry_rest(recipe: Recipe, report: Report = no_report) -> DryRun:
+    """A rest of a recipe's problem by the quadratic law, over all load steps; see `dry_run`.
+
+    Raises:
+        InputError: the mesh is too large, and no rectangle that can be coarsened.
+        SimulationError: a load step finds no equilibrium.
+    """
+    mesh, halvings = checked_mesh(recipe)
+    problem, recorders = mesh.problem(), dict[str, _Recorder]()
+
+    def recorded(part: Recipe) -> StressLaw:
+        recorder = recorders[part.cell_name] = _Recorder(laws.quadratic_law(part))
+        return recorder
+
+    law = law_by_region(mesh, problem.mesh, recorded)
+    steps = recipe.rest or RestSettings()
+    try:
+        with recipe.named(InputError):
+            rest = find_rest(
+                problem,
+                law,
+                recipe.macro,
+                factor=steps.factor,
+                load_steps=steps.load_steps,
+                progress=lambda at, end: report(at / end if end else 1.0, ""),
+            )
+    except SimulationError as error:
+        raise SimulationError(f"check: the dry rest by the quadratic law: {error}") from error
+    points = sum(each.points for each in recorders.values())
+    return DryRun(
+        points=points * 4**halvings,
+        calls=max(each.calls for each in recorders.values()),
+        reached=1.0,
+        met={name: MetRange.of(each.extremes) for name, each in recorders.items()},
+        steps={name: list(each.steps) for name, each in recorders.items()},
+        shares={name: each.points / points for name, each in recorders.items()},
+        displacement=float(np.linalg.norm(rest.u, axis=1).max()),
+    )
+
+
 def seconds_by_rves(recipe: Recipe, run: DryRun) -> float:
     """The order of magnitude of a run by RVEs: its solves times a timed one, along a dry run."""
     parts = recipe.parts()
@@ -348,7 +407,8 @@ def proposed_range(met: MetRange, margin: float = MARGIN) -> SamplingRange:
             f"with a margin of {margin:g} no cell would be left; lower the load or the margin"
         )
     stretch = (_plain(1.0 - shorter), _plain(1.0 + longer))
-    return SamplingRange(stretch=stretch, shear=shear, rate=rate)
+    # at rest nothing has a rate, but samples and records need some neighbours along it
+    return SamplingRange(stretch=stretch, shear=shear, rate=max(rate, LEAST_RATE))
 
 
 def range_section(range: SamplingRange, cell: str = "") -> str:

@@ -20,7 +20,7 @@ from surrofe2.run.loop import Stage, no_stage
 from surrofe2.store.run_folder import read_run
 from surrofe2.store.store import locked_folder, write_json, write_text
 from surrofe2.workflow.laws import use_threads
-from surrofe2.workflow.run import run_study
+from surrofe2.workflow.rest import extent_of, study_by_method
 from surrofe2.workflow.train import is_trained, learn
 from surrofe2.workflow.workers import Processes, prepare, result_of
 
@@ -237,5 +237,6 @@ def _learn(recipe: Recipe, is_own: bool, threads: int | None, fresh: bool, stage
 
 def _run(run: _Run, folder: Path, threads: int | None, fresh: bool, stage: Stage) -> None:
     use_threads(threads)
-    with stage(folder.name, run.recipe.duration, "µs") as report:
-        run_study(run.recipe, run.law, folder, surrogates=run.needs, fresh=fresh, report=report)
+    with stage(folder.name, *extent_of(run.recipe)) as report:
+        options = {"surrogates": run.needs, "fresh": fresh, "report": report}
+        study_by_method(run.recipe, run.law, folder, **options)

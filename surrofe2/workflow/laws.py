@@ -76,15 +76,10 @@ class ChosenLaw:
     table: StressTable | None = None
 
 
-def check_tangents(recipe: Recipe) -> None:
-    """Refuse a run by a table of what has no tangents."""
+def check_solver(recipe: Recipe) -> None:
+    """Refuse tables of RVEs without tangents."""
     if recipe.rve.solver == "iterated":
         raise InputError('rve.solver: "iterated"; tables need tangents, so "direct"')
-    if recipe.macro.integrator == "implicit":
-        raise InputError(
-            "macro.integrator: implicit; not with --law table, which has no tangents: take --law "
-            "cached, surrogate or rve, or --integrator explicit"
-        )
 
 
 def choose_law(

@@ -2,38 +2,69 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.arrays import Array, Index
 from surrofe2.base.clock import Meter, seconds_compiling
-from surrofe2.base.errors import InputError
-from surrofe2.base.units import time_text
+from surrofe2.base.errors import InputError, SimulationError
+from surrofe2.base.units import number, time_text
 from surrofe2.base.versions import describe_platform
-from surrofe2.law.stress_law import state_arrays, state_of
+from surrofe2.law.regional_law import RegionalLaw
+from surrofe2.law.stress_law import StressLaw, StressResponse
 from surrofe2.macro import MetRange, Rest, find_modes, find_rest
+from surrofe2.macro.answer_error import answer_error, corrected
 from surrofe2.macro.elements import make_discretisation
 from surrofe2.macro.rest import RestState
-from surrofe2.recipe.recipe import Recipe
-from surrofe2.run.displacement_curve import DisplacementCurve
-from surrofe2.run.journal import part_of, within
+from surrofe2.macro.settings import RestSettings
+from surrofe2.recipe.recipe import Recipe, changed
+from surrofe2.run.journal import FRAME_TIMES, part_of, within
 from surrofe2.run.loop import Report, Stage, no_report, no_stage
+from surrofe2.run.responses import nominal
 from surrofe2.store.run_folder import (
     CHECKPOINT_INTERVAL,
     RunFolder,
     RunRecord,
+    is_rest,
+    read_run,
     write_curves,
 )
 from surrofe2.store.store import keep
 from surrofe2.workflow import laws
-from surrofe2.workflow.run import FrameFiles, new_record, problem_record, with_rest
+from surrofe2.workflow.run import (
+    FrameFiles,
+    buckled,
+    buckling_sentence,
+    cache_notes,
+    cache_report,
+    closing_notes,
+    costs,
+    decisions_of,
+    law_of_run,
+    new_record,
+    problem_record,
+    run_notes,
+    run_study,
+    run_summary,
+    thickness_of,
+    with_costs,
+    with_rest,
+    write_decisions,
+)
 
+ANSWER = "error_of_answer"
+"""Entry of a record's `met`: by how much displacements and forces are off, see `answer_error`."""
+MOST_FOR_ERROR = 1024
+"""RVEs that a rest may take for that, even where it has solved fewer itself."""
 STATES = {"unloaded": 0.0, "loaded": 1.0}
 """Factor of the loads by the name of the state whose modes are asked for."""
 
@@ -41,59 +72,86 @@ STATES = {"unloaded": 0.0, "loaded": 1.0}
 def rest_study(
     recipe: Recipe,
     folder: Path,
+    kind: str = "rve",
     *,
-    factor: float = 1.0,
-    load_steps: int = 10,
+    factor: float | None = None,
+    load_steps: int | None = None,
+    surrogates: Mapping[str, Path] = MappingProxyType({}),
+    tables: Sequence[Path] = (),
+    correct: bool = False,
     fresh: bool = False,
     report: Report = no_report,
 ) -> RunRecord:
-    """Load the recipe's tissue in steps, to `factor` times all loads, and write the run folder.
+    """Load the recipe's tissue in steps, by the law called `kind`, and write the run folder.
 
     What was found before a failure or an interrupt is written, and the same call resumes there.
+
+    Args:
+        factor: of all loads and prescribed motions, at the end; load_steps: to begin with; None:
+            as the recipe's [rest] has it.
+        surrogates, tables: as of `run_study`.
+        correct: keep the state after the Newton correction that gives the error of the answer, for
+            which RVEs are solved at all points.
 
     Raises:
         SimulationError: a load step finds no equilibrium.
     """
+    if kind == "table":
+        laws.check_solver(recipe)
+    settings = changed(recipe.rest or RestSettings(), factor=factor, load_steps=load_steps)
+    recipe = replace(recipe, rest=settings)
     problem = recipe.problem()
-    law = laws.law_by_region(recipe, problem.mesh, laws.true_law)
+    of_run = law_of_run(recipe, problem, kind, folder, surrogates, tables)
+    law = of_run.law
     problem = laws.with_surface(recipe, problem)
     timer, before = Meter(), seconds_compiling()
+    answered: dict[str, Any] = {}  # what the record will say of the error of the answer
     frames = FrameFiles(folder, make_discretisation(problem.mesh), law)
 
     def store(record: RunRecord, rest: Rest) -> RunRecord:
-        forces = rest.journal["forces"]
-        by_name = {
-            f"force {name} {axis}": forces[:, k, i]
-            for k, name in enumerate(rest.system.force_names)
-            for i, axis in enumerate("xy")
-        }
-        path = {"": DisplacementCurve(rest.path[:, 0], rest.path[:, 1:])}
-        write_curves(folder, path, by_name, rest.energies, is_rest=True)
+        history = rest.history | nominal(rest.history, described["places"])
+        write_curves(folder, rest.curves, history, rest.energies, is_rest=True)
         frames.close()
-        wall = {"total": timer.seconds, "compilation": seconds_compiling() - before}
+        write_decisions(folder, rest.decisions)
+        of_run.write_learnt(timer.seconds)
+        record = with_costs(with_rest(record, rest.system.rest), rest, of_run.tables)
+        wall = {
+            "total": timer.seconds,
+            "law": rest.law_seconds,
+            "macro": timer.seconds - rest.law_seconds,
+            "compilation": seconds_compiling() - before,
+        }
         met = {"watched": rest.watched.tolist(), **MetRange.of(rest.extremes).to_dict()}
-        record = with_rest(record, rest.system.rest)
-        return replace(record, wall_time=wall, counts=rest.counts, met=met)
+        met |= buckled(rest.path[:, 0], rest.history, len(rest.F))
+        met |= answered
+        return replace(record, wall_time=wall, met=met)
 
     def checkpoint(rest: Rest) -> None:
         run.partial = rest
         frames.flush()  # first: whoever resumes needs all that this state had recorded
         arrays = within("rest", rest.to_arrays()) | {"seconds": np.array(timer.seconds)}
-        run.checkpoint(arrays | within("law", state_arrays(law, rest.law_state)))
+        run.checkpoint(arrays | of_run.to_arrays(rest.law_state), cache_report(law))
+        frames.remove_surplus()
+        write_decisions(folder, decisions_of(law))
 
     def restore(arrays: dict[str, NDArray]) -> RestState:
         nonlocal timer
         timer = Meter(float(arrays["seconds"]))
         state = RestState.from_arrays(part_of(arrays, "rest"))
-        return replace(state, law_state=state_of(law, part_of(arrays, "law")))
+        return replace(state, law_state=of_run.restored(arrays))
 
-    stated = {**recipe.to_dict(), "rest": {"factor": factor, "load_steps": load_steps}}
-    record = new_record(recipe, "rve", recipe=stated, problem=problem_record(problem))
+    described = problem_record(problem, thickness_of(recipe))
+    of = {"surrogate": of_run.surrogate, "problem": described}
+    record = new_record(recipe, kind, **of)
+    if correct:
+        stated = {**record.recipe["rest"], "correct": True}
+        record = replace(record, recipe={**record.recipe, "rest": stated})
     with RunFolder.open(folder, record, store, fresh=fresh) as run:
         if run.is_finished:
             return run.record
         timer = Meter()
         state = run.restored(restore)
+        run.cache = None if state is None else cache_report(law)
         if state is not None:
             frames.resume(state.journal["frames.t"], state.journal["frames.point_t"])
         with recipe.named(InputError):
@@ -101,27 +159,158 @@ def rest_study(
                 problem,
                 law,
                 recipe.macro,
-                factor=factor,
-                load_steps=load_steps,
+                factor=settings.factor,
+                load_steps=settings.load_steps,
                 progress=lambda at, end: report(at / end if end else 1.0, ""),
                 checkpoint=checkpoint,
                 checkpoint_interval=CHECKPOINT_INTERVAL,
                 resume=state,
+                closing=lambda done, count: report(1.0, f"closing audit: {done} of {count}"),
                 keep_frame=frames.keep,
             )
+        if kind != "rve":
+            true = laws.law_by_region(recipe, problem.mesh, laws.true_law)
+            rest = _with_error(rest, law, true, answered, frames, correct, report)
         run.finish(rest)
+        frames.remove_surplus()
     return run.record
 
 
+def _with_error(
+    rest: Rest,
+    law: StressLaw,
+    true: StressLaw,
+    answered: dict[str, Any],
+    frames: FrameFiles,
+    correct: bool,
+    report: Report,
+) -> Rest:
+    """The rest, corrected if wanted; `answered` receives what a record says of its error.
+
+    RVEs are asked at all points only where they are no more than the rest itself has solved, or the
+    rest shall be corrected.
+    """
+
+    def true_stress(points: Index, F: Array) -> StressResponse:
+        part = true.at(points) if isinstance(true, RegionalLaw) else true
+        return part.respond(F, np.zeros_like(F))
+
+    def progress(done: int, count: int) -> None:
+        report(1.0, f"error of the answer: {done} of {count} RVEs")
+
+    solved = rest.effort.get("rve_solves", 0)
+    most = None if correct else max(solved, MOST_FOR_ERROR)
+    try:
+        error = answer_error(rest, law, true_stress, most=most, progress=progress)
+    except SimulationError as failure:
+        answered[ANSWER] = {"unknown": str(failure)}
+        return rest
+    names = rest.system.force_names
+    answered[ANSWER] = {
+        "elements": error.elements,
+        "of": error.of,
+        "rve_solves": error.solved,
+        "residual": error.residual,
+        "displacement": error.largest,
+        "watched": error.watched.tolist(),
+        "watched_interval": error.watched_interval.tolist(),
+        "forces": dict(zip(names, error.forces.tolist(), strict=True)),
+        "forces_interval": dict(zip(names, error.forces_interval.tolist(), strict=True)),
+        "corrected": correct,
+    }
+    if not correct:
+        return rest
+    kept, frame = corrected(rest, law, error)
+    lengths = rest.journal.lengths
+    frames.keep(frame, *(lengths[name] - 1 for name in FRAME_TIMES))
+    return kept
+
+
+def error_sentence(record: RunRecord) -> str:
+    """The error of the answer of a rest; empty where it was not asked for."""
+    found = record.met.get(ANSWER)
+    if not found:
+        return ""
+    if "unknown" in found:
+        return str(found["unknown"])
+    where = f"all {found['of']:,} elements"
+    if found["elements"] < found["of"]:
+        where = f"a random sample of {found['elements']:,} of {found['of']:,} elements"
+    parts = []
+    if found["displacement"] is not None:
+        parts.append(f"displacements by at most {number(found['displacement'], 2)} µm")
+    of_watched = zip(found["watched"], found["watched_interval"], strict=True)
+    parts.append(f"the watched point by ({_with_intervals(of_watched)}) µm")
+    name = max(found["forces"], key=lambda each: max(map(abs, found["forces"][each])), default="")
+    if name:
+        of_force = zip(found["forces"][name], found["forces_interval"][name], strict=True)
+        parts.append(f"force {name} by ({_with_intervals(of_force)}) µN")
+    does = "was, and is corrected," if found["corrected"] else "is"
+    text = f"error of the answer, by RVEs at {where}: it {does} off in {', '.join(parts)}"
+    return text if found["elements"] == found["of"] else f"{text}, with 95 % confidence"
+
+
+def _with_intervals(pairs: Iterable[tuple[float, float]]) -> str:
+    """Estimates with their half widths, of which those of all elements have none."""
+    texts = (f"{a:.2g}" + (f" ± {b:.2g}" if b else "") for a, b in pairs)
+    return ", ".join(texts)
+
+
+def study_by_method(recipe: Recipe, kind: str, folder: Path, **options: Any) -> RunRecord:
+    """The recipe's problem by the method that it states: by load steps where it has a [rest], else
+    in time; `options` are those that `run_study` and `rest_study` have in common."""
+    compute = run_study if recipe.rest is None else rest_study
+    return compute(recipe, kind=kind, folder=folder, **options)
+
+
+def extent_of(recipe: Recipe) -> tuple[float, str]:
+    """What the progress of `study_by_method` counts up to, and its unit."""
+    return (recipe.duration, "µs") if recipe.rest is None else (1.0, "loads")
+
+
+def summary_of(record: RunRecord) -> str:
+    """What a run or rest came to and cost."""
+    return rest_summary(record) if is_rest(record) else run_summary(record)
+
+
+def notes_of(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
+    """Notes on a run or rest, each with whether it is a warning."""
+    return rest_notes(record) if is_rest(record) else run_notes(record, recipe)
+
+
+def response_lines(folder: Path, record: RunRecord) -> list[str]:
+    """Peak, slope at the start and work of each force over its displacement, of a run or rest."""
+    if not record.problem.get("places"):
+        return []
+    return [each.sentence for each in read_run(folder, finished=False).responses]
+
+
 def rest_summary(record: RunRecord) -> str:
-    """Where the tissue came to rest and what it cost."""
-    counts, end = record.counts, record.recipe["rest"]
+    """Where the tissue came to rest, what it cost, and whether walls buckled on the way."""
+    counts, end, wall = record.counts, record.recipe["rest"], record.wall_time
     u_x, u_y = record.met["watched"]
-    return (
-        f"at rest under {end['factor']:g} times the load, watched point at ({u_x:.4g}, {u_y:.4g}) "
-        f"µm, in {time_text(record.wall_time['total'])}: {counts['load_steps']} load steps, "
-        f"{counts['halvings']} halvings, {counts['factorisations']} Newton corrections"
+    back = Counter(record.rolled_back)
+    text = (
+        f"at rest under {end['factor']:g} times the load by {record.law}, watched point at "
+        f"({u_x:.4g}, {u_y:.4g}) µm, in {time_text(wall['total'])} (law "
+        f"{time_text(wall['law'])}): {counts['load_steps']} load steps, "
+        f"{counts['halvings']} halvings, {counts['factorisations']} Newton corrections, "
+        f"{costs(counts)}"
     )
+    if back:
+        text += f"; rolled back: {back['load_steps']} load steps, {costs(back)}"
+    buckling = buckling_sentence(record)
+    return f"{text}; {buckling}" if buckling else text
+
+
+def rest_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
+    """Notes on free sides and the cache, each with whether it is a warning."""
+    yield from laws.surface_notes(record)
+    yield from cache_notes(record)
+    yield from closing_notes(record)
+    sentence = error_sentence(record)
+    if sentence:
+        yield sentence, "unknown" in record.met[ANSWER]
 
 
 def modes_study(

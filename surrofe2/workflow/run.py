@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -25,7 +25,7 @@ from surrofe2.base.units import time_text
 from surrofe2.cache import CachedLaw, StressTable
 from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.law.stress_law import AuditedLaw, StressLaw, state_arrays, state_of
-from surrofe2.macro import MacroRun, MacroState, simulate
+from surrofe2.macro import MacroRun, MacroState, Rest, simulate
 from surrofe2.macro.elements import (
     Discretisation,
     deformation_gradient,
@@ -35,14 +35,16 @@ from surrofe2.macro.elements import (
 from surrofe2.macro.history import Frames
 from surrofe2.plant_cell.parameters import PRESETS
 from surrofe2.problem import Problem
-from surrofe2.problem.mesh import element_nodes, extent
+from surrofe2.problem.conditions import PrescribedMotion, Pressure, Traction
+from surrofe2.problem.mesh import boundary, element_nodes, extent, length_of
 from surrofe2.problem.problem import label, sections_of
 from surrofe2.ranks.distributed_law import own_part
 from surrofe2.ranks.driver import driver_at_work
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.report.comparison import audit_sentence, closing_sentence, fallback_reasons
-from surrofe2.run.journal import part_of, within
+from surrofe2.run.journal import BEYOND, part_of, within
 from surrofe2.run.loop import Report, no_report
+from surrofe2.run.responses import nominal
 from surrofe2.rve import RveLaw
 from surrofe2.store import fields
 from surrofe2.store.hdf5 import origin, read_seconds
@@ -63,6 +65,8 @@ from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow import laws
 
 HARVEST = "harvest.h5"
+BUCKLED = "beyond_bifurcation"
+"""Entry of a record's `met`, see `buckled`."""
 MANY_UNTRUSTED = 0.1
 """Points that are not trusted, for each hit, from which on a run says what to change."""
 MOST_IMPLICIT_STEPS = 3000
@@ -93,57 +97,40 @@ def run_study(
         SimulationError: the run could not be carried on; the folder holds it up to there.
     """
     if kind == "table":
-        laws.check_tangents(recipe)
-    before, problem, harvests = seconds_compiling(), recipe.problem(), dict[str, HarvestWriter]()
+        laws.check_solver(recipe)
+    recipe = replace(recipe, rest=None)  # in time, whatever the recipe states
+    before, problem = seconds_compiling(), recipe.problem()
     with recipe.named(InputError):
         problem.check_course()
-    given, chosen = laws.files_by_cell(recipe, tables, "--table"), dict[str, laws.ChosenLaw]()
-    for name, part in recipe.parts().items():
-        if kind in ("cached", "table"):
-            harvests[name] = HarvestWriter(folder / of_cell(HARVEST, name), origin_of(part))
-        file, taker = surrogates.get(name), harvests.get(name)
-        chosen[name] = laws.choose_law(part, kind, file, given[name], taker)
-    law = laws.law_by_region(recipe, problem.mesh, lambda part: chosen[part.cell_name].law)
-    learning = {name: each.table for name, each in chosen.items() if each.table is not None}
+    of_run = law_of_run(recipe, problem, kind, folder, surrogates, tables)
+    law = of_run.law
     problem = laws.with_surface(recipe, problem)
-    earlier = sum(read_seconds(each) or 0.0 for each in tables)
-    learnt = {name: each.surrogate for name, each in chosen.items() if each.surrogate}
-    of = {"surrogate": laws.surrogate_record(learnt), "problem": problem_record(problem)}
+    described = problem_record(problem, thickness_of(recipe))
+    of = {"surrogate": of_run.surrogate, "problem": described}
     record = new_record(recipe, kind, **of)
 
     frames = FrameFiles(folder, make_discretisation(problem.mesh), law)
 
-    def write_learnt(seconds: float) -> None:
-        for writer in harvests.values():
-            writer.flush(seconds)
-        for name, table in learning.items():
-            write_table(folder / of_cell("table.h5", name), table, recipe.to_dict(), seconds)
-
     def store(record: RunRecord, result: MacroRun) -> RunRecord:
-        record = with_results(record, result, learning)
+        record = with_results(record, result, of_run.tables)
         wall = {**record.wall_time, "compilation": seconds_compiling() - before}
-        write_learnt(earlier + wall.get("total", 0.0))
-        write_curves(folder, result.curves, result.history, result.energies)
+        of_run.write_learnt(wall.get("total", 0.0))
+        history = {**result.history, **nominal(result.history, described["places"])}
+        write_curves(folder, result.curves, history, result.energies)
         frames.close()
-        _write_decisions(folder, result.decisions)
+        write_decisions(folder, result.decisions)
         return replace(record, wall_time=wall)
 
     def checkpoint(state: MacroState) -> None:
-        arrays = within("macro", state.to_arrays())
-        arrays |= within("law", state_arrays(law, state.law_state))
-        for cell, writer in harvests.items():
-            arrays |= within(f"harvest of {cell}", writer.to_arrays())
+        arrays = within("macro", state.to_arrays()) | of_run.to_arrays(state.law_state)
         frames.flush()  # first: whoever resumes needs all that this state had recorded
         run.checkpoint(arrays, cache_report(law))
         frames.remove_surplus()
-        _write_decisions(folder, _decisions_of(law))
+        write_decisions(folder, decisions_of(law))
 
     def restore(arrays: Mapping[str, NDArray]) -> MacroState:
         state = MacroState.from_arrays(part_of(arrays, "macro"))
-        law_state = state_of(law, part_of(arrays, "law"))
-        for cell, writer in harvests.items():
-            writer.restore(part_of(arrays, f"harvest of {cell}"))
-        return replace(state, law_state=law_state)
+        return replace(state, law_state=of_run.restored(arrays))
 
     with RunFolder.open(folder, record, store, fresh=fresh) as run:
         if run.is_finished:
@@ -169,11 +156,85 @@ def run_study(
                     keep_frame=frames.keep,
                 )
         except KeyboardInterrupt:
-            write_learnt(0.0)
+            of_run.write_learnt()
             raise
         run.finish(result)
         frames.remove_surplus()
     return run.record
+
+
+@dataclass(frozen=True, slots=True)
+class LawOfRun:
+    """The law of a run or rest, and the files that it fills in their folder.
+
+    Attributes:
+        recipe, folder: of the run.
+        law: of all points.
+        surrogate: what to record of its surrogates; None where it has none.
+        harvests: of the answers of RVEs, by name of the cell.
+        tables: that learn, by name of the cell.
+        earlier: seconds that the tables took which it began with.
+    """
+
+    recipe: Recipe
+    folder: Path
+    law: StressLaw
+    surrogate: dict[str, Any] | None
+    harvests: Mapping[str, HarvestWriter]
+    tables: Mapping[str, StressTable]
+    earlier: float
+
+    def write_learnt(self, seconds: float | None = None) -> None:
+        """Write harvests and tables, which took so many seconds; None: of a run that resumes."""
+        total = 0.0 if seconds is None else self.earlier + seconds
+        for writer in self.harvests.values():
+            writer.flush(total)
+        for name, table in self.tables.items():
+            path = self.folder / of_cell("table.h5", name)
+            write_table(path, table, self.recipe.to_dict(), total)
+
+    def to_arrays(self, law_state: Any) -> dict[str, NDArray]:
+        """All that a checkpoint must have of law and harvests, `law_state` being committed."""
+        arrays = within("law", state_arrays(self.law, law_state))
+        for cell, writer in self.harvests.items():
+            arrays |= within(f"harvest of {cell}", writer.to_arrays())
+        return arrays
+
+    def restored(self, arrays: Mapping[str, NDArray]) -> Any:
+        """The committed state whose `to_arrays` are among these arrays; harvests go on from it."""
+        law_state = state_of(self.law, part_of(arrays, "law"))
+        for cell, writer in self.harvests.items():
+            writer.restore(part_of(arrays, f"harvest of {cell}"))
+        return law_state
+
+
+def law_of_run(
+    recipe: Recipe,
+    problem: Problem,
+    kind: str,
+    folder: Path,
+    surrogates: Mapping[str, Path],
+    tables: Sequence[Path],
+) -> LawOfRun:
+    """The law called `kind` of a run that is written to a folder; the others as of `run_study`."""
+    harvests: dict[str, HarvestWriter] = {}
+    chosen: dict[str, laws.ChosenLaw] = {}
+    tables_of = laws.files_by_cell(recipe, tables, "--table")
+    for name, part in recipe.parts().items():
+        if kind in ("cached", "table"):
+            harvests[name] = HarvestWriter(folder / of_cell(HARVEST, name), origin_of(part))
+        file, taker = surrogates.get(name), harvests.get(name)
+        chosen[name] = laws.choose_law(part, kind, file, tables_of[name], taker)
+    learnt = {name: each.surrogate for name, each in chosen.items() if each.surrogate}
+    return LawOfRun(
+        recipe=recipe,
+        folder=folder,
+        law=laws.law_by_region(recipe, problem.mesh, lambda part: chosen[part.cell_name].law),
+        surrogate=laws.surrogate_record(learnt),
+        harvests=harvests,
+        tables={name: each.table for name, each in chosen.items() if each.table is not None},
+        earlier=sum(read_seconds(each) or 0.0 for each in tables),
+    )
 
 
 def of_cell(file: str, cell: str) -> str:
@@ -188,12 +249,13 @@ def cache_report(law: StressLaw) -> dict[str, Any] | None:
     return law.history() if isinstance(law, AuditedLaw) else None
 
 
-def _decisions_of(law: StressLaw) -> list[dict[str, Any]] | None:
+def decisions_of(law: StressLaw) -> list[dict[str, Any]] | None:
     """The decisions of a law on windows of steps so far; None of one that makes none."""
     return law.decisions if isinstance(law, AuditedLaw) else None
 
 
-def _write_decisions(folder: Path, decisions: Sequence[Mapping[str, Any]] | None) -> None:
+def write_decisions(folder: Path, decisions: Sequence[Mapping[str, Any]] | None) -> None:
+    """Write the event log of an audited law; None: the law decides nothing."""
     if decisions is not None:
         write_events(folder, decisions)
 
@@ -253,7 +315,7 @@ def write_results(folder: Path, run: MacroRun) -> None:
         for frame in run.frames.one_by_one():
             files.keep(frame, *files.counts)
         files.close()
-    _write_decisions(folder, run.decisions)
+    write_decisions(folder, run.decisions)
 
 
 class FrameFiles:
@@ -317,16 +379,7 @@ def with_results(
 ) -> RunRecord:
     """The record with what a run, whole or not, met and cost, and what its tables began with."""
     driver, begun = driver_at_work(), sum(table.seconds for table in tables.values())
-    counts, back = Counter({**run.counts, **run.effort}), Counter(run.rolled_back)
-    # audits and what tables learn are RVE solves like others, and named besides
-    for of in caches_of(run.cache).values():
-        audits = of["audit"]["audited"] + of["closing_audit"]["audited"]
-        counts.update(rve_solves=audits, audits=audits)
-        back.update(rve_solves=of["audit"]["rolled_back"], audits=of["audit"]["rolled_back"])
-    for table in tables.values():
-        changed = {f"table_{name.removeprefix('table_')}": n for name, n in table.counts.items()}
-        counts.update(changed, table_records=table.size)
-        counts["rve_solves"] += changed.get("table_rve_solves", 0)
+    record = with_costs(record, run, tables)
     penetration = {
         name.removeprefix("penetration "): float(depth.max(initial=0.0))
         for name, depth in run.history.items()
@@ -339,11 +392,34 @@ def with_results(
         ),
         ranks=None if driver is None else driver.report(),
         wall_time=wall,
+        met={
+            **run.met.to_dict(),
+            "displacement": run.largest_displacement,
+            **buckled(run.curve.t, run.history, n_points_of(run.problem.mesh)),
+        },
+        threads=run.threads,
+    )
+
+
+def with_costs(
+    record: RunRecord, run: MacroRun | Rest, tables: Mapping[str, StressTable]
+) -> RunRecord:
+    """The record with what the answers of the law cost, and what its caches report."""
+    counts, back = Counter({**run.counts, **run.effort}), Counter(run.rolled_back)
+    # audits and what tables learn are RVE solves like others, and named besides
+    for of in caches_of(run.cache).values():
+        audits = of["audit"]["audited"] + of["closing_audit"]["audited"]
+        counts.update(rve_solves=audits, audits=audits)
+        back.update(rve_solves=of["audit"]["rolled_back"], audits=of["audit"]["rolled_back"])
+    for table in tables.values():
+        changed = {f"table_{name.removeprefix('table_')}": n for name, n in table.counts.items()}
+        counts.update(changed, table_records=table.size)
+        counts["rve_solves"] += changed.get("table_rve_solves", 0)
+    return replace(
+        record,
         counts=dict(counts),
         rolled_back={name: n for name, n in back.items() if n},
         cache=run.cache,
-        met={**run.met.to_dict(), "displacement": run.largest_displacement},
-        threads=run.threads,
     )
 
 
@@ -356,8 +432,11 @@ def with_rest(record: RunRecord, rest: np.ndarray | None) -> RunRecord:
     return replace(record, problem={**record.problem, "surface": {**surface, "rest": moved}})
 
 
-def problem_record(problem: Problem) -> dict[str, Any]:
-    """What a problem consists of: counts of its mesh by name, and what acts on it."""
+def problem_record(problem: Problem, thickness: float | None = None) -> dict[str, Any]:
+    """What a problem consists of: counts of its mesh by name, and what acts on it.
+
+    thickness: of the tissue, µm; None where its cells have several.
+    """
     mesh = problem.mesh
     low, high = extent(mesh)
     return {
@@ -371,7 +450,37 @@ def problem_record(problem: Problem) -> dict[str, Any]:
         "conditions": [label(condition) for condition in problem.conditions],
         "bodies": [body.name for body in problem.bodies],
         "watched": {name: list(at) for name, at in problem.watched.items()},
+        "places": _places(problem, thickness),
         **({"surface": laws.surface_record(problem)} if problem.surface is not None else {}),
+    }
+
+
+def thickness_of(recipe: Recipe) -> float | None:
+    """The thickness of the tissue, µm; None where its cells have several."""
+    found = {part.cell.tissue_thickness for part in recipe.parts().values()}
+    return found.pop() if len(found) == 1 else None
+
+
+def _places(problem: Problem, thickness: float | None) -> dict[str, dict[str, Any]]:
+    """By name of a motion, surface load or body what its nominal stress and strain need; see
+    `run.responses`."""
+    mesh = problem.mesh
+    low, high = extent(mesh)
+    known = mesh.boundaries or {}
+    acting = {
+        label(each): (each.on, f"mean displacement {each.on}")
+        for each in problem.conditions
+        if isinstance(each, PrescribedMotion | Traction | Pressure) and each.on in known
+    }
+    acting |= {body.name: (body.on, f"position {body.name}") for body in problem.bodies}
+    return {
+        name: {
+            "displacement": column,
+            "section": length_of(mesh, boundary(mesh, on, name)),
+            "length": (high - low).tolist(),
+            "thickness": thickness,
+        }
+        for name, (on, column) in acting.items()
     }
 
 
@@ -476,11 +585,40 @@ def run_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
             f"{time_text(total)}; {ranks['tasks']} exchanges",
             False,
         )
+    yield from closing_notes(record)
+
+
+def closing_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
+    """What the closing audit of a cached run guarantees, of each cell; no warnings."""
     for name, cache in caches_of(record.cache).items():
         sentence = closing_sentence(cache)
         if sentence:
             whose = f"{name}: " if name else ""
             yield f"{whose}closing audit: {sentence}", False
+
+
+def buckled(t: Array, history: Mapping[str, Array], points: int) -> dict[str, Any]:
+    """What a record's `met` says of points beyond a bifurcation: how many, of how many, and from
+    which time or load factor on; nothing where the law cannot tell."""
+    beyond = history.get(BEYOND)
+    if beyond is None:
+        return {}
+    some = np.flatnonzero(beyond)
+    begin = float(t[some[0]]) if some.size else None
+    return {BUCKLED: {"points": int(beyond.max(initial=0.0)), "of": points, "from": begin}}
+
+
+def buckling_sentence(record: RunRecord) -> str:
+    """From when on how many points left a bifurcation; empty where none did."""
+    beyond = record.met.get(BUCKLED)
+    if not beyond or not beyond["points"]:
+        return ""
+    begin = f"{beyond['from']:.3g}"
+    begin = f"load factor {begin}" if "rest" in record.recipe else f"{begin} µs"
+    return (
+        f"from {begin} on, {beyond['points']} of {beyond['of']} points left a bifurcation: walls "
+        "buckled, see what to trust"
+    )
 
 
 def tolerance_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
@@ -493,12 +631,14 @@ def tolerance_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bo
 def run_summary(record: RunRecord) -> str:
     """What a finished run did and what it cost."""
     wall, counts, back = record.wall_time, record.counts, Counter(record.rolled_back)
+    buckling = buckling_sentence(record)
     return (
         f"{record.duration:g} µs by {record.law} in "
         f"{time_text(wall['total'])} (law {time_text(wall['law'])}, "
         f"macro {time_text(wall['macro'])}; "
         f"compilation {time_text(wall.get('compilation', 0.0))} besides), {costs(counts)}"
         + (f"; rolled back: {back['steps']} steps, {costs(back)}" if back else "")
+        + (f"; {buckling}" if buckling else "")
     )
 
 

@@ -21,7 +21,7 @@ from surrofe2.cache.table.records import (
 )
 from surrofe2.law.stress_law import Status
 from tests.cache.tables import RANGE, make, states, taught
-from tests.laws import PointStates, SquareLaw, square_stress
+from tests.laws import PointStates, SquareLaw, square_stress, tangents_by_differences
 from tests.numerics import differences
 
 
@@ -62,6 +62,28 @@ def test_lookup_is_what_plain_numpy_gives():
     np.testing.assert_allclose(rotated, s, atol=1e-10)
     radius = np.einsum("pfn,pfn->p", weight, np.sqrt(bounds[known] * own))
     np.testing.assert_allclose(bound[known], radius, atol=1e-10)
+
+
+@pytest.mark.parametrize("allowed", [0.05, 0.045])
+def test_tangents_are_the_slopes_of_the_answer(allowed):
+    table = taught(*states(300)).with_tolerance(allowed, 0.0)
+    F, F_dot = (np.ascontiguousarray(each) for each in states(300, angle=-1.1))
+    known = (table.status_and_risk(F, F_dot, 0.9)[0] == 0) & (table.lookup(F, F_dot)[2] > 0.1)
+    F, F_dot = F[known], F_dot[known]
+    assert len(F) > 20
+    assert (table.status_and_risk(F, F_dot)[0] == 0).all()
+    tangents = table.tangents(F, F_dot)
+
+    def stress(F, F_dot):
+        return table.lookup(np.ascontiguousarray(F), np.ascontiguousarray(F_dot), 1.0)[0]
+
+    slopes = tangents_by_differences(stress, F, F_dot, step=1e-7)
+    by_F, by_F_dot = slopes.P_by_F, slopes.P_by_F_dot
+    size = abs(by_F).max()
+    np.testing.assert_allclose(tangents.P_by_F, by_F, atol=1e-5 * size)
+    np.testing.assert_allclose(tangents.P_by_F_dot, by_F_dot, atol=1e-5 * abs(by_F_dot).max())
+    exact = tangents_by_differences(square_stress, F, F_dot).P_by_F
+    assert 1e-4 * size < abs(by_F - exact).max() < 0.3 * size  # those of the table, not of the law
 
 
 def test_the_answer_has_no_jumps_where_there_is_one():

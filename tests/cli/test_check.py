@@ -168,7 +168,7 @@ def test_the_advice(recipe, changed_recipe, request):
     without = load_recipe(changed_recipe('file = "cells-surrogate.h5"\n', ""))
     assert check.advised_law(without, 1000.0) == "table"
     implicit = changed_recipe("[macro]", '[macro]\nintegrator = "implicit"')
-    assert check.advised_law(load_recipe(implicit), 1000.0) == "rve"
+    assert check.advised_law(load_recipe(implicit), 1000.0) == "table"
     assert check.advised_law(load_recipe(changed_recipe(RANGE, "")), 1000.0) == "rve"
 
 

@@ -6,7 +6,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-from surrofe2.base.errors import InputError
 from surrofe2.cli import console
 from surrofe2.macro import find_modes, find_rest
 from surrofe2.questions import stability
@@ -24,8 +23,13 @@ def test_rest_writes_its_load_path_and_fields(recipe, recipe_path, tmp_path):
     law = RveLaw(recipe.cell, recipe.rve)
     expected = find_rest(recipe.problem(), law, recipe.macro, load_steps=4)
     lines = (out / "path.csv").read_text(encoding="utf-8").splitlines()
-    assert lines[0] == "factor,u_x_um,u_y_um"
-    table = np.array([[float(entry) for entry in line.split(",")] for line in lines[1:]])
+    names = [f"force {name} {axis}_uN" for name in expected.system.force_names for axis in "xy"]
+    means = [f"mean displacement left {axis}_um" for axis in "xy"]
+    last = [*means, *names, "beyond bifurcation_points"]
+    assert lines[0].split(",") == ["factor", "u_x_um", "u_y_um", *last]
+    whole = np.array([[float(entry) for entry in line.split(",")] for line in lines[1:]])
+    table, forces = whole[:, :3], whole[:, -1 - len(names) : -1]
+    assert not whole[:, -1].any()
     np.testing.assert_array_equal(table[:, 0], [0.0, 0.25, 0.5, 0.75, 1.0])
     np.testing.assert_allclose(table, expected.path, rtol=0, atol=1e-9)
     lines = (out / "energies.csv").read_text(encoding="utf-8").splitlines()
@@ -48,23 +52,51 @@ def test_rest_writes_its_load_path_and_fields(recipe, recipe_path, tmp_path):
     shapes = [values.shape for values in stored.values.values()]
     assert shapes.count((5, 9, 2)) == 2  # displacement and velocity
     assert shapes.count((5, 4, 2, 2)) == 3  # stress, F, its rate
-    header, *rows = (out / "history.csv").read_text(encoding="utf-8").splitlines()
-    names = [f"force {name} {axis}_uN" for name in expected.system.force_names for axis in "xy"]
-    assert header.split(",") == ["factor", *names]
-    forces = np.array([[float(entry) for entry in row.split(",")] for row in rows])
-    np.testing.assert_array_equal(forces[:, 0], table[:, 0])
     size = abs(expected.forces).max()
-    np.testing.assert_allclose(forces[-1, 1:], expected.forces.ravel(), rtol=0, atol=1e-6 * size)
-    whole = forces[:, 1:].reshape(5, -1, 2).sum(axis=1)
-    assert abs(whole).max() < 1e-6 * size < 1e-3 * abs(forces[-1, 1:]).sum()
+    np.testing.assert_allclose(forces[-1], expected.forces.ravel(), rtol=0, atol=1e-6 * size)
+    total = forces.reshape(5, -1, 2).sum(axis=1)
+    assert abs(total).max() < 1e-6 * size < 1e-3 * abs(forces[-1]).sum()
+    assert not (out / "history.csv").exists(), "one table has all over the factor"
+    assert record.met["beyond_bifurcation"] == {"points": 0, "of": 20, "from": None}
     assert f"watched point at ({table[-1, 1]:.4g}, {table[-1, 2]:.4g}) µm" in done.stdout
-    with pytest.raises(InputError, match=r"rest: a rest, which has no course in time; name"):
-        read_run(out)
+    run = read_run(out)
+    assert run.clock == "load factor"
+    np.testing.assert_array_equal(run.curve.t, table[:, 0])
+    np.testing.assert_array_equal(run.curve.displacement, table[:, 1:])
+    assert not run.history["beyond bifurcation"].any()
+    assert [*run.energies] == ["internal", "load", "balance"]
     kept = call("rest", recipe_path, "--out", out, "--load-steps", 4)
     assert f"{out}: finished before" in kept.stdout
     assert kept.stdout.splitlines()[-1] == done.stdout.splitlines()[-1]
     refused = call("rest", recipe_path, "--out", out, "--load-steps", 4, "--factor", 0.5, code=1)
     assert "rest.factor: this call has 0.5, what is there 1.0" in refused.stderr
+
+
+def test_rest_by_every_law(stand_in, recipe_path, tmp_path):
+    stand_in(SquareLaw)
+    call("generate", recipe_path)
+    call("train", recipe_path)
+    rest = partial(call, "rest", recipe_path, "--load-steps", 4)
+    rest("--out", tmp_path / "rve")
+    true = read_record(tmp_path / "rve").met["watched"]
+    for law in ("surrogate", "cached", "table"):
+        out = tmp_path / law
+        done = rest("--out", out, "--law", law)
+        record = read_record(out)
+        assert (record.status, record.law) == ("finished", law)
+        np.testing.assert_allclose(record.met["watched"], true, rtol=0.05, atol=1e-3)
+        counts = record.counts
+        assert counts["load_steps"] == 4
+        assert (out / "table.h5").exists() == (law == "table")
+        if law == "surrogate":
+            assert record.cache is None
+            continue
+        assert counts["hits"] > 0
+        assert counts["rve_solves"] >= counts["audits"] > 0
+        assert f"{counts['hits']:,} hits" in done.stdout
+        assert "closing audit: " in done.stdout
+        assert (out / "harvest.h5").exists()
+        assert (out / "events.jsonl").exists()
 
 
 def test_rest_that_fails_keeps_the_way_there(recipe_path, tmp_path, invoke):
@@ -81,6 +113,40 @@ def test_rest_that_fails_keeps_the_way_there(recipe_path, tmp_path, invoke):
     assert factors[0] == 0.0
     assert 0.1 < factors[-1] < 1.0
     invoke("rest", recipe_path, "--out", out, "--factor", 0.1, "--fresh", law=law)
+
+
+REST = "\n[rest]\nload_steps = 2\nfactor = 0.5\n"
+
+
+def test_a_recipe_states_the_method(invoke, recipe_path, tmp_path):
+    """`run`, `study` and `grid` obey; `rest` and `run --integrator` say where they do not."""
+    law = SquareLaw()
+    plain = recipe_path.read_text(encoding="utf-8")
+    of_time = invoke("rest", recipe_path, "--out", tmp_path / "rest", law=law)
+    assert "though the recipe states a run in time" in of_time.stdout
+    recipe_path.write_text(plain + REST, encoding="utf-8")
+    stated = invoke("rest", recipe_path, "--out", tmp_path / "stated", law=law)
+    assert "though" not in stated.stdout
+    assert read_record(tmp_path / "stated").recipe["rest"] == {"factor": 0.5, "load_steps": 2}
+    run = invoke("run", recipe_path, "--law", "rve", "--out", tmp_path / "run", law=law)
+    assert "at rest under 0.5 times the load by rve" in run.stdout
+    assert read_run(tmp_path / "run").curve.t.tolist() == [0.0, 0.25, 0.5]
+    more = "--law", "rve", "--integrator", "explicit", "--out", tmp_path / "time"
+    in_time = invoke("run", recipe_path, *more, law=law)
+    assert "in time by explicit steps, though the recipe states a [rest]" in in_time.stdout
+    assert read_run(tmp_path / "time").clock == "time (µs)"
+    refused = call("compare", tmp_path / "run", tmp_path / "time", code=1)
+    assert "rest.factor is None" in refused.stderr
+    done = invoke("study", recipe_path, "--law", "table", "--out", tmp_path / "study", law=law)
+    assert done.stdout.count("at rest under 0.5 times the load") == 2
+    page = (tmp_path / "study" / "report.html").read_text(encoding="utf-8")
+    assert "load factor" in page
+    assert "time (µs)" not in page
+    values = "--set", "rest.factor=0.25,0.5"
+    invoke("grid", recipe_path, *values, "--out", tmp_path / "grid", law=law)
+    rows = read_json(tmp_path / "grid" / "grid.json")["rows"]
+    small, large = (row["largest displacement"] for row in rows)
+    assert small < 0.6 * large
 
 
 def test_a_rest_and_a_run_are_not_taken_for_each_other(recipe_path, tmp_path):

@@ -15,12 +15,13 @@ from surrofe2.base import clock, interruption
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.report.comparison import compare_runs
 from surrofe2.report.page import write_report
+from surrofe2.run.displacement_curve import difference
 from surrofe2.store.hdf5 import read, write
 from surrofe2.store.run_folder import STATE, read_record, read_run
 from surrofe2.store.store import read_columns
 from surrofe2.workflow.run import run_study
 from tests.cli.conftest import RUN_FILES
-from tests.laws import SoftLaw, StoppingLaw
+from tests.laws import SoftLaw, SquareLaw, StoppingLaw
 
 
 @pytest.fixture
@@ -141,13 +142,14 @@ def test_failed_run_keeps_what_it_computed(run, folder):
     assert (folder / "fields.xdmf").exists()
 
 
-def test_a_table_has_no_implicit_runs(run, folder):
-    refused = run("--law", "table", "--integrator", "implicit", code=1)
-    assert refused.stderr == (
-        "error: macro.integrator: implicit; not with --law table, which has no tangents: take "
-        "--law cached, surrogate or rve, or --integrator explicit\n"
-    )
-    assert not folder.exists()
+def test_a_table_has_implicit_runs(run, folder):
+    """By the tangents of what it answers."""
+    run("--law", "table", "--integrator", "implicit", law=SquareLaw())
+    record = read_record(folder)
+    assert record.counts["hits"] > record.counts["fallbacks"]
+    table = read_run(folder)
+    run("--law", "rve", "--integrator", "implicit", "--fresh", law=SquareLaw())
+    assert difference(table.curve, read_run(folder).curve).largest < 0.02
 
 
 def test_names_that_are_no_utf8_are_no_obstacle(

@@ -232,6 +232,29 @@ class Softens(KelvinVoigt):
         return replace(response, state=left | new, stress=stress, left_bifurcation=new)
 
 
+class Tells(Softens):
+    """Says which points are beyond the bifurcation."""
+
+    def beyond_bifurcation(self, state):
+        return state
+
+
+def test_how_many_points_are_beyond_a_bifurcation_is_recorded():
+    plain = find_rest(SOFTENING, KelvinVoigt(), TIGHT)
+    law = Tells()
+    law.limit, law.share = np.quantile(abs(plain.F[:, 1, 0]), 0.8), 0.97
+    rest = find_rest(SOFTENING, law, TIGHT, load_steps=4)
+    beyond = rest.history["beyond bifurcation"]
+    assert beyond[0] == 0.0
+    assert (np.diff(beyond) >= 0.0).all()
+    assert beyond[-1] == (abs(rest.F[:, 1, 0]) > law.limit).sum() > 2
+    run = simulate(SOFTENING, law, TIGHT)
+    beyond = run.history["beyond bifurcation"]
+    assert beyond[0] == 0.0
+    assert beyond[-1] == beyond.max() == run.effort["left_bifurcation"] > 1
+    assert "beyond bifurcation" not in plain.history, "a law that cannot tell"
+
+
 def test_rest_is_that_of_the_branches_reached():
     law, plain = Softens(), find_rest(SOFTENING, KelvinVoigt(), TIGHT)
     law.limit, law.share = np.quantile(abs(plain.F[:, 1, 0]), 0.8), 0.97

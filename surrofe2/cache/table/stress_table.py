@@ -41,6 +41,7 @@ from surrofe2.cache.table.records import (
     input_slopes,
     update_ellipsoids,
 )
+from surrofe2.cache.table.slopes import table_tangents
 from surrofe2.law.stress_law import Tangents
 
 SPREAD_SAMPLES = 32
@@ -98,7 +99,7 @@ class StressTable:
         InputError: the law gives no tangents, or the tolerance is not positive.
     """
 
-    has_tangents, is_calibrated = False, True
+    has_tangents, is_calibrated = True, True
 
     def __init__(
         self,
@@ -183,8 +184,13 @@ class StressTable:
         return self.lookup(F, F_dot, limit)[1:]
 
     def tangents(self, F: Array, F_dot: Array) -> Tangents:
-        """An InputError: each record has its own slope, which jumps from one to the next."""
-        raise InputError("tangents: a table has none; use RVEs")
+        """∂P/∂F and ∂P/∂Ḟ of the stress of `lookup` at the limit 1, exact to rounding; NaN where no
+        ellipsoid holds the point.
+
+        F, F_dot: contiguous float64 (n, 2, 2), det F > 0.
+        """
+        tolerances = self._allowed, self.tolerance
+        return table_tangents(F, F_dot, tolerances, self.images, self._known.records)
 
     def learn(self, F: Array, F_dot: Array, stress: Array, state: Any = None) -> None:
         """Take RVE answers (m, 2, 2) in: grow or shrink ellipsoids, and add records where none

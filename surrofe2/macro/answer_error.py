@@ -1,0 +1,257 @@
+"""The error of a rest by approximate stresses: of its displacements and forces, not of a stress.
+
+With f(u) the internal force by the true law, f̃(u) that of the law which was used, l(u) all other
+forces and K = ∂(f̃ − l)/∂u at the equilibrium ũ of the latter, Newton's correction is
+
+    δu = −K⁻¹ Δf,    Δf = f(ũ) − f̃(ũ) = Σ_e Δf_e,
+
+summed over elements, of which one that the true law answered already has Δf_e = 0. What is wanted,
+a displacement or a force, is linear in Δf: δq = Σ_e w·Δf_e with a virtual displacement w, which is
+−K⁻ᵀ a for a displacement a·u, and e − K⁻ᵀ ∂q/∂u for a force whose part by f is e·f. So a random
+sample of n of N elements gives δq = (N/n) Σ w·Δf_e, and its standard deviation an interval.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from surrofe2.base.arrays import Array, Flags, Index
+from surrofe2.base.errors import SimulationError
+from surrofe2.law.stress_law import SURROGATE, TABLE, StressResponse
+from surrofe2.macro.elements import (
+    deformation_gradient,
+    internal_force,
+    stress_power,
+)
+from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, factorised
+from surrofe2.macro.history import Frames
+from surrofe2.macro.rest import Rest, evaluation_at
+from surrofe2.macro.system import System
+
+LEAST = 128
+"""Elements of a sample, at least, where there are so many."""
+_CONFIDENT = 1.96
+"""Standard deviations on each side of an interval of 95 %."""
+_BATCH = 1024
+"""Points that the true law is asked for at once."""
+
+TrueStress = Callable[[Index, Array], StressResponse]
+"""The answer of the true law at rest: numbers (k,) of points and F (k, 2, 2) there."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AnswerError:
+    """By how much a rest is off, by one Newton correction; what is true is the answer plus this.
+
+    Attributes:
+        elements: whose points the true law answered, of so many `of`; `solved`: points that it was
+            asked for. Where both are equal nothing is estimated from a sample.
+        residual: largest entry of Δf, of the elements that were asked, µN.
+        displacement: (n, 2) of all nodes and bodies, µm; None of a sample.
+        watched: (2,) of the first watched point, µm; watched_interval: half width of its interval
+            of 95 % confidence, 0 where all elements were asked.
+        forces: (k, 2) of `System.force_names`, µN, with `forces_interval`.
+        stress: (n_points, 2, 2) error of the stress at ũ, µN/µm, 0 at points that were not asked.
+    """
+
+    elements: int
+    of: int
+    solved: int
+    residual: float
+    displacement: Array | None
+    watched: Array
+    watched_interval: Array
+    forces: Array
+    forces_interval: Array
+    stress: Array
+
+    @property
+    def largest(self) -> float | None:
+        """Of the displacement of all nodes, µm; None of a sample."""
+        if self.displacement is None:
+            return None
+        return float(np.linalg.norm(self.displacement, axis=1).max())
+
+
+def answer_error(
+    rest: Rest,
+    law: Any,
+    true_stress: TrueStress,
+    *,
+    most: int | None = None,
+    seed: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> AnswerError:
+    """The error of a rest by a law, from stresses of the true law at all elements or a sample.
+
+    Args:
+        law: by which the rest was found.
+        most: points that the true law may be asked for; beyond them a random sample of elements is
+            taken, at least `LEAST`; None: all.
+        progress: called with the number of points that are solved, and of how many.
+
+    Raises:
+        SimulationError: the true law has no stress at a point of the rest, or K is singular.
+    """
+    equations = EquationsOfMotion(rest.system, law, clock="load factor {:.6g}")
+    now = evaluation_at(equations, rest)
+    space = equations.discretisation
+    count, share = len(space.elements), space.points_per_element
+    unknown = _unknown(now).reshape(count, share)
+    asked = np.arange(count)
+    if most is not None and unknown.sum() > most:
+        per_element = max(1.0, float(unknown.sum(axis=1).mean()))
+        size = min(count, max(LEAST, int(most / per_element)))
+        asked = np.sort(np.random.default_rng(seed).choice(count, size, replace=False))
+    points = np.zeros_like(unknown)
+    points[asked] = unknown[asked]
+    error = _stress_error(now, np.flatnonzero(points), true_stress, progress)
+    lost = internal_force(space, now.F, error, rest.system.n_rows)
+    solve = factorised(rest.stiffness)
+    if solve is None:
+        raise SimulationError("the error of the answer: the stiffness is singular")
+    fields = _virtual_displacements(equations, now, rest)
+    estimates = np.array([_estimate(space, now.F, error, w, asked) for w in fields])
+    displacement = None
+    if len(asked) == count:
+        displacement = np.zeros((rest.system.n_rows, 2))
+        displacement.ravel()[rest.system.free] = -solve(rest.system.pick(lost))
+    return AnswerError(
+        elements=len(asked),
+        of=count,
+        solved=int(points.sum()),
+        residual=float(abs(rest.system.pick(lost)).max(initial=0.0)),
+        displacement=displacement,
+        watched=estimates[:2, 0],
+        watched_interval=estimates[:2, 1],
+        forces=estimates[2:, 0].reshape(-1, 2),
+        forces_interval=estimates[2:, 1].reshape(-1, 2),
+        stress=error,
+    )
+
+
+def corrected(rest: Rest, law: Any, error: AnswerError) -> tuple[Rest, Frames]:
+    """The rest after the correction, and its whole fields: displacements, stresses and forces of
+    its last load step; works are left as they were.
+
+    Raises:
+        ValueError: the error is that of a sample.
+    """
+    if error.displacement is None:
+        raise ValueError("a sample of elements corrects no displacement")
+    equations = EquationsOfMotion(rest.system, law, clock="load factor {:.6g}")
+    now = evaluation_at(equations, rest)
+    space, system = equations.discretisation, rest.system
+    u = rest.u + error.displacement
+    F, F_dot, _ = deformation_gradient(space, system.from_mesh(u), np.zeros_like(u))
+    assert now.response.tangents is not None
+    slopes, _ = now.response.tangents.cauchy(now.F, now.response.stress)
+    stress = now.response.stress + error.stress
+    stress += np.einsum("nabcd,ncd->nab", slopes, F - now.F)
+    moved = now._replace(u=u, F=F, F_dot=F_dot, response=replace(now.response, stress=stress))
+    columns = rest.columns
+    row = rest.journal["rows"][-1].copy()
+    bodies = error.displacement[len(space.nodes) :]
+    changes = {
+        **_changes(system.probe_names, system.probes @ error.displacement),
+        **_changes([f"force {name}" for name in system.force_names], error.forces),
+        **_changes([f"position {each.name}" for each in system.contacts], bodies),
+    }
+    for k, name in enumerate(columns):
+        row[k] += changes.get(name, 0.0)
+    journal = rest.journal.copy()
+    journal["rows"][-1] = row
+    kept = replace(rest, u=u, F=F, stress=stress, journal=journal)
+    sources = None if now.response.sources is None else now.response.sources()
+    return kept, Frames.of(space, moved, sources)
+
+
+def _changes(names: Any, vectors: Array) -> dict[str, float]:
+    """Entries of (k, 2) vectors by name and axis."""
+    return {
+        f"{name} {axis}": float(vector[i])
+        for name, vector in zip(names, vectors, strict=True)
+        for i, axis in enumerate("xy")
+    }
+
+
+def _unknown(now: Evaluation) -> Flags:
+    """(n_points,) whether a point's stress is not the true law's own."""
+    if now.response.sources is None:
+        return np.ones(len(now.F), dtype=np.bool_)
+    return np.isin(now.response.sources().source, (SURROGATE, TABLE))
+
+
+def _stress_error(
+    now: Evaluation,
+    points: Index,
+    true_stress: TrueStress,
+    progress: Callable[[int, int], None] | None,
+) -> Array:
+    """(n_points, 2, 2) true stress less that of the answer at these points, 0 at the others."""
+    error = np.zeros_like(now.F)
+    for begin in range(0, len(points), _BATCH):
+        batch = points[begin : begin + _BATCH]
+        answer = true_stress(batch, np.ascontiguousarray(now.F[batch]))
+        if answer.status.any():
+            point = int(batch[np.flatnonzero(answer.status)[0]])
+            raise SimulationError(
+                f"the error of the answer is not known: at point {point} the RVE has no stress"
+            )
+        error[batch] = answer.stress - now.response.stress[batch]
+        if progress is not None:
+            progress(begin + len(batch), len(points))
+    return error
+
+
+def _estimate(space: Any, F: Array, error: Array, w: Array, asked: Index) -> tuple[float, float]:
+    """w·Δf over all elements and the half width of its interval, from the elements `asked`."""
+    _, gradient, _ = deformation_gradient(space, np.zeros_like(w), w)
+    parts = stress_power(space, F, gradient, error)[asked]
+    count, sampled = len(space.elements), len(asked)
+    total = count / sampled * float(parts.sum())
+    if sampled == count:
+        return total, 0.0
+    scatter = float(parts.std(ddof=1)) / np.sqrt(sampled) * np.sqrt(1.0 - sampled / count)
+    return total, _CONFIDENT * count * scatter
+
+
+def _virtual_displacements(
+    equations: EquationsOfMotion, now: Evaluation, rest: Rest
+) -> list[Array]:
+    """(n, 2) w of the watched displacement along x and y, then of the forces of supports, loads and
+    bodies along x and y."""
+    system: System = rest.system
+    n_nodes = len(equations.discretisation.nodes)
+    transposed = factorised(rest.stiffness.T.tocsc())
+    if transposed is None:
+        raise SimulationError("the error of the answer: the stiffness is singular")
+    none = np.zeros((system.n_rows, 2))
+    parts: list[tuple[Array, Array]] = []  # e, and ∂q/∂u of all rows
+    for axis in range(2):
+        slope = none.copy()
+        slope[:, axis] = system.probes[0]
+        parts.append((none, slope))
+    for support in system.supports:
+        for axis in range(2):
+            e = none.copy()
+            mine = support.unknowns[support.unknowns % 2 == axis]
+            e.ravel()[mine] = 1.0
+            parts.append((e, equations.stiffness_transposed_times(now, e)))
+    for slopes in equations.slopes_of_each_force(now):
+        for axis in range(2):
+            e = none.copy()
+            e[:n_nodes, axis] = 1.0
+            # the slopes are of −l
+            slope = none if slopes is None else -(slopes[0].T @ e.ravel()).reshape(-1, 2)
+            parts.append((none, slope))
+    fields = []
+    for e, slope in parts:
+        w = e.copy()
+        w.ravel()[system.free] -= transposed(system.pick(slope))
+        fields.append(w)
+    return fields

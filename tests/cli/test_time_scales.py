@@ -1,0 +1,95 @@
+"""Whether a problem is slow or fast, and what `check` then tries and advises."""
+
+import numpy as np
+import pytest
+
+from surrofe2.macro import find_modes, find_rest
+from surrofe2.recipe.recipe import load_recipe
+from surrofe2.workflow import check
+from surrofe2.workflow.laws import law_by_region, quadratic_law
+from tests.laws import SquareLaw
+
+PULLED = """
+[cell]
+preset = "printed"
+[range]
+stretch = [0.95, 1.05]
+shear = 0.05
+rate = 0.01
+[mesh]
+width = 100.0
+height = 50.0
+elements = [4, 2]
+[conditions]
+foot = { kind = "fixed", on = "left" }
+grip = { kind = "prescribed_motion", on = "right", displacement = [4.0, 0.0], AMPLITUDE }
+[time]
+duration = DURATION
+"""
+
+
+def pulled(written, duration, amplitude="amplitude = {{ kind = 'ramp', end = {} }}"):
+    text = PULLED.replace("AMPLITUDE", amplitude.format(duration))
+    return written(text.replace("DURATION", str(duration)))
+
+
+def test_scales_are_those_of_waves_and_modes(stand_in, written):
+    stand_in(SquareLaw)
+    recipe = load_recipe(pulled(written, 1000.0))
+    scales = check.scales_of(recipe)
+    problem = recipe.problem()
+    law = law_by_region(recipe, problem.mesh, quadratic_law)
+    modes = find_modes(find_rest(problem, law, factor=0.0), 1)
+    assert scales.swing == pytest.approx(max(modes.periods[0], 4.0 * scales.wave))
+    strain = np.array([[[1.0 + 1e-6, 0.0], [0.0, 1.0]]])
+    modulus = law.respond(strain, np.zeros((1, 2, 2))).stress[0, 0, 0] / 1e-6
+    speed = np.sqrt(modulus / law.density)
+    assert scales.wave == pytest.approx(100.0 / speed, rel=1e-3)
+    assert scales.cell == pytest.approx(25.0 / speed, rel=1e-3)
+
+
+@pytest.mark.parametrize(("duration", "is_slow"), [(10.0, False), (1e5, True)])
+def test_a_ramp_is_slow_or_fast(stand_in, written, duration, is_slow):
+    stand_in(SquareLaw)
+    scales = check.scales_of(load_recipe(pulled(written, duration)))
+    assert 0.2 * duration < scales.load <= duration
+    assert scales.is_slow == is_slow
+    assert ("quasi-static: use rest" in scales.sentence) == is_slow
+    assert ("dynamic" in scales.sentence) != is_slow
+
+
+def test_a_sudden_load_is_never_slow(stand_in, recipe):
+    """The paper's bar: its body force is there from the start."""
+    stand_in(SquareLaw)
+    scales = check.scales_of(recipe)
+    assert scales.load == 0.0
+    assert "the loads are sudden: dynamic" in scales.sentence
+
+
+def test_check_tries_a_rest_where_loads_are_slow(invoke, written):
+    path = pulled(written, 1e6)
+    done = invoke("check", path, law=SquareLaw())
+    assert "quasi-static: use rest" in done.stdout
+    assert f"quasi-static: use `surrofe2 rest {path} --law " in done.stdout
+    assert "The rest would take" in done.stdout
+    # of the whole path: 4 % along the pull, with a margin of 20 %
+    assert "stretch = [0.9" in done.stdout
+    run = check.dry_rest(load_recipe(path))
+    assert run.reached == 1.0
+    assert run.met[""].stretch[1] == pytest.approx(1.04, abs=0.01)
+    assert check.proposed_range(run.met[""]).rate == check.LEAST_RATE
+    assert run.displacement == pytest.approx(4.0, abs=0.1)
+    stated = path.read_text(encoding="utf-8") + "[rest]\nload_steps = 3\n"
+    path.write_text(stated, encoding="utf-8")
+    again = invoke("check", path, law=SquareLaw())
+    assert again.stdout.splitlines()[-1].startswith(f"{path}: use --law ")
+
+
+def test_a_range_of_a_part_says_so_in_its_first_line(invoke, written):
+    path = pulled(written, 400.0, "amplitude = 1.0").read_text(encoding="utf-8")
+    path = path.replace('kind = "prescribed_motion"', 'kind = "traction"')
+    path = path.replace("displacement = [4.0, 0.0]", "traction = [0.05, 0.0]")
+    done = invoke("check", written(path), "--seconds", "0.01", law=SquareLaw())
+    lines = done.stdout.splitlines()
+    first = next(k for k, line in enumerate(lines) if line == "[range]")
+    assert lines[first - 1].startswith("# this range holds only a part of the run; left out: ")

@@ -1,0 +1,133 @@
+"""The error of the answer of a rest by a law that is wrong, beside a rest by the true law."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surrofe2 import Fixed, PrescribedMotion, Problem, RigidBody
+from surrofe2.base.errors import SimulationError
+from surrofe2.law.regional_law import RegionalLaw
+from surrofe2.macro import MacroSettings, find_rest
+from surrofe2.macro.answer_error import answer_error, corrected
+from surrofe2.problem.mesh import rectangle
+from surrofe2.problem.rigid_bodies import Plane
+from tests.cache.tables import LOAD_CASE, cached
+from tests.laws import KelvinVoigt, Truth, failing, shear_error
+
+TIGHT = MacroSettings(newton_tolerance=1e-10)
+GRIPPED = Problem(
+    mesh=rectangle(60.0, 40.0, (6, 4)),
+    conditions=(
+        Fixed(on="left", name="foot"),
+        PrescribedMotion(on="right", displacement=(2.0, 0.5), name="grip"),
+    ),
+    duration=1.0,
+    output_interval=1.0,
+)
+PRESSED = Problem(
+    mesh=rectangle(60.0, 40.0, (6, 4)),
+    conditions=(Fixed(on="bottom", name="foot"),),
+    bodies=(
+        RigidBody(
+            name="plate",
+            shape=Plane(normal=(0.0, -1.0)),
+            position=(0.0, 40.0),
+            on="top",
+            displacement=(0.0, -1.0),
+        ),
+    ),
+    duration=1.0,
+    output_interval=1.0,
+)
+PROBLEMS = {"loaded": LOAD_CASE, "gripped": GRIPPED, "pressed": PRESSED}
+
+
+def wrong(size=0.05):
+    """Answers of a surrogate everywhere, off by up to `size` µN/µm."""
+    return cached(shear_error(size), lambda F, F_dot: np.full(len(F), 1e-9))
+
+
+def true_stress(points, F):
+    return Truth().respond(F, np.zeros_like(F))
+
+
+@pytest.mark.parametrize("problem", PROBLEMS.values(), ids=PROBLEMS)
+def test_the_correction_is_what_the_rest_is_off_by(problem):
+    true = find_rest(problem, Truth(), TIGHT, load_steps=2)
+    law = wrong()
+    rest = find_rest(problem, law, TIGHT, load_steps=2)
+    error = answer_error(rest, law, true_stress)
+    off = true.u - rest.u
+    assert np.linalg.norm(off, axis=1).max() > 1e-4
+    np.testing.assert_allclose(error.displacement, off, atol=0.05 * abs(off).max())
+    assert error.elements == error.of == rest.system.discretisation.elements.shape[0]
+    np.testing.assert_allclose(
+        error.watched, true.watched - rest.watched, atol=0.05 * abs(off).max()
+    )
+    forces = true.forces - rest.forces
+    np.testing.assert_allclose(error.forces, forces, atol=0.05 * abs(forces).max() + 1e-9)
+    assert not error.forces_interval.any()
+    kept, frame = corrected(rest, law, error)
+    assert abs(kept.u - true.u).max() < 0.05 * abs(off).max()
+    np.testing.assert_allclose(kept.forces, true.forces, atol=0.05 * abs(forces).max() + 1e-9)
+    np.testing.assert_allclose(kept.watched, true.watched, atol=0.05 * abs(off).max())
+    np.testing.assert_allclose(kept.stress, true.stress, atol=2e-3)
+    nodes = len(rest.system.discretisation.nodes)
+    np.testing.assert_array_equal(frame.displacement[0], kept.u[:nodes])
+    np.testing.assert_array_equal(rest.path[:-1], kept.path[:-1])
+
+
+def test_a_sample_of_elements_has_an_interval():
+    """Of 100 samples about 95 have the error of all elements within it."""
+    problem = replace(GRIPPED, mesh=rectangle(60.0, 40.0, (24, 16)))
+    law = wrong()
+    rest = find_rest(problem, law, TIGHT)
+    whole = answer_error(rest, law, true_stress)
+    within = []
+    for seed in range(40):
+        part = answer_error(rest, law, true_stress, most=128 * 5, seed=seed)
+        assert part.displacement is None
+        assert part.largest is None
+        assert (part.elements, part.of, part.solved) == (128, 384, 640)
+        assert (part.forces_interval > 0.0).sum() >= 4
+        near = abs(part.forces - whole.forces) <= part.forces_interval + 1e-12
+        within.append(near.mean())
+    assert 0.85 < np.mean(within) <= 1.0
+    with pytest.raises(ValueError, match="sample"):
+        corrected(rest, law, part)
+
+
+def test_points_that_the_true_law_answered_are_not_asked_again():
+    asked = []
+
+    def counted(points, F):
+        asked.append(len(points))
+        return true_stress(points, F)
+
+    law = cached(shear_error(0.05), lambda F, F_dot: np.where(F[:, 1, 0] > 0.002, 1.0, 1e-9))
+    rest = find_rest(GRIPPED, law, TIGHT, load_steps=2)
+    error = answer_error(rest, law, counted)
+    fallbacks = len(rest.law_state.on_fallback)
+    assert 10 < fallbacks < len(rest.F)
+    assert sum(asked) == error.solved == len(rest.F) - fallbacks
+    assert (np.abs(error.stress).max(axis=(1, 2)) > 0.0).sum() <= error.solved
+
+
+def test_a_point_without_a_true_stress_is_named():
+    law = wrong()
+    rest = find_rest(GRIPPED, law, TIGHT)
+    far = failing(KelvinVoigt(), fails=lambda F, F_dot: F[:, 0, 0] > 1.0)
+    with pytest.raises(SimulationError, match=r"not known: at point \d+ the RVE has no stress"):
+        answer_error(rest, law, lambda points, F: far.respond(F, np.zeros_like(F)))
+
+
+def test_a_law_of_some_points():
+    points = {"left": np.arange(0, 6), "right": np.arange(6, 10)}
+    law = RegionalLaw({"left": Truth(), "right": KelvinVoigt()}, points)
+    part = law.at(np.array([1, 7, 9]))
+    assert {name: own.tolist() for name, own in part.points.items()} == {
+        "left": [0],
+        "right": [1, 2],
+    }
+    assert [*law.at(np.array([8])).points] == ["right"]
