@@ -192,7 +192,7 @@ def _stress_error(
     true_stress: TrueStress,
     progress: Callable[[int, int], None] | None,
 ) -> Array:
-    """(n_points, 2, 2) true stress less that of the answer at these points, 0 at the others."""
+    """(n_points, 2, 2) RVE stress less that of the answer at these points, 0 at the others."""
     error = np.zeros_like(now.F)
     for begin in range(0, len(points), _BATCH):
         batch = points[begin : begin + _BATCH]

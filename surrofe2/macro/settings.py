@@ -72,7 +72,7 @@ class MacroSettings:
 class RestSettings:
     """Load steps to the tissue at rest: the method where time does not matter."""
 
-    factor: float = setting(1.0, "of all loads and prescribed motions, at the end")
+    factor: float = setting(1.0, "multiplier of all loads and prescribed motions at the end")
     load_steps: int = setting(10, "load steps to begin with; one that fails is halved", least=1)
 
     def __post_init__(self) -> None:

@@ -12,6 +12,7 @@ In reading order:
     refine       active learning: rounds of cached run, sampling and training
     zoom         the plant cells of a run: at a point, and what all of them met
     grid         parameter studies
+    time_scales  whether the loads of a problem are slow
     check        faults of a recipe, the range it needs, how long it takes, which law to take
     scale        how large elements are against plant cells, and what all particles would take
 

@@ -1,2 +1,3 @@
 """An in-situ adaptive table of RVE answers (ISAT): `records` are linear models with ellipsoids of
-accuracy, `lookup` evaluates them, `stress_table` is the law and what learns."""
+accuracy, `lookup` evaluates them, `slopes` gives the tangents of that, `stress_table` is the law
+and what learns."""
