@@ -21,6 +21,7 @@ import numpy as np
 
 from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import SimulationError
+from surrofe2.law.bifurcation import beyond_bifurcation
 from surrofe2.law.stress_law import SURROGATE, TABLE, StressResponse
 from surrofe2.macro.elements import (
     deformation_gradient,
@@ -167,7 +168,8 @@ def corrected(rest: Rest, law: Any, error: AnswerError) -> tuple[Rest, Frames]:
     journal["rows"][-1] = row
     kept = replace(rest, u=u, F=F, stress=stress, journal=journal)
     sources = None if now.response.sources is None else now.response.sources()
-    return kept, Frames.of(space, moved, sources)
+    beyond = beyond_bifurcation(law, rest.law_state)
+    return kept, Frames.of(space, moved, sources, beyond=beyond)
 
 
 def _changes(names: Any, vectors: Array) -> dict[str, float]:

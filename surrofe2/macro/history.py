@@ -9,10 +9,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from surrofe2.base.arrays import Array
+from surrofe2.base.arrays import Array, Flags
 from surrofe2.base.clock import clock, cpu_clock
 from surrofe2.base.compilation import kernel
-from surrofe2.law.bifurcation import count_beyond
+from surrofe2.law.bifurcation import beyond_bifurcation, count_beyond
 from surrofe2.law.stress_law import Sources
 from surrofe2.macro.audits import Report, RunAudits
 from surrofe2.macro.elements import (
@@ -113,6 +113,8 @@ class Frames:
         F, F_dot: (k, n_el, 2, 2) element mean of the deformation gradient, and of its rate, 1/µs.
         source, risk: (k, n_el) of `Sources`, the largest of the element's points; (k, 0) of a law
             that does not tell.
+        beyond: (k, n_el) 1 where a point of the element is beyond a bifurcation, else 0; (k, 0) of
+            a law that cannot tell.
         dissipated: (k, n_el) energy by reference area since t = 0, pJ/µm²; (k, 0) if not recorded.
             Between the samples of `MacroState` the rate counts as the one of the last.
         point_t: (p,) µs, those of t at which the law's points are kept too: a tenth of them.
@@ -128,6 +130,7 @@ class Frames:
     F_dot: Array
     source: Array
     risk: Array
+    beyond: Array
     dissipated: Array
     point_t: Array
     point_stress: Array
@@ -158,9 +161,11 @@ class Frames:
         sources: Sources | None = None,
         dissipated: Array = NOTHING,
         *,
+        beyond: Flags | None = None,
         points: bool = True,
     ) -> Frames:
-        """Those of one state, with values at the points if asked for, and `dissipated` (n_el,)."""
+        """Those of one state, with values at the points if asked for, `dissipated` (n_el,), and
+        which points (n_points,) are beyond a bifurcation."""
         n, stress = len(space.nodes), now.response.stress
         known = np.empty((2, 0))
         if sources is not None:
@@ -176,12 +181,21 @@ class Frames:
             F_dot=element_mean_F(space, now.F_dot)[None],
             source=largest[:1],
             risk=largest[1:],
+            beyond=_in_elements(space, beyond)[None],
             dissipated=dissipated[None],
             point_t=np.array([now.t])[kept],
             point_stress=stress[None][kept],
             point_source=known[:1][kept],
             point_risk=known[1:][kept],
         )
+
+
+def _in_elements(space: Discretisation, flags: Flags | None) -> Array:
+    """(n_el,) 1 where a point of the element is flagged, else 0; (0,) of None."""
+    if flags is None:
+        return NOTHING
+    in_element = flags.reshape(len(space.elements), -1).any(axis=1)
+    return np.where(in_element, 1.0, 0.0)
 
 
 KeepFrame = Callable[[Frames, int, int], None]
@@ -412,7 +426,9 @@ class Recorder:
                 density = (energy + (now.t - samples[-1, 0]) * before) / space.areas
             sources = None if now.response.sources is None else now.response.sources()
             kept = (self._frames_due(now.t) - 1) % POINTS_EVERY == 0 or now.t >= self.end
-            frame = Frames.of(space, now, sources, density, points=kept)
+            equations = self._equations
+            beyond = beyond_bifurcation(equations.law, equations.law_state)
+            frame = Frames.of(space, now, sources, density, beyond=beyond, points=kept)
             if self._keep_frame is not None:
                 lengths = journal.lengths
                 counts = lengths.get("frames.t", 0), lengths.get("frames.point_t", 0)

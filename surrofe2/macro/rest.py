@@ -19,7 +19,7 @@ import skfem
 
 from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError, MismatchError, SimulationError
-from surrofe2.law.bifurcation import count_beyond
+from surrofe2.law.bifurcation import beyond_bifurcation
 from surrofe2.law.stress_law import StressLaw, require_tangents
 from surrofe2.macro.audits import RunAudits
 from surrofe2.macro.elements import Matrix, displacement_basis
@@ -539,11 +539,12 @@ class Newton:
             journal, extremes = last.journal, last.extremes.copy()
             works = journal["rows"][-1, -1 - len(acts) : -1] + step
         widen_extremes(extremes, now.F, now.F_dot)
-        beyond = count_beyond(equations.law, equations.law_state)
+        beyond = beyond_bifurcation(equations.law, equations.law_state)
+        count = float("nan") if beyond is None else float(beyond.sum())
         forces, work = system.resultants(now.forces, reaction), np.append(works, 0.0)
-        row = row_of(system, factor, (now.u, now.v), forces, beyond, work)
+        row = row_of(system, factor, (now.u, now.v), forces, count, work)
         sources = None if now.response.sources is None else now.response.sources()
-        frame = Frames.of(equations.discretisation, now, sources)
+        frame = Frames.of(equations.discretisation, now, sources, beyond=beyond)
         if self.keep_frame is not None:
             self.keep_frame(frame, *(journal.lengths.get(name, 0) for name in FRAME_TIMES))
         of_frame = frame_series(frame, times_alone=self.keep_frame is not None)

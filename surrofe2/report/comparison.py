@@ -16,10 +16,15 @@ from surrofe2.plant_cell.parameters import PRESETS
 from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.run.charts import Curve, Panel, draw_panels, encoded, in_words
 from surrofe2.run.displacement_curve import CurveDifference, DisplacementCurve, difference
-from surrofe2.store.run_folder import RunRecord, StoredRun, read_run
+from surrofe2.store.run_folder import RunRecord, StoredRun, is_rest, read_run
 from surrofe2.store.store import digest, flat, keep, write_bytes
 
 COMPARISON_FILES = ("comparison.json", "comparison.png")
+
+
+BUCKLED = "beyond_bifurcation"
+"""Entry of a record's `met`: how many `points`, `of` how many, are beyond a bifurcation, `from`
+which time or load factor on."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,6 +88,7 @@ class ComparedRun:
         speed_up: ratios reference / this run, by what is counted; None where either needed none.
         cache: of a cached run, what its law reported: tolerance, audit, trust; else empty.
         forces: by name, of every force resultant that both runs have.
+        buckled: points beyond a bifurcation at most.
         balance: of a run through a cache, with what that cost to make; None where there is none.
     """
 
@@ -95,6 +101,7 @@ class ComparedRun:
     cache: Mapping[str, Any]
     forces: Mapping[str, CurveDifference]
     balance: Balance | None
+    buckled: int = 0
 
 
 QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
@@ -108,6 +115,7 @@ QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
     Quantity("RVE solves", "", ",", lambda run: run.counts.get("rve_solves", 0)),
     Quantity("fewer solves", "×", None, lambda run: run.speed_up["rve_solves"]),
     Quantity("fallbacks", "", ",", lambda run: run.counts.get("fallbacks")),
+    Quantity("points beyond a bifurcation", "", ",", lambda run: run.buckled or None),
 )
 FORCE_QUANTITIES: tuple[Quantity[Mapping[str, Any]], ...] = (
     Quantity("run", "", ""),
@@ -244,6 +252,7 @@ def compared_run(run: StoredRun, reference: StoredRun) -> ComparedRun:
             if name in there
         },
         balance=balance,
+        buckled=record.met.get(BUCKLED, {}).get("points", 0),
     )
 
 
@@ -292,6 +301,19 @@ def _since(cache: Mapping[str, Any]) -> str:
     if not since:
         return ""
     return f" since t = {number(since)} µs, where the run resumed without the state of its law"
+
+
+def buckling_sentence(record: RunRecord) -> str:
+    """From when on how many points left a bifurcation; empty where none did."""
+    beyond = record.met.get(BUCKLED)
+    if not beyond or not beyond["points"]:
+        return ""
+    begin = f"{beyond['from']:.3g}"
+    begin = f"load factor {begin}" if is_rest(record) else f"{begin} µs"
+    return (
+        f"from {begin} on, {beyond['points']} of {beyond['of']} points left a bifurcation: walls "
+        "buckled, see what to trust"
+    )
 
 
 def fallback_reasons(counts: Mapping[str, int]) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from surrofe2.base.units import NONE
 from surrofe2.recipe.entries import text_of
 from surrofe2.recipe.recipe import SECTIONS
-from surrofe2.report.comparison import compared_run
+from surrofe2.report.comparison import BUCKLED, compared_run
 from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.run.charts import Curve, Panel, draw_panels, encoded
 from surrofe2.store.run_folder import StoredRun, caches_of
@@ -54,6 +54,7 @@ def grid_row(
     facts |= {
         "largest displacement": float(np.linalg.norm(run.curve.displacement, axis=1).max()),
         "wall time": run.record.wall_time["total"],
+        "beyond a bifurcation": run.record.met.get(BUCKLED, {}).get("points") or None,
         "RVE solves": counts.get("rve_solves", 0),
     }
     computed = counts.get("hits", 0) + counts.get("fallbacks", 0)
@@ -93,6 +94,7 @@ QUANTITIES: tuple[Quantity[Facts], ...] = (
     Quantity("speed-up", "×", ".3g"),
     Quantity("all counted", "×", ".3g"),
     Quantity("RVE solves", "", None),
+    Quantity("beyond a bifurcation", "points", None),
     Quantity("switched off", "", lambda off: "yes"),
     Quantity("run", "", None),
     Quantity("error", "", lambda message: "failed"),

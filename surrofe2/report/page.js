@@ -111,7 +111,7 @@
       } else context.strokeStyle = level;
       context.stroke();
     }
-    $("clock").textContent = `t = ${run.t[k].toPrecision(4)} µs`;
+    $("clock").textContent = `${run.clock[0]}${run.t[k].toPrecision(4)}${run.clock[1]}`;
     slider.setAttribute("aria-valuetext", $("clock").textContent);
     canvas.setAttribute("aria-label", `${run.name}, ${colour.name}, ${$("clock").textContent}`);
   }

@@ -33,6 +33,7 @@ from surrofe2.report.comparison import (
     Comparison,
     audit_panels,
     audit_sentence,
+    buckling_sentence,
     closing_sentence,
     compare,
     comparison_title,
@@ -45,7 +46,14 @@ from surrofe2.report.comparison import (
 from surrofe2.report.figures import Colours, DrawnBody, box, draw_tissue, drawn_bodies, rim
 from surrofe2.report.tables import percent
 from surrofe2.run.charts import Curve, Panel, draw_panels, encoded
-from surrofe2.store.fields import DISPLACEMENT_NAME, FIELDS, SOURCE_NAME, StoredFields, read_fields
+from surrofe2.store.fields import (
+    BEYOND_NAME,
+    DISPLACEMENT_NAME,
+    FIELDS,
+    SOURCE_NAME,
+    StoredFields,
+    read_fields,
+)
 from surrofe2.store.run_folder import EVENTS, StoredRun, read_run
 from surrofe2.store.store import check_replaceable, flat, read_bytes, write_text
 
@@ -82,6 +90,8 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> Path:
     look = f"surrofe2 zoom {shlex.quote(str(runs[0].folder))} --point X,Y"
     sections: tuple[tuple[str, str, str, Iterable[str], str], ...] = (
         ("displacement", "Displacement", "Displacement", _displacement(runs, comparison), ""),
+        ("curves", "Curves", "Forces over displacements", _responses(runs),
+         "No motion, surface load or body whose force and displacement both change."),
         ("cost", "Time and speed-up", "Time and speed-up", _cost(runs, compared), ""),
         ("fallback", "Fallbacks", "Where the cache fell back", _fallback(shown),
          "No run through a cache, so nothing fell back."),
@@ -124,7 +134,8 @@ def fields_of(run: StoredRun) -> StoredFields | None:
     """What the page shows of the elements of a run."""
     if not (run.folder / f"{FIELDS}.h5").exists():
         return None
-    return read_fields(run.folder, [DISPLACEMENT_NAME], (VON_MISES, SOURCE_NAME, WALL_STRETCH))
+    shown = VON_MISES, SOURCE_NAME, WALL_STRETCH, BEYOND_NAME
+    return read_fields(run.folder, [DISPLACEMENT_NAME], shown)
 
 
 def _base64(content: bytes) -> str:
@@ -143,6 +154,9 @@ def _headlines(runs: Sequence[StoredRun], compared: Sequence[ComparedRun]) -> It
             "headline",
         )
     for each in runs:
+        buckling = buckling_sentence(each.record)
+        if buckling:
+            yield _paragraph(f"{each.name}: {buckling}.", "headline")
         if each.record.status != "finished":
             why = each.record.error or "it is not whole"
             yield _missing(f"{each.name}: {each.record.status}; {why}")
@@ -162,6 +176,26 @@ def _displacement(runs: Sequence[StoredRun], comparison: Comparison | str) -> It
     if comparison.force_table.rows:
         yield "<h3>Forces on the tissue</h3>"
         yield _table(*comparison.force_table.for_people())
+
+
+def _responses(runs: Sequence[StoredRun]) -> Iterator[str]:
+    """Force–displacement curves of supports, loads and bodies, with peak, slope and work."""
+    of_runs = [(run, {(each.name, each.axis): each for each in run.responses}) for run in runs]
+    figures = []
+    for name, axis in dict.fromkeys(key for _, responses in of_runs for key in responses):
+        curves = []
+        for k, (run, responses) in enumerate(of_runs):
+            each = responses.get((name, axis))
+            if each is not None:
+                line = each.displacement, each.force
+                curves.append(Curve("", *line, run.name, markers=False, colour=k))
+        panel = Panel("displacement (µm)", "force (µN)", tuple(curves))
+        figures.append(_chart(panel, f"{name}, along {axis}"))
+    if figures:
+        yield _grid(figures)
+    for run, responses in of_runs:
+        for each in responses.values():
+            yield _paragraph(f"{run.name}: {each.sentence}.")
 
 
 def _cost(runs: Sequence[StoredRun], compared: Sequence[ComparedRun]) -> Iterator[str]:
@@ -285,7 +319,7 @@ def _energies(runs: Sequence[StoredRun]) -> list[str]:
         if balance is not None and largest:
             error = float(np.nanmax(abs(balance))) / largest
             caption += f"; they balance within {percent(2)(error)} of the largest"
-        figures.append(_chart(Panel("time (µs)", "energy (pJ)", curves), caption))
+        figures.append(_chart(Panel(run.clock, "energy (pJ)", curves), caption))
     return [_grid(figures), *lacking]
 
 
@@ -412,9 +446,11 @@ def _quantities(fields: StoredFields) -> dict[str, tuple[str, Array]]:
         ("von Mises stress", "µN/µm", VON_MISES),
         ("largest wall stretch", "length / rest length", WALL_STRETCH),
         ("stress source", "", SOURCE_NAME),
+        ("beyond a bifurcation", "elements with such a point", BEYOND_NAME),
     ):
-        if key in fields.values:
-            found[name] = unit, fields.values[key]
+        if key not in fields.values or (key == BEYOND_NAME and not fields.values[key].any()):
+            continue
+        found[name] = unit, fields.values[key]
     return found
 
 
@@ -436,6 +472,7 @@ def _arrays(run: StoredRun, fields: StoredFields, budget: int) -> dict[str, Any]
     return {
         "name": run.name,
         "t": fields.t[at].tolist(),
+        "clock": ["load factor ", ""] if run.is_rest else ["t = ", " µs"],
         "corners": len(order),
         "cells": _base64(fields.cells[:, order].astype("<u4").tobytes()),
         "points": _base64(fields.points.astype("<f4").tobytes()),
@@ -481,7 +518,8 @@ def _still(run: StoredRun, fields: StoredFields, factor: int) -> str:
     quantities = _quantities(fields)
     what = "von Mises stress" if "von Mises stress" in quantities else "displacement"
     unit, values = quantities[what]
-    caption = f"{run.name} where it has moved farthest, t = {fields.t[k]:.4g} µs"
+    when = f"load factor {fields.t[k]:.4g}" if run.is_rest else f"t = {fields.t[k]:.4g} µs"
+    caption = f"{run.name} where it has moved farthest, {when}"
     if factor > 1:
         caption += f"; displacement × {factor}"
     colours = Colours.of(f"{what} ({unit})", values[k])

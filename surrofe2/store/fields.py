@@ -33,6 +33,7 @@ Series = Mapping[str, NDArray[Any]]
 """Values over time by name: numbers (m, n), vectors (m, n, 2) or tensors (m, n, 2, 2)."""
 F_NAME, F_DOT_NAME = "deformation_gradient", "deformation_rate_1_per_us"
 STRESS_NAME, SOURCE_NAME = "cauchy_stress_uN_per_um", "stress_source"
+BEYOND_NAME = "beyond_bifurcation"
 RISK_NAME = "risk"
 DISPLACEMENT_NAME, VELOCITY_NAME = "displacement_um", "velocity_um_per_us"
 CELL = "plant_cell"
@@ -63,6 +64,7 @@ def fields_of_elements(frames: Frames, k: int = 0) -> tuple[Values, Values]:
         **invariants(frames.stress[k]),
         SOURCE_NAME: frames.source[k],
         RISK_NAME: frames.risk[k],
+        BEYOND_NAME: frames.beyond[k],
         "dissipated_energy_pJ_per_um2": frames.dissipated[k],
     }
     return at_nodes, in_elements

@@ -27,6 +27,7 @@ from surrofe2.macro.elements import make_discretisation
 from surrofe2.macro.rest import RestState
 from surrofe2.macro.settings import RestSettings
 from surrofe2.recipe.recipe import Recipe, changed
+from surrofe2.report.comparison import buckling_sentence
 from surrofe2.run.journal import FRAME_TIMES, part_of, within
 from surrofe2.run.loop import Report, Stage, no_report, no_stage
 from surrofe2.run.responses import nominal
@@ -43,7 +44,6 @@ from surrofe2.workflow import laws
 from surrofe2.workflow.run import (
     FrameFiles,
     buckled,
-    buckling_sentence,
     cache_notes,
     cache_report,
     closing_notes,

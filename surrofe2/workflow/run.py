@@ -41,7 +41,13 @@ from surrofe2.problem.problem import label, sections_of
 from surrofe2.ranks.distributed_law import own_part
 from surrofe2.ranks.driver import driver_at_work
 from surrofe2.recipe.recipe import Recipe
-from surrofe2.report.comparison import audit_sentence, closing_sentence, fallback_reasons
+from surrofe2.report.comparison import (
+    BUCKLED,
+    audit_sentence,
+    buckling_sentence,
+    closing_sentence,
+    fallback_reasons,
+)
 from surrofe2.run.journal import BEYOND, part_of, within
 from surrofe2.run.loop import Report, no_report
 from surrofe2.run.responses import nominal
@@ -65,8 +71,6 @@ from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow import laws
 
 HARVEST = "harvest.h5"
-BUCKLED = "beyond_bifurcation"
-"""Entry of a record's `met`, see `buckled`."""
 MANY_UNTRUSTED = 0.1
 """Points that are not trusted, for each hit, from which on a run says what to change."""
 MOST_IMPLICIT_STEPS = 3000
@@ -606,19 +610,6 @@ def buckled(t: Array, history: Mapping[str, Array], points: int) -> dict[str, An
     some = np.flatnonzero(beyond)
     begin = float(t[some[0]]) if some.size else None
     return {BUCKLED: {"points": int(beyond.max(initial=0.0)), "of": points, "from": begin}}
-
-
-def buckling_sentence(record: RunRecord) -> str:
-    """From when on how many points left a bifurcation; empty where none did."""
-    beyond = record.met.get(BUCKLED)
-    if not beyond or not beyond["points"]:
-        return ""
-    begin = f"{beyond['from']:.3g}"
-    begin = f"load factor {begin}" if "rest" in record.recipe else f"{begin} µs"
-    return (
-        f"from {begin} on, {beyond['points']} of {beyond['of']} points left a bifurcation: walls "
-        "buckled, see what to trust"
-    )
 
 
 def tolerance_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:

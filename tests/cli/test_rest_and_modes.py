@@ -142,6 +142,7 @@ def test_a_recipe_states_the_method(invoke, recipe_path, tmp_path):
     page = (tmp_path / "study" / "report.html").read_text(encoding="utf-8")
     assert "load factor" in page
     assert "time (µs)" not in page
+    assert '"clock": ["load factor ", ""]' in page
     values = "--set", "rest.factor=0.25,0.5"
     invoke("grid", recipe_path, *values, "--out", tmp_path / "grid", law=law)
     rows = read_json(tmp_path / "grid" / "grid.json")["rows"]

@@ -248,11 +248,17 @@ def test_how_many_points_are_beyond_a_bifurcation_is_recorded():
     assert beyond[0] == 0.0
     assert (np.diff(beyond) >= 0.0).all()
     assert beyond[-1] == (abs(rest.F[:, 1, 0]) > law.limit).sum() > 2
+    marked = rest.journal["frames.beyond"]
+    shares = len(rest.F) // marked.shape[1]
+    of_elements = (abs(rest.F[:, 1, 0]) > law.limit).reshape(-1, shares).any(axis=1)
+    np.testing.assert_array_equal(marked[-1], of_elements)
+    assert not marked[0].any()
     run = simulate(SOFTENING, law, TIGHT)
     beyond = run.history["beyond bifurcation"]
     assert beyond[0] == 0.0
     assert beyond[-1] == beyond.max() == run.effort["left_bifurcation"] > 1
     assert "beyond bifurcation" not in plain.history, "a law that cannot tell"
+    assert plain.journal["frames.beyond"].shape[1] == 0
 
 
 def test_rest_is_that_of_the_branches_reached():

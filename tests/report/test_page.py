@@ -193,3 +193,18 @@ def test_runs_of_other_loads_are_shown_but_not_compared(runs, tmp_path):
 def test_no_folder_is_refused(tmp_path):
     with pytest.raises(InputError, match="report: no run folder; give at least one"):
         write_report([], tmp_path / "report.html")
+
+
+def test_what_buckled_is_a_headline_and_a_colour(runs, tmp_path):
+    """Of a run whose record and fields say so; the page of the others has neither."""
+    pages = []
+    for is_buckled in (False, True):
+        if is_buckled:
+            record = read_record(runs[0])
+            beyond = {"points": 6, "of": 20, "from": 2.5}
+            write_record(runs[0], replace(record, met={"beyond_bifurcation": beyond}))
+        pages.append(Page(runs, tmp_path / f"{is_buckled}.html").words)
+    told = "rve: from 2.5 µs on, 6 of 20 points left a bifurcation"
+    assert told in pages[1]
+    assert "left a bifurcation" not in pages[0]
+    assert "points beyond a bifurcation" in pages[1], "in the table of the comparison"
