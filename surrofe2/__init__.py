@@ -43,7 +43,13 @@ if TYPE_CHECKING:
         DisplacementCurve as DisplacementCurve,
         difference as difference,
     )
-    from surrofe2.base.errors import Surrofe2Error as Surrofe2Error
+    from surrofe2.base.errors import (
+        FileError as FileError,
+        InputError as InputError,
+        MismatchError as MismatchError,
+        SimulationError as SimulationError,
+        Surrofe2Error as Surrofe2Error,
+    )
     from surrofe2.base.versions import report_versions as report_versions
     from surrofe2.store.samples import read_data_set as read_data_set
     from surrofe2.store.meshes import load_mesh as load_mesh
@@ -74,7 +80,8 @@ if TYPE_CHECKING:
         with_regions as with_regions,
     )
     from surrofe2.problem.problem import Problem as Problem
-    from surrofe2.macro.rest import find_rest as find_rest
+    from surrofe2.macro.answer_error import answer_error as answer_error
+    from surrofe2.macro.rest import Rest as Rest, find_rest as find_rest
     from surrofe2.macro.settings import MacroSettings as MacroSettings
     from surrofe2.macro.simulation import MacroRun as MacroRun, simulate as simulate
     from surrofe2.plant_cell.parameters import CellParameters as CellParameters
@@ -98,6 +105,7 @@ if TYPE_CHECKING:
         StressLaw as StressLaw,
         StressResponse as StressResponse,
         Tangents as Tangents,
+        describe as describe,
     )
     from surrofe2.law.paths import (
         StressPath as StressPath,

@@ -77,6 +77,10 @@ class NoStress(Exception):  # noqa: N818 - of a trial state; whoever tries anoth
     """
 
 
+class OutOfBalance(NoStress):
+    """Every point has a stress, but Newton's method finds no equilibrium."""
+
+
 class Switched(Exception):  # noqa: N818 - as above
     """Points left their branch of the law within a step, which must be restarted.
 
@@ -314,7 +318,7 @@ class EquationsOfMotion:
         """The failure that names a point near the unknown with the largest residual (m,)."""
         node = int(self.system.free[abs(residual).argmax()]) // 2
         point = self.discretisation.point_near(node) if node < len(self.discretisation.nodes) else 0
-        return self.no_stress(now.t, point, now.F, reason)
+        return OutOfBalance(str(self.no_stress(now.t, point, now.F, reason)))
 
     def _begin(self, at: Evaluation, accepted: StressResponse) -> Evaluation:
         """The evaluation by which a step begins, after what the law committed there."""

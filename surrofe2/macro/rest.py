@@ -27,6 +27,7 @@ from surrofe2.macro.equations_of_motion import (
     EquationsOfMotion,
     Evaluation,
     NoStress,
+    OutOfBalance,
     Switched,
     Tally,
     factorised,
@@ -54,7 +55,7 @@ from surrofe2.run.journal import (
     history_of,
     named_columns,
 )
-from surrofe2.run.loop import carry_out
+from surrofe2.run.loop import Progress, carry_out
 from surrofe2.run.views import related
 
 MAX_HALVINGS = 10
@@ -66,6 +67,8 @@ _STALLED = 1e-6
 """A residual this small that no correction reduces is as small as rounding or the law allows."""
 _FREE = 1e-12
 """Stiffness of a rigid motion, relative to the largest, that holds nothing."""
+_LIMIT_RATE = 3.0
+"""So many times as fast as at first the watched point moves with the load near a limit point."""
 _COUNTS = (
     "load_steps",
     "halvings",
@@ -226,7 +229,7 @@ def find_rest(
     *,
     factor: float = 1.0,
     load_steps: int = 1,
-    progress: Callable[[float, float], None] | None = None,
+    progress: Progress = None,
     checkpoint: Callable[[Rest], None] | None = None,
     checkpoint_interval: float = 30.0,
     resume: RestState | None = None,
@@ -244,7 +247,8 @@ def find_rest(
         problem: as of `simulate`. Its amplitudes in time have no say here.
         factor: of all loads and prescribed motions; 0 is the tissue without load.
         load_steps: load steps to begin with.
-        progress: called with the factor of each equilibrium on the way, and the last one.
+        progress: called with the factor of each equilibrium on the way, and the last one; True: a
+            line of the standard error shows it.
         checkpoint, checkpoint_interval: as of `simulate`; it is called with an equilibrium.
         closing, keep_frame: as of `simulate`; each load step is a frame.
         resume: such an equilibrium, of the same problem on the way to the same factor; the result
@@ -421,9 +425,24 @@ class Loading:
                 step, failed = 0.5 * (target - rest.factor), True
                 # Counted from the first length: near a limit load every second step would succeed.
                 if abs(step) < abs(longest) * 0.5**MAX_HALVINGS:
-                    raise SimulationError(
-                        f"no load step succeeds after {MAX_HALVINGS} halvings: {failure}"
-                    ) from failure
+                    raise SimulationError(self._why_stopped(failure)) from failure
+
+    def _why_stopped(self, failure: NoStress) -> str:
+        """What ends the way here: a limit load, or what the last trial failed by."""
+        text = f"no load step succeeds after {MAX_HALVINGS} halvings: {failure}"
+        rows = self.rest.journal["rows"]
+        if len(rows) < 3 or not isinstance(failure, OutOfBalance):
+            return text
+        moved = np.linalg.norm(np.diff(rows[:, 1:3], axis=0), axis=1)
+        rates = moved / abs(np.diff(rows[:, 0]))
+        # At a limit point du/dfactor is infinite, as the inverse root of the distance to it.
+        if not rates[-1] > _LIMIT_RATE * rates[0] > 0.0:
+            return text
+        return (
+            f"limit load at factor {self.rest.factor:.4g}: displacements grow without bound, and "
+            "beyond it there is no equilibrium nearby; prescribe the motion instead of the force, "
+            f"or run in time; {text}"
+        )
 
 
 def evaluation_at(equations: EquationsOfMotion, state: RestState) -> Evaluation:

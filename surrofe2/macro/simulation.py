@@ -35,7 +35,7 @@ from surrofe2.macro.system import System, system_of
 from surrofe2.macro.time_stepping import DormandPrince, Method, Stepper
 from surrofe2.problem.problem import Problem
 from surrofe2.run.journal import curves_of, history_of, named_columns
-from surrofe2.run.loop import carry_out
+from surrofe2.run.loop import Progress, carry_out
 from surrofe2.run.views import Facts, ViewedRun, course
 
 
@@ -152,7 +152,7 @@ def simulate(
     settings: MacroSettings = SECTION_6_2,
     *,
     system: System | None = None,
-    progress: Callable[[float, float], None] | None = None,
+    progress: Progress = None,
     checkpoint: Callable[[MacroState], None] | None = None,
     checkpoint_interval: float = 30.0,
     resume: MacroState | None = None,
@@ -171,7 +171,8 @@ def simulate(
         law: any stress law; its density times the area is the mass.
         settings: tolerances, what is kept.
         system: of this problem and law, where runs share one (`System.under`); None: it is made.
-        progress: called with (t, duration) in µs after every step.
+        progress: called with (t, duration) in µs after every step; True: a line of the standard
+            error shows it.
         checkpoint: called with the state of the run every `checkpoint_interval` seconds, less often
             where that takes long, and upon an interrupt, which then goes its way; but not in a step
             that the law has been asked to commit, of which it may have taken down a part.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext
 from time import monotonic
@@ -18,6 +19,37 @@ Stage = Callable[[str, float, str], AbstractContextManager[Report]]
 
 SHARE = 0.05
 """Of the time of a run, what its checkpoints may take."""
+
+
+Progress = Callable[[float, float], None] | bool | None
+"""Called with (t, duration) after every step; True: a line of the standard error shows it."""
+_EVERY = 0.5
+"""Seconds between two lines of progress."""
+
+
+class ShownProgress:
+    """Shows how much of a run is done on a line of the standard error, for scripts and notebooks.
+
+    The line is written over again, and ends when the run does.
+    """
+
+    def __init__(self) -> None:
+        self._began = monotonic()
+        self._due = self._began
+
+    def __call__(self, t: float, duration: float) -> None:
+        now = monotonic()
+        is_end = t == duration
+        if now < self._due and not is_end:
+            return
+        self._due = now + _EVERY
+        share = t / duration if duration else 1.0
+        seconds = now - self._began
+        text = f"{100.0 * share:5.1f} % of {duration:g} in {seconds:.0f} s"
+        if 0.0 < share < 1.0:
+            text += f", about {seconds * (1.0 - share) / share:.0f} s left"
+        sys.stderr.write(f"\r{text:<60}" + ("\n" if is_end else ""))
+        sys.stderr.flush()
 
 
 class CheckpointClock:
@@ -62,7 +94,7 @@ def carry_out(
     results: Callable[[bool], Run],
     duration: float,
     *,
-    progress: Callable[[float, float], None] | None,
+    progress: Progress,
     checkpoint: Callable[[Any], None] | None,
     interval: float,
 ) -> Run:
@@ -70,13 +102,16 @@ def carry_out(
 
     Args:
         results: gives those so far, and learns whether the run is finished.
-        progress: called with (t, duration) in µs after every step.
+        progress: called with (t, duration) in µs after every step; True: a line of the standard
+            error shows it.
         checkpoint: called with `recorder.checkpoint()` every `interval` seconds, as of
             `CheckpointClock`, and upon an interrupt, which then goes its way.
 
     Raises:
         SimulationError: of a step; `partial` is the run up to there."""
     due = CheckpointClock(interval)
+    if isinstance(progress, bool):
+        progress = ShownProgress() if progress else None
     try:
         with interruptible():
             for t in steps:

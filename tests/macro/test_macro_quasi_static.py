@@ -25,7 +25,7 @@ from surrofe2.problem import (
     rectangle,
 )
 from surrofe2.rve import RveLaw
-from tests.laws import Fibres, KelvinVoigt, LinearFirstPiola, failing
+from tests.laws import Fibres, KelvinVoigt, LinearFirstPiola, Memoryless, failing
 from tests.macro.bars import SQUARE
 from tests.macro.meshes import plate, sides_of
 
@@ -182,6 +182,41 @@ def test_load_that_cannot_be_borne_ends_with_the_last_rest():
     assert 0.0145 < abs(partial.F[:, 1, 0]).max() <= 0.015
     expected = find_rest(SQUARE, KelvinVoigt(), SETTINGS, factor=partial.factor)
     np.testing.assert_allclose(partial.u, expected.u, atol=1e-7 * abs(expected.u).max())
+
+
+class Yields(KelvinVoigt):
+    """Bears less the more it is sheared: σ falls as 1/(1 + (|F₂₁|/0.05)²)."""
+
+    def stress(self, F, F_dot):
+        return super().stress(F, F_dot) / (1.0 + (F[:, 1, 0] / 0.05) ** 2)[:, None, None]
+
+    def slopes(self, F, F_dot):
+        return Memoryless.slopes(self, F, F_dot)
+
+
+def test_a_limit_load_is_named():
+    """The path up to it is kept, and the same body follows a motion beyond it."""
+    with pytest.raises(SimulationError, match=r"^limit load at factor \d+(\.\d+)?: ") as caught:
+        find_rest(SQUARE, Yields(), SETTINGS, factor=40.0, load_steps=10)
+    message = str(caught.value)
+    assert "prescribe the motion instead of the force, or run in time" in message
+    path = caught.value.partial.path
+    assert f"factor {path[-1, 0]:.4g}: " in message
+    rates = abs(np.diff(path[:, 2]) / np.diff(path[:, 0]))
+    assert rates[-1] > 3.0 * rates[0]
+    law = failing(KelvinVoigt(), fails=lambda F, F_dot: abs(F[:, 1, 0]) > 0.015)
+    with pytest.raises(SimulationError, match=r"^no load step succeeds"):
+        find_rest(SQUARE, law, SETTINGS)
+
+
+def test_progress_is_shown_where_it_is_asked_for(capsys):
+    find_rest(SQUARE, KelvinVoigt(), SETTINGS, load_steps=2, progress=True)
+    shown = capsys.readouterr().err
+    assert "0.0 % of 1 in " in shown
+    assert shown.rstrip(" ").endswith("\n")
+    assert "100.0 % of 1 in " in shown
+    find_rest(SQUARE, KelvinVoigt(), SETTINGS, progress=False)
+    assert capsys.readouterr().err == ""
 
 
 def test_bar_of_rves_rests_where_it_swings_about():
