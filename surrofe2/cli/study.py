@@ -259,6 +259,14 @@ def grid(
     law: Annotated[
         str, typer.Option(metavar="LAW,…", help="Of rve, cached, table and surrogate.")
     ] = "rve",
+    quantity: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="COLUMN[:WHAT]",
+            help="Of each run, e.g. 'force grip y:slope'; WHAT is maximum, end, slope, work or "
+            "period; may be repeated. Default: the peak of each force over its displacement.",
+        ),
+    ] = None,
     out: console.OutFolder = None,
     workers: console.Workers = 0,
     scheduler: console.Scheduler = None,
@@ -292,6 +300,7 @@ def grid(
             values,
             folder,
             laws=law.split(","),
+            quantities=quantity or (),
             threads=threads,
             executor=executor,
             fresh=fresh,

@@ -238,7 +238,7 @@ def _virtual_displacements(
         slope = none.copy()
         slope[:, axis] = system.probes[0]
         parts.append((none, slope))
-    for support in system.supports:
+    for support in system.holding:
         for axis in range(2):
             e = none.copy()
             mine = support.unknowns[support.unknowns % 2 == axis]

@@ -178,15 +178,22 @@ class System:
 
     @property
     def force_names(self) -> tuple[str, ...]:
-        """Supports and forces whose resultants are recorded."""
-        return *(each.name for each in self.supports), *(each.name for each in self.forces)
+        """Supports and forces whose resultants on the tissue are recorded."""
+        return *(each.name for each in self.holding), *(each.name for each in self.forces)
+
+    @property
+    def holding(self) -> tuple[Support, ...]:
+        """The supports of the tissue; what holds a rigid body acts on the tissue by its contact."""
+        of_nodes = 2 * len(self.discretisation.nodes)
+        return tuple(each for each in self.supports if (each.unknowns < of_nodes).any())
 
     def resultants(self, forces: Array, reaction: Array) -> Array:
         """(k, 2) resultants on the tissue of supports and forces, µN, from the forces (f, n, 2)
         and the reaction (n, 2) of all supports.
         """
-        held = np.zeros((len(self.supports), 2 * self.n_rows))
-        for part, support in zip(held, self.supports, strict=True):
+        holding = self.holding
+        held = np.zeros((len(holding), 2 * self.n_rows))
+        for part, support in zip(held, holding, strict=True):
             part[support.unknowns] = reaction.ravel()[support.unknowns]
         of_forces = forces[:, : len(self.discretisation.nodes)].sum(axis=1)
         return np.concatenate([held.reshape(-1, self.n_rows, 2).sum(axis=1), of_forces])

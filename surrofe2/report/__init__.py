@@ -4,6 +4,7 @@ tables      one list of quantities, rendered for console, CSV, JSON and Markdown
 figures     tissues with supports and rigid bodies, and plant cells
 study       what a study hands over, and its files
 comparison  runs against a reference, and its picture
+chosen      numbers that a study asks of its runs
 grid        a parameter study
 page        runs as one HTML file, with `page.html`, `page.css` and `page.js`
 """

@@ -12,6 +12,7 @@ import numpy as np
 from surrofe2.base.units import NONE
 from surrofe2.recipe.entries import text_of
 from surrofe2.recipe.recipe import SECTIONS
+from surrofe2.report.chosen import Chosen, peaks_of
 from surrofe2.report.comparison import BUCKLED, compared_run
 from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.run.charts import Curve, Panel, draw_panels, encoded
@@ -20,6 +21,8 @@ from surrofe2.store.store import write_bytes
 
 _MOST_CURVES = 12
 """Of displacements over time that are drawn; more are not told apart."""
+_SAME = 1e-3
+"""Of the largest displacement: one that varies less is prescribed."""
 _DECADE = 10.0
 """Positive values that are so many times apart stand on a logarithm."""
 
@@ -45,8 +48,10 @@ def grid_row(
     run: StoredRun | None,
     true: StoredRun | None,
     error: str | None,
+    chosen: Sequence[Chosen] = (),
 ) -> GridRow:
-    """A row; true: the run of the same values by RVEs, if there is one."""
+    """A row; true: the run of the same values by RVEs, if there is one; chosen: what is asked of
+    the run besides, where nothing is the peaks of its forces."""
     facts: dict[str, Any] = {**values, "law": law, "run": name, "error": error}
     if run is None:
         return GridRow(facts, run)
@@ -57,6 +62,8 @@ def grid_row(
         "beyond a bifurcation": run.record.met.get(BUCKLED, {}).get("points") or None,
         "RVE solves": counts.get("rve_solves", 0),
     }
+    for each in chosen or peaks_of(run):
+        facts[each.name], facts[f"unit of {each.name}"] = each.of(run)
     computed = counts.get("hits", 0) + counts.get("fallbacks", 0)
     if computed:
         facts["hits"] = counts["hits"] / computed
@@ -125,7 +132,22 @@ class Grid:
             replace(each, format=None) if each.name == "wall time" and "speed-up" in known else each
             for each in QUANTITIES
         )
-        return Table((*naming, *shown), [row.facts for row in self.rows], len(naming))
+        asked: list[Quantity[Facts]]
+        asked = [Quantity(name, unit, ".5g") for name, unit in self.asked.items()]
+        return Table((*naming, *asked, *shown), [row.facts for row in self.rows], len(naming))
+
+    @property
+    def asked(self) -> dict[str, str]:
+        """Units of the quantities that were asked of the runs, by name."""
+        begin = "unit of "
+        units: dict[str, str] = {}
+        for row in self.rows:
+            for fact, unit in row.facts.items():
+                if fact.startswith(begin):
+                    units[fact.removeprefix(begin)] = unit or units.get(
+                        fact.removeprefix(begin), ""
+                    )
+        return units
 
     @property
     def failed(self) -> dict[str, str]:
@@ -222,6 +244,13 @@ def write_grid_plot(path: Path, grid: Grid) -> None:
     write_bytes(path, encoded(figure, "png"))
 
 
+def _is_prescribed(groups: Mapping[str, list[Facts]]) -> bool:
+    """Whether the largest displacement is the same everywhere, as a prescribed one is."""
+    found = [facts["largest displacement"] for rows in groups.values() for facts in rows
+             if "largest displacement" in facts]  # fmt: skip
+    return len(found) > 1 and float(np.ptp(found)) < _SAME * max(found)
+
+
 def _over_values(grid: Grid, over: str, groups: Mapping[str, list[Facts]]) -> list[Panel]:
     """The quantities over an entry, whose values are marked one by one where they are no numbers;
     a curve for each group."""
@@ -229,7 +258,12 @@ def _over_values(grid: Grid, over: str, groups: Mapping[str, list[Facts]]) -> li
     are_numbers = all(map(_is_number, values))
     places = {text_of(each): float(each if are_numbers else k) for k, each in enumerate(values)}
     x_ticks, panels = [*places.values()], dict[str, Panel]()
-    for name, y_label, log_y in _PANELS:
+    asked = [
+        (name, f"{name} ({unit})" if unit else name, False) for name, unit in grid.asked.items()
+    ]
+    for name, y_label, log_y in (*asked, *_PANELS):
+        if name == "largest displacement" and _is_prescribed(groups):
+            continue
         curves = []
         for k, (label, rows) in enumerate(groups.items()):
             if name == "largest displacement" and rows[0]["law"] != grid.rows[0].facts["law"]:

@@ -15,6 +15,7 @@ from surrofe2.base.errors import InputError, SimulationError, quoted
 from surrofe2.base.settings import unknown
 from surrofe2.recipe.entries import name_of_values
 from surrofe2.recipe.recipe import PROBLEM_SECTIONS, Recipe, load_recipe
+from surrofe2.report.chosen import Chosen
 from surrofe2.report.grid import Grid, grid_row, write_grid_plot
 from surrofe2.run.loop import Stage, no_stage
 from surrofe2.store.run_folder import read_run
@@ -60,6 +61,7 @@ def run_grid(
     out: str | Path,
     *,
     laws: Sequence[str] = ("rve",),
+    quantities: Sequence[str] = (),
     threads: int | None = None,
     executor: Any = None,
     fresh: bool = False,
@@ -76,11 +78,14 @@ def run_grid(
         path: of the recipe.
         values: by dotted name of the entry, {"cell.wall_stiffness": [3000.0, 4000.0]}.
         laws: of "rve", "cached", "table" and "surrogate".
+        quantities: of each run in the table and the picture, COLUMN or COLUMN:STATISTIC, see
+            `report.chosen`; none: the peak of each force over its displacement.
         threads: of each run; None: all, or of `Processes` an equal share.
 
     Raises:
         InputError: an entry or a law is unknown, or a value not what it must be; nothing was run.
     """
+    chosen = [Chosen.read(text) for text in quantities]
     prepare(executor)
     path, out = Path(path).resolve(), Path(out).resolve()
     surrogates, runs = _planned(path, values, laws, out)
@@ -104,7 +109,13 @@ def run_grid(
         stored = {name: read_run(out / name) for name in runs if not errors[name]}
         rows = [
             grid_row(
-                run.values, run.law, name, stored.get(name), stored.get(run.true), errors[name]
+                run.values,
+                run.law,
+                name,
+                stored.get(name),
+                stored.get(run.true),
+                errors[name],
+                chosen,
             )
             for name, run in runs.items()
         ]

@@ -146,7 +146,7 @@ def test_a_recipe_states_the_method(invoke, recipe_path, tmp_path):
     values = "--set", "rest.factor=0.25,0.5"
     invoke("grid", recipe_path, *values, "--out", tmp_path / "grid", law=law)
     rows = read_json(tmp_path / "grid" / "grid.json")["rows"]
-    small, large = (row["largest displacement"] for row in rows)
+    small, large = (row["largest_displacement"] for row in rows)
     assert small < 0.6 * large
 
 

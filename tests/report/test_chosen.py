@@ -1,0 +1,73 @@
+"""What a study asks of its runs: columns and what of them, by closed curves."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surrofe2.base.errors import InputError
+from surrofe2.report.chosen import Chosen, peaks_of
+from surrofe2.report.grid import Grid, grid_row
+from surrofe2.run.displacement_curve import DisplacementCurve
+from surrofe2.store.run_folder import StoredRun
+from tests.run_records import finished_record
+
+T = np.linspace(0.0, 10.0, 401)
+PLACE = {
+    "displacement": "mean displacement top",
+    "section": 50.0,
+    "length": [100.0, 200.0],
+    "thickness": 10.0,
+}
+
+
+@pytest.fixture
+def run(recipe):
+    record = finished_record(recipe, "rve", {"total": 1.0}, {})
+    record.problem["places"] = {"grip": PLACE}
+    curve = DisplacementCurve(T, np.stack([0.0 * T, np.sin(np.pi * T)], axis=1))
+    history = {
+        "mean displacement top x": 0.0 * T,
+        "mean displacement top y": 0.2 * T,
+        "force grip x": 0.0 * T,
+        "force grip y": -7.0 * T,
+    }
+    return StoredRun(Path("run"), record, curve=curve, curves={"tip": curve}, history=history)
+
+
+@pytest.mark.parametrize(
+    ("text", "value", "unit"),
+    [
+        ("force grip y", -70.0, "µN"),
+        ("force grip y:maximum", -70.0, "µN"),
+        ("force grip y:end", -70.0, "µN"),
+        ("force grip y:slope", -35.0, "µN/µm"),
+        ("force grip y:work", -70.0, "pJ"),
+        ("u_y tip:period", 2.0, "µs"),
+        ("u_y tip", 1.0, "µm"),
+        ("force grip y:period", None, "µs"),
+        ("force grip x:slope", None, ""),
+    ],
+)
+def test_a_quantity_is_what_its_curve_has(run, text, value, unit):
+    found, its_unit = Chosen.read(text).of(run)
+    assert its_unit == unit
+    assert found == (None if value is None else pytest.approx(value, rel=1e-3))
+
+
+def test_what_is_not_there_is_refused_with_what_is(run):
+    with pytest.raises(InputError, match="run has only u_x tip, u_y tip, mean displacement top x"):
+        Chosen.read("force grab y").of(run)
+    with pytest.raises(InputError, match="unknown statistic; did you mean slope"):
+        Chosen.read("force grip y:slop")
+
+
+def test_where_nobody_chose_a_study_shows_the_peaks_of_forces(run):
+    assert peaks_of(run) == [Chosen("force grip y", "maximum")]
+    row = grid_row({"cell.viscosity": 0.1}, "rve", "run", run, None, None)
+    failed = grid_row({"cell.viscosity": 0.2}, "rve", "other", None, None, "it failed")
+    grid = Grid("recipe", {"cell.viscosity": (0.1, 0.2)}, (row, failed))
+    assert grid.asked == {"maximum of force grip y": "µN"}
+    first, second = grid.table.to_records()
+    assert first["maximum_of_force_grip_y"] == pytest.approx(-70.0)
+    assert second["maximum_of_force_grip_y"] is None
