@@ -12,7 +12,7 @@ from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.macro import MacroSettings, find_rest
 from surrofe2.macro.rest import RestState
 from tests.cache.tables import LOAD_CASE, Kept, cached, rising
-from tests.laws import Truth
+from tests.laws import PointStates, Truth
 
 SETTINGS = MacroSettings(newton_tolerance=1e-8)
 ALLOWED = 0.1
@@ -87,6 +87,29 @@ def test_a_rest_resumes_to_the_bit(make):
         assert rest.effort == whole.effort
         assert rest.rolled_back == whole.rolled_back
         assert rest.cache == whole.cache
+
+
+class TellingTruth(Truth):
+    """Says that points sheared by more than a bound are beyond a bifurcation."""
+
+    def respond(self, F, F_dot, state=None, *, tangents=False):
+        answer = super().respond(F, F_dot, tangents=tangents)
+        return replace(answer, state=PointStates(F, 2.0))
+
+    def beyond_bifurcation(self, state):
+        return abs(state.F[:, 1, 0]) > 0.056
+
+
+def test_points_beyond_a_bifurcation_are_those_of_the_fallback():
+    """None is where the cache answers, also where it answers everywhere."""
+    law = cached(lambda F, F_dot: 0.0 * F[:, 0, 0], rising(0.01, 1.5), truth=TellingTruth())
+    rest = find_rest(LOAD_CASE, law, SETTINGS, **LOADING)
+    known = rest.law_state.on_fallback.points
+    assert 0 < len(known) < len(rest.F)
+    beyond = abs(rest.F[known, 1, 0]) > 0.056
+    assert rest.history["beyond bifurcation"][-1] == beyond.sum() > 0
+    assert rest.history["beyond bifurcation"][0] == 0.0
+    assert "beyond bifurcation" not in find_rest(LOAD_CASE, learning(), SETTINGS).history
 
 
 def test_a_table_that_learns_comes_to_the_true_rest(true):
