@@ -30,9 +30,7 @@ class RunAudits:
         t: where that is, µs, or the factor of the load.
     """
 
-    def __init__(
-        self, equations: EquationsOfMotion, law_state: Any = None, t: float = 0.0
-    ) -> None:
+    def __init__(self, equations: EquationsOfMotion, law_state: Any = None, t: float = 0.0) -> None:
         self._equations = equations
         law = equations.law
         self._law = law if isinstance(law, AuditedLaw) else None
