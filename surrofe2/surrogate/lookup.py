@@ -22,6 +22,7 @@ from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.sampling import SLACK, SamplingRange
 from surrofe2.base.simd import (
     TILE,
+    any_less,
     fill_tanh,
     inverse_root,
     load,
@@ -58,13 +59,14 @@ from surrofe2.surrogate.products import (
     TILES,
     Polynomials,
     Product,
+    bare_kernel,
     evaluate,
     make_room,
 )
 
 MANY = 2000
 """Points from which on more than one core pays."""
-_PART = 16 * BLOCK  # points that a core takes at a time
+_PART = 8 * BLOCK  # points that a core takes at a time
 _OK, _OUT_OF_RANGE = int(Status.OK), int(Status.OUT_OF_RANGE)
 _NOT_FINITE, _NOT_TRUSTED = int(Status.NOT_FINITE), int(Status.NOT_TRUSTED)
 
@@ -125,13 +127,28 @@ class NetworkArrays(NamedTuple):
             biases=np.concatenate(biases),
         )
         # what the network gives at rest is subtracted as the very same instructions give it
-        room, (units, no_slopes) = make_room(arrays, NETWORK_INPUTS, 0), _make_units(arrays, 0)
+        room, units = make_room(arrays, NETWORK_INPUTS, 0), _make_units(arrays, 0)
         room.rows[:NETWORK_INPUTS] = 0.0
         room.rows[ONE] = 1.0
-        first = _evaluate_factors(arrays, room, units, no_slopes)
+        first = _evaluate_factors(arrays, room, units)
         subtracted = np.array([not product for product in products])
-        factors = units[first : first + len(products), 0, 0]
+        factors = units.values[first : first + len(products), 0, 0]
         return arrays._replace(at_rest=np.where(subtracted, factors, 0.0))
+
+
+class Units(NamedTuple):
+    """Room for what the units of all layers give, used again for the next block.
+
+    Attributes:
+        values: (units, TILES, TILE). flat: the same in one row.
+        slopes: (K, units, TILES, TILE) by each of the first K inputs; K = 0: of none.
+        zeros: as many as a layer has units.
+    """
+
+    values: Any
+    flat: Any
+    slopes: Any
+    zeros: Any
 
 
 class BoundArrays(NamedTuple):
@@ -246,9 +263,19 @@ def _lookup_part(  # type: ignore[no-untyped-def]
     stress, where there is a network."""
     frame = np.empty((_FRAME_ROWS, TILES, TILE))
     trust = make_room(bounds, ALL_INPUTS, 0)
+    of_network = None
     if network is not None:
-        room = make_room(network, NETWORK_INPUTS, 0)
-        units, no_slopes = _make_units(network, 0)
+        of_network = make_room(network, NETWORK_INPUTS, 0), _make_units(network, 0)
+    rooms = frame, trust, of_network
+    _lookup_blocks(begin, end, F, F_dot, network, bounds, limit, rooms, stress, status, risk)
+
+
+@bare_kernel
+def _lookup_blocks(  # type: ignore[no-untyped-def]
+    begin, end, F, F_dot, network, bounds, limit, rooms, stress, status, risk
+):
+    """As `_lookup_part`, in the arrays that it made."""
+    frame, trust, of_network = rooms
     for start in range(begin, end, BLOCK):
         _read_points(start, F, F_dot, frame)
         _take_rotation_out(frame)
@@ -258,38 +285,66 @@ def _lookup_part(  # type: ignore[no-untyped-def]
         evaluate(bounds, trust)
         _divide_by_local_tolerance(bounds.at_rest, trust.y)
         if network is not None:
+            room, units = of_network
             _set_inputs(frame, network, room)
-            _evaluate_network(network, room, units, no_slopes)
+            _evaluate_network(network, room, units)
             _set_stress(room.y, frame)
-        for p in range(min(BLOCK, end - start)):
-            point, t, lane = start + p, p // TILE, p % TILE
-            value, code, inside = trust.y[_BOUND, t, lane], _OK, frame[_INSIDE, t, lane] > 0.0
-            if not (inside and trust.y[_HEIGHT, t, lane] <= 0.0):
-                value, code = np.inf, _OUT_OF_RANGE
-            elif not value <= limit:
-                code = _NOT_TRUSTED
-            if stress is not None:
-                is_finite = True
-                for i in range(4):
-                    is_finite &= np.isfinite(frame[_S11 + i, t, lane])
-                if inside and not is_finite:
-                    value, code = np.inf, _NOT_FINITE
-                for i in range(4):
-                    known = frame[_S11 + i, t, lane] if code == _OK else np.nan
-                    stress[point, i // 2, i % 2] = known
-            risk[point], status[point] = value, code
+        for t in range(TILES):
+            first = start + t * TILE
+            count = np.uint64(max(0, min(TILE, end - first)))
+            is_plain = _is_plain(frame, trust.y, limit, stress is not None, t)
+            for lane in range(count):
+                point = np.uint64(first) + lane
+                risk[point], status[point] = trust.y[_BOUND, t, lane], _OK
+                if stress is not None:
+                    stress[point, 0, 0] = frame[_S11, t, lane]
+                    stress[point, 0, 1] = frame[_S12, t, lane]
+                    stress[point, 1, 0] = frame[_S21, t, lane]
+                    stress[point, 1, 1] = frame[_S22, t, lane]
+                if not is_plain:
+                    value, code = _judged(frame, trust.y, limit, stress is not None, t, lane)
+                    risk[point], status[point] = value, code
+                    if stress is not None and code != _OK:
+                        stress[point] = np.nan
+
+
+@bare_kernel
+def _is_plain(frame, y, limit, has_stress, t):  # type: ignore[no-untyped-def]
+    """Whether status is 0 at all points of a tile, which most are: nothing else is asked there."""
+    plain = where_less(0.0, load(y, _HEIGHT, t), 0.0, load(frame, _INSIDE, t))
+    plain = where_less(load(y, _BOUND, t), limit, plain, 0.0)
+    if has_stress:
+        for i in range(4):
+            value = load(frame, _S11 + i, t)
+            plain = where_less(value, np.inf, plain, 0.0)
+            plain = where_less(-np.inf, value, plain, 0.0)
+    return not any_less(plain, 1.0)
+
+
+@bare_kernel
+def _judged(frame, y, limit, has_stress, t, lane):  # type: ignore[no-untyped-def]
+    """Risk and status of one point; of several faults that of the network counts first."""
+    value, inside = y[_BOUND, t, lane], frame[_INSIDE, t, lane] > 0.0
+    if has_stress and inside:
+        for i in range(4):
+            if not np.isfinite(frame[_S11 + i, t, lane]):
+                return np.inf, _NOT_FINITE
+    if not (inside and y[_HEIGHT, t, lane] <= 0.0):
+        return np.inf, _OUT_OF_RANGE
+    if not value <= limit:
+        return value, _NOT_TRUSTED
+    return value, _OK
 
 
 @kernel
 def _slopes(F, F_dot, network, P, slopes):  # type: ignore[no-untyped-def]
     frame = np.empty((_FRAME_ROWS, TILES, TILE))
-    room = make_room(network, NETWORK_INPUTS, INPUTS)
-    units, unit_slopes = _make_units(network, INPUTS)
+    room, units = make_room(network, NETWORK_INPUTS, INPUTS), _make_units(network, INPUTS)
     for start in range(0, F.shape[0], BLOCK):
         _read_points(start, F, F_dot, frame)
         _take_rotation_out(frame)
         _set_inputs(frame, network, room)
-        _evaluate_network(network, room, units, unit_slopes)
+        _evaluate_network(network, room, units)
         for p in range(min(BLOCK, F.shape[0] - start)):
             t, lane = p // TILE, p % TILE
             for c in range(COMPONENTS):
@@ -299,7 +354,7 @@ def _slopes(F, F_dot, network, P, slopes):  # type: ignore[no-untyped-def]
                     slopes[start + p, c, k] = slope
 
 
-@kernel
+@bare_kernel
 def _read_points(start, F, F_dot, frame):  # type: ignore[no-untyped-def]
     """The rows of F and Ḟ; behind the last point it is repeated."""
     for p in range(BLOCK):
@@ -310,7 +365,7 @@ def _read_points(start, F, F_dot, frame):  # type: ignore[no-untyped-def]
             frame[_V11 + i, t, lane] = F_dot[point, i // 2, i % 2]
 
 
-@kernel
+@bare_kernel
 def _take_rotation_out(frame):  # type: ignore[no-untyped-def]
     """The rows of R, U and A from those of F and Ḟ."""
     for t in range(TILES):
@@ -332,7 +387,7 @@ def _take_rotation_out(frame):  # type: ignore[no-untyped-def]
         store(c * yy - s * xy, frame, _A22, t)
 
 
-@kernel
+@bare_kernel
 def _set_inside(frame, limits):  # type: ignore[no-untyped-def]
     """Set `_INSIDE` to 1 where U₁₁, U₂₂, U₁₂ and all of A are between limits (2, 7), else to 0."""
     for t in range(TILES):
@@ -344,7 +399,7 @@ def _set_inside(frame, limits):  # type: ignore[no-untyped-def]
         store(inside, frame, _INSIDE, t)
 
 
-@kernel
+@bare_kernel
 def _scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
     """The inputs of `tensors`, scaled, (7, TILES, TILE), and a row of ones."""
     for t in range(TILES):
@@ -361,7 +416,7 @@ def _scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
         store(1.0, x, ONE, t)
 
 
-@kernel
+@bare_kernel
 def _set_inputs(frame, network, room):  # type: ignore[no-untyped-def]
     """The inputs of a network, see `features`, with the slopes of those that bend."""
     x, slopes = room.rows, room.slopes
@@ -375,73 +430,82 @@ def _set_inputs(frame, network, room):  # type: ignore[no-untyped-def]
                 store(BEND * BEND * inverse * inverse * inverse, slopes, k, BENT + k, t)
 
 
-@kernel
-def _evaluate_network(arrays, room, units, unit_slopes):  # type: ignore[no-untyped-def]
+@bare_kernel
+def _evaluate_network(arrays, room, units):  # type: ignore[no-untyped-def]
     """The components of P̂, y, and their slopes by scaled inputs: the baseline, and of each term
     (factor − factor at rest) × product."""
-    first, y = _evaluate_factors(arrays, room, units, unit_slopes), room.y
+    first, y = _evaluate_factors(arrays, room, units), room.y
     y_slopes = room.y_slopes
     for term in range(arrays.components.shape[0]):
         component, row = arrays.components[term], arrays.kept[term]
         scale, at_rest = arrays.output_factor[component], arrays.at_rest[term]
         for t in range(TILES):
-            factor = (load(units, first + term, t) - at_rest) * scale
+            factor = (load(units.values, first + term, t) - at_rest) * scale
             product = load(room.rows, row, t)
             store(load(y, component, t) + factor * product, y, component, t)
             for k in range(y_slopes.shape[0]):
-                slope = load(unit_slopes, k, first + term, t) * (product * scale)
+                slope = load(units.slopes, k, first + term, t) * (product * scale)
                 slope += factor * load(room.slopes, k, row, t)
                 store(load(y_slopes, k, component, t) + slope, y_slopes, k, component, t)
 
 
 @kernel
 def _make_units(arrays, along):  # type: ignore[no-untyped-def]
-    """Units of all layers (units, …), and their slopes (K, units, …)."""
-    units = arrays.sizes.sum()
-    return np.empty((units, TILES, TILE)), np.empty((along, units, TILES, TILE))
+    """Room for the units of all layers, with slopes along the first `along` inputs."""
+    count = arrays.sizes.sum()
+    flat = np.empty(count * BLOCK)
+    slopes = np.empty((along, count, TILES, TILE))
+    return Units(flat.reshape(count, TILES, TILE), flat, slopes, np.zeros(arrays.sizes.max()))
 
 
-@kernel
-def _evaluate_factors(arrays, room, units, slopes):  # type: ignore[no-untyped-def]
+@bare_kernel
+def _evaluate_factors(arrays, room, units):  # type: ignore[no-untyped-def]
     """Set y to the baseline, fill the units, all with slopes; returns the first factor's row."""
-    kept = arrays.kept
+    kept, values, slopes = arrays.kept, units.values, units.slopes
     evaluate(arrays, room)
     terms = arrays.components.shape[0]
     invariants = kept.shape[0] - terms
-    units[invariants : arrays.sizes[0]] = 0.0
-    slopes[:, invariants : arrays.sizes[0]] = 0.0
-    for k in range(invariants):
-        units[k] = room.rows[kept[terms + k]]
-        for along in range(slopes.shape[0]):
-            slopes[along, k] = room.slopes[along, kept[terms + k]]
-    return _forward(arrays.sizes, arrays.weights, arrays.biases, units, slopes)
+    for k in range(arrays.sizes[0]):
+        for t in range(TILES):
+            if k < invariants:
+                store(load(room.rows, kept[terms + k], t), values, k, t)
+            else:
+                store(0.0, values, k, t)
+            for along in range(slopes.shape[0]):
+                if k < invariants:
+                    store(load(room.slopes, along, kept[terms + k], t), slopes, along, k, t)
+                else:
+                    store(0.0, slopes, along, k, t)
+    return _forward(arrays, units)
 
 
-@kernel
-def _forward(sizes, weights, biases, units, slopes):  # type: ignore[no-untyped-def]
+@bare_kernel
+def _forward(arrays, units):  # type: ignore[no-untyped-def]
     """Fill the units of all layers, and their slopes, from the inputs'; the last has no tanh.
     Returns the first row of the last layer."""
-    none = np.zeros(sizes.max())
+    sizes, weights, biases = arrays.sizes, arrays.weights, arrays.biases
+    values, slopes = units.values, units.slopes
     begin, first_weight, first_bias = 0, 0, 0
     for layer in range(1, sizes.shape[0]):
         rows, columns = sizes[layer], sizes[layer - 1]
         end = first_weight + rows * columns
-        matrix = weights[first_weight:end].reshape(rows, columns)
+        matrix = weights[first_weight:end]
         middle = begin + columns
         is_last = layer == sizes.shape[0] - 1
-        _apply_layer(matrix, biases[first_bias : first_bias + rows], units[begin:], units[middle:])
+        bias = biases[first_bias : first_bias + rows]
+        _apply_layer(matrix, bias, values[begin:middle], values[middle:])
         if not is_last:
-            fill_tanh(units[middle : middle + rows].reshape(rows * BLOCK))
+            fill_tanh(units.flat[middle * BLOCK : (middle + rows) * BLOCK])
         for k in range(slopes.shape[0]):
-            _apply_layer(matrix, none, slopes[k, begin:], slopes[k, middle:])
+            _apply_layer(matrix, units.zeros[:rows], slopes[k, begin:middle], slopes[k, middle:])
             if not is_last:
-                _times_tanh_slope(units[middle:], slopes[k, middle:], rows)
+                _times_tanh_slope(values[middle:], slopes[k, middle:], rows)
         begin, first_weight = middle, end
         first_bias += rows
     return begin
 
 
-@kernel
+@bare_kernel
 def _times_tanh_slope(tanh, slopes, rows):  # type: ignore[no-untyped-def]
     """Multiply slopes (rows, …) by 1 − tanh²."""
     for row in range(rows):
@@ -450,18 +514,22 @@ def _times_tanh_slope(tanh, slopes, rows):  # type: ignore[no-untyped-def]
             store((1.0 - h * h) * load(slopes, row, t), slopes, row, t)
 
 
-@kernel
+@bare_kernel
 def _apply_layer(matrix, bias, source, target):  # type: ignore[no-untyped-def]
-    """target = matrix source + bias, (rows, …); four rows of two tiles stay in registers."""
+    """target = matrix source + bias, (rows, …), the matrix in one row; four rows of two tiles stay
+    in registers."""
+    columns = source.shape[0]
     for t in range(0, TILES, 2):
-        for j in range(0, matrix.shape[0], 4):
+        for j in range(0, bias.shape[0], 4):
+            one_row, next_row = np.uint64(j * columns), np.uint64((j + 1) * columns)
+            third_row, last_row = np.uint64((j + 2) * columns), np.uint64((j + 3) * columns)
             a, b = spread(bias[j]), spread(bias[j + 1])
             c, d = spread(bias[j + 2]), spread(bias[j + 3])
             e, f, g, h = a, b, c, d
-            for k in range(matrix.shape[1]):
+            for k in range(np.uint64(columns)):
                 one, two = load(source, k, t), load(source, k, t + 1)
-                first, second = spread(matrix[j, k]), spread(matrix[j + 1, k])
-                third, fourth = spread(matrix[j + 2, k]), spread(matrix[j + 3, k])
+                first, second = spread(matrix[one_row + k]), spread(matrix[next_row + k])
+                third, fourth = spread(matrix[third_row + k]), spread(matrix[last_row + k])
                 a += first * one
                 b += second * one
                 c += third * one
@@ -480,7 +548,7 @@ def _apply_layer(matrix, bias, source, target):  # type: ignore[no-untyped-def]
             store(h, target, j + 3, t + 1)
 
 
-@kernel
+@bare_kernel
 def _set_stress(y, frame):  # type: ignore[no-untyped-def]
     """The rows of σ from the components of P̂ in rows 0 to 3 of y: S = P̂ U/det U; R turns its
     difference and shear by twice its angle."""
@@ -502,7 +570,7 @@ def _set_stress(y, frame):  # type: ignore[no-untyped-def]
         store(s - turned_d, frame, _S22, t)
 
 
-@kernel
+@bare_kernel
 def _set_even_inputs(near, x):  # type: ignore[no-untyped-def]
     """The rows of `domain.all_inputs` behind the inputs and 1."""
     for t in range(TILES):
@@ -518,7 +586,7 @@ def _set_even_inputs(near, x):  # type: ignore[no-untyped-def]
         store(size / (size + REACH), x, NEAR, t)
 
 
-@kernel
+@bare_kernel
 def _divide_by_local_tolerance(at_rest, y):  # type: ignore[no-untyped-def]
     """Make the bound the risk, by `SurrogateLaw.local_tolerance`."""
     for t in range(TILES):

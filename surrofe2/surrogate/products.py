@@ -13,19 +13,24 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surrofe2.base.arrays import Array, Index
-from surrofe2.base.compilation import kernel, pair_law
+from surrofe2.base.compilation import compiled, kernel, pair_law
 from surrofe2.base.simd import TILE, load, spread, store
 from surrofe2.base.tensors import INPUTS
 
 Product = tuple[int, ...]
 """Numbers of the inputs that are multiplied; an empty one is 1."""
 
+bare_kernel = compiled(_nrt=False)
+"""A kernel that makes no arrays, and counts no references to those that it is given: counting takes
+an atomic operation at each call and each slice."""
+
 ONE = INPUTS
 """The number of the input that is 1."""
 STRETCH = 3
 """The first inputs are those of U − I."""
 TILES = 6
-"""Tiles of a block of points, an even number; each quantity of a block is (TILES, TILE)."""
+"""Tiles of a block of points, as many as `evaluate` sums at once; each quantity of a block is
+(TILES, TILE)."""
 BLOCK = TILES * TILE
 """Points of a block."""
 _FEW = 24  # terms, which are summed faster in one group than in several
@@ -152,15 +157,48 @@ def make_room(polynomials, inputs, along):  # type: ignore[no-untyped-def]
 def evaluate(polynomials, room):  # type: ignore[no-untyped-def]
     """Set the products and the polynomials by the inputs, and their slopes by the inputs'.
 
-    Where there are slopes, an input that depends on others is the first of its products.
+    Where there are slopes, an input that depends on others is the first of its products. Written
+    out where it is used: a call with all these arrays takes as long as a small polynomial.
     """
     products, begins, heads = polynomials.products, polynomials.begins, polynomials.heads
     group_begins, numbers = polynomials.group_begins, polynomials.rows
     rows, y, slopes, y_slopes = room
     coefficients, inputs = polynomials.coefficients, rows.shape[0] - products.shape[0]
-    # written out where it is used: a call with all these arrays takes as long as a small polynomial
-    for along in range(-1, slopes.shape[0]):
-        inner, result = (rows, y) if along < 0 else (slopes[along], y_slopes[along])
+    # numba tests signed indices for counting from the end
+    for k in range(np.uint64(products.shape[0])):
+        i, j, row = products[k, 0], products[k, 1], np.uint64(inputs) + k
+        for t in range(TILES):
+            store(load(rows, i, t) * load(rows, j, t), rows, row, t)
+    for output in range(begins.shape[0] - 1):
+        # a sum for each of the six tiles: additions to one sum wait for each other
+        one, two, three = spread(0.0), spread(0.0), spread(0.0)
+        four, five, six = spread(0.0), spread(0.0), spread(0.0)
+        for group in range(begins[output], begins[output + 1]):
+            head, first, last = heads[group], group_begins[group], group_begins[group + 1]
+            a, b, c = spread(0.0), spread(0.0), spread(0.0)
+            d, e, f = spread(0.0), spread(0.0), spread(0.0)
+            for k in range(np.uint64(first), np.uint64(last)):
+                coefficient, row = spread(coefficients[k]), numbers[k]
+                a += coefficient * load(rows, row, 0)
+                b += coefficient * load(rows, row, 1)
+                c += coefficient * load(rows, row, 2)
+                d += coefficient * load(rows, row, 3)
+                e += coefficient * load(rows, row, 4)
+                f += coefficient * load(rows, row, 5)
+            one += a * load(rows, head, 0)
+            two += b * load(rows, head, 1)
+            three += c * load(rows, head, 2)
+            four += d * load(rows, head, 3)
+            five += e * load(rows, head, 4)
+            six += f * load(rows, head, 5)
+        store(one, y, output, 0)
+        store(two, y, output, 1)
+        store(three, y, output, 2)
+        store(four, y, output, 3)
+        store(five, y, output, 4)
+        store(six, y, output, 5)
+    for along in range(slopes.shape[0]):
+        inner, result = slopes[along], y_slopes[along]
         for t in range(0, TILES, 2):
             for k in range(products.shape[0]):
                 i, j, row = products[k, 0], products[k, 1], inputs + k
