@@ -40,13 +40,21 @@ from surrofe2.surrogate.domain import (
 from surrofe2.surrogate.settings import CONFIDENCE, MARGIN
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
 
-_LEAST_SCALE = 1e-2  # of the largest error: s soon is above this, on the way out from rest
-_LEAST_AT_REST = 1e-5  # and everywhere above this
-_LEAST_SIZE = 1e-3  # of a state: it does not matter how small those below are
-_EXACT = 1e-13  # of the spread: errors below are rounding
-_TIMES = 2  # the scale is fitted
-_MOST_ADDED = 300  # states that bind the local scale, in one round
-_SLACK = 1e-6  # of the largest error
+# Floors of the local scale s, as fractions of the largest error. They keep a region in which the
+# calibration paths happened to have no error from getting a bound of zero.
+_LEAST_SCALE = 1e-2  # coefficient of the product `NEAR`, which is 0 at rest and soon close to 1
+_LEAST_AT_REST = 1e-5  # coefficient of the product 1
+# Rounding alone makes errors of this fraction of the spread of stress, so s is never below it.
+_EXACT = 1e-13
+# Added to the size of a state in the first program's cost, which divides by the size.
+_LEAST_SIZE = 1e-3
+# The second program weighs errors by the first one's scale; a third would change nothing more.
+_PROGRAMS = 2
+# Violated states that are added to a linear program in one round. Few bind in the end, so a program
+# over all states at once would take much longer.
+_MOST_ADDED = 300
+# A state counts as violated beyond this fraction of the largest error; HiGHS keeps to 1e-7.
+_SLACK = 1e-6
 
 
 def calibrate(
@@ -57,13 +65,15 @@ def calibrate(
     alpha: float,
     settings: Mapping[str, Any] | None = None,
 ) -> SurrogateLaw:
-    """The surrogate with the domain of its data and a calibrated bound.
+    """Return the surrogate with the domain of its data and a calibrated bound.
 
     Args:
+        law: the trained surrogate; a domain and a calibration that it has are replaced.
+        samples: the data that it was trained on.
         shaping: stresses that shape the domain (where they fail) and the local scale.
         testing: stresses along other paths, drawn independently, each kind once.
-        alpha: probability that a new path breaks the bound, at most.
-        settings: of the paths, to be kept for the record.
+        alpha: greatest probability with which a new path may break the bound.
+        settings: settings of the paths, which are kept for the record.
 
     Raises:
         InputError: no path to calibrate on.
@@ -74,30 +84,22 @@ def calibrate(
     law = replace(law, domain=domain, calibration=None)
     spread = stress_spread(samples.valid.stress)
     squares = (law.network.sizes_at_rest() * domain.scale) ** 2
-    near = squares / squares.sum() if squares.any() else np.full(INPUTS, 1.0 / INPUTS)
+    if squares.any():
+        near = squares / squares.sum()
+    else:  # a network without a baseline has no slopes at rest, so all inputs count alike
+        near = np.full(INPUTS, 1.0 / INPUTS)
     scale = _fit_scale(law, near, shaping, spread)
-    kinds: dict[str, dict[str, float]] = {}
-    for truth in testing:
-        error, inside = errors_along(law, truth)
-        x = scaled_inputs(*truth.paths.states, domain.scale)
-        local = values_of(scale_products(), x, near) @ scale
-        scores = truth.paths.largest(np.where(inside, error / local, 0.0))
-        entering = scores[truth.paths.largest(inside.astype(float)) > 0.0]
-        if not np.isfinite(conformal_quantile(entering, alpha)):
-            entering = scores  # too few of them enter the domain for a quantile
-        kinds[truth.paths.kind] = {
-            "paths": truth.paths.count,
-            "states": int(inside.sum()),
-            "quantile": conformal_quantile(entering, alpha),
-            "confidence": confidence(len(entering), alpha),
-        }
-    used = [kind for kind in kinds.values() if kind["paths"]]
+    figures_by_kind = {
+        truth.paths.kind: _figures_of_kind(law, truth, scale, near, alpha) for truth in testing
+    }
+    used = [figures for figures in figures_by_kind.values() if figures["paths"]]
     calibration = Calibration(
         scale=scale,
-        quantile=MARGIN * max(kind["quantile"] for kind in used),
+        # the bound must hold for each kind of path, so the worst kind decides
+        quantile=MARGIN * max(figures["quantile"] for figures in used),
         alpha=alpha,
-        confidence=min(kind["confidence"] for kind in used),
-        kinds=kinds,
+        confidence=min(figures["confidence"] for figures in used),
+        kinds=figures_by_kind,
         stress_spread=spread,
         data_fingerprint=law.data_fingerprint,
         subject=law.network.fingerprint(law.range),
@@ -107,31 +109,62 @@ def calibrate(
     return replace(law, calibration=calibration)
 
 
-def conformal_quantile(scores: Array, alpha: float) -> float:
-    """Smallest of n scores that new ones exceed with a probability of at most alpha.
+def _figures_of_kind(
+    law: SurrogateLaw, truth: Truth, scale: Array, near: Array, alpha: float
+) -> dict[str, float]:
+    """Return what a `Calibration` records of one kind of path, with the quantile of its scores.
 
-    At least the ⌈(n + 1)(1 − alpha)⌉-th smallest, for which this holds on average over sets of
-    scores (infinite where n is less); and so far up that it holds for `CONFIDENCE` of such sets
+    Args:
+        scale: (k,) coefficients of the local scale, µN/µm.
+        near: (7,) share of each squared input in the size of a state.
+    """
+    assert law.domain is not None
+    error, inside = errors_along(law, truth)
+    x = scaled_inputs(*truth.paths.states, law.domain.scale)
+    local_scale = values_of(scale_products(), x, near) @ scale
+    scores = truth.paths.largest(np.where(inside, error / local_scale, 0.0))
+    enters = truth.paths.largest(inside.astype(float)) > 0.0
+    entering = scores[enters]
+    if not np.isfinite(conformal_quantile(entering, alpha)):
+        entering = scores  # too few of them enter the domain for a quantile
+    return {
+        "paths": truth.paths.count,
+        "states": int(inside.sum()),
+        "quantile": conformal_quantile(entering, alpha),
+        "confidence": confidence(len(entering), alpha),
+    }
+
+
+def conformal_quantile(scores: Array, alpha: float) -> float:
+    """Return the smallest of n scores that new ones exceed with a probability of at most alpha.
+
+    It is at least the ⌈(n + 1)(1 − alpha)⌉-th smallest, for which this holds on average over sets
+    of scores (infinite where n is less); and so far up that it holds for `CONFIDENCE` of such sets
     (Vovk, Conditional validity of inductive conformal predictors, 2012, proposition 2a), or the
     largest where n < log(1 − CONFIDENCE)/log(1 − alpha).
     """
     count = len(scores)
+    # 1e-9 takes rounding off: (n + 1)(1 − alpha) may be a whole number that rounds up
     rank = int(np.ceil((count + 1) * (1.0 - alpha) - 1e-9))
     if rank > count:
         return np.inf
-    likely = bdtr(np.arange(count + 1.0), count, alpha)  # that so many or fewer are above
-    above = max(int((likely <= 1.0 - CONFIDENCE).sum()) - 1, 0)
+    # entry j is the probability that j or fewer of n scores lie above the true quantile
+    at_most_above = bdtr(np.arange(count + 1.0), count, alpha)
+    above = max(int((at_most_above <= 1.0 - CONFIDENCE).sum()) - 1, 0)
     return float(np.sort(scores)[max(rank, count - above) - 1])
 
 
 def confidence(count: int, alpha: float) -> float:
-    """Share of sets of so many scores whose `conformal_quantile` new ones exceed with a probability
-    of at most alpha."""
+    """Return the fraction of sets of `count` scores for which the promise holds.
+
+    The promise is that new scores exceed the set's `conformal_quantile` with a probability of at
+    most alpha.
+    """
     return min(CONFIDENCE, 1.0 - (1.0 - alpha) ** count)
 
 
 def errors_along(law: SurrogateLaw, truth: Truth) -> tuple[Array, Flags]:
-    """(error (n,) in µN/µm, whether the surrogate answers (n,)) at the states of paths.
+    """Return (error (n,) in µN/µm, whether the surrogate answers (n,)) at the states of paths.
 
     The error is infinite where the surrogate answers and the full model has no stress. States that
     a path does not reach are not answered.
@@ -145,65 +178,80 @@ def errors_along(law: SurrogateLaw, truth: Truth) -> tuple[Array, Flags]:
 
 
 def _failures(shaping: Sequence[Truth]) -> tuple[Array, Array]:
-    """F and F_dot of the first states of paths at which the full model has no stress."""
-    none = np.empty((0, 2, 2))
-    lost = [truth.reached & (truth.status != 0) for truth in shaping]
-    states = [truth.paths.states for truth in shaping]
-    F, F_dot = (
-        np.concatenate([none, *(each[part][at] for each, at in zip(states, lost, strict=True))])
-        for part in (0, 1)
-    )
-    return F, F_dot
+    """Return F and F_dot (n, 2, 2) of the first states of paths without a stress by the RVE."""
+    no_state = np.empty((0, 2, 2))
+    deformations = [no_state]
+    rates = [no_state]
+    for truth in shaping:
+        is_lost = truth.reached & (truth.status != 0)
+        F, F_dot = truth.paths.states
+        deformations.append(F[is_lost])
+        rates.append(F_dot[is_lost])
+    return np.concatenate(deformations), np.concatenate(rates)
 
 
 def _fit_scale(law: SurrogateLaw, near: Array, shaping: Sequence[Truth], spread: float) -> Array:
-    """Coefficients of a small scale that covers all errors.
+    """Return the coefficients (k,) of a small local scale that covers all errors, µN/µm.
 
-    Linear programs: minimise the mean of s/s₀ over all kinds, subject to s ≥ error at every state,
-    coefficients ≥ 0. s₀ is the size of a state at first, then the s found before, so that a few
-    large errors in one corner do not widen the bound elsewhere. A third program would find the
-    same.
+    Each linear program minimises the mean of s/s₀ over all kinds, subject to s ≥ error at every
+    state and coefficients ≥ 0. s₀ is the size of a state in the first program and the s of the
+    first in the second, so that a few large errors in one corner do not widen the bound elsewhere.
+
+    Args:
+        near: (7,) share of each squared input in the size of a state.
+        spread: spread of the data's stress, µN/µm.
     """
     assert law.domain is not None
     products = scale_products()
-    bases, errors, before = [], [], []
+    bases = []
+    errors = []
+    reference_scales = []  # s₀ at the states of each kind
     for truth in shaping:
         error, inside = errors_along(law, truth)
-        kept = inside & np.isfinite(error)
-        x = scaled_inputs(*truth.paths.states, law.domain.scale)[kept]
+        covered = inside & np.isfinite(error)
+        x = scaled_inputs(*truth.paths.states, law.domain.scale)[covered]
         bases.append(values_of(products, x, near))
-        before.append(np.sqrt(x**2 @ near) + _LEAST_SIZE)
-        errors.append(error[kept])
+        errors.append(error[covered])
+        reference_scales.append(np.sqrt(x**2 @ near) + _LEAST_SIZE)
     largest = max((error.max(initial=0.0) for error in errors), default=0.0)
     floor = np.zeros(len(products))
     floor[0] = max(_LEAST_AT_REST * largest, _EXACT * spread)
     if largest <= floor[0]:
         return floor
     floor[-1] = _LEAST_SCALE * largest
-    basis, error = np.concatenate(bases), np.concatenate(errors) / largest
-    for _ in range(_TIMES):
-        pairs = zip(bases, before, strict=True)
-        cost = np.sum([(each / s[:, None]).mean(axis=0) for each, s in pairs if len(s)], axis=0)
-        found = _smallest_cover(cost / cost.max(), basis, error, floor / largest)
-        before = [each @ found for each in bases]
-    return largest * found
+    all_bases = np.concatenate(bases)
+    # the programs are solved with errors of order 1, for the tolerances of HiGHS are absolute
+    relative_errors = np.concatenate(errors) / largest
+    for _ in range(_PROGRAMS):
+        means = [
+            (basis / s[:, None]).mean(axis=0)
+            for basis, s in zip(bases, reference_scales, strict=True)
+            if len(s)
+        ]
+        cost = np.sum(means, axis=0)
+        coefficients = _smallest_cover(
+            cost / cost.max(), all_bases, relative_errors, floor / largest
+        )
+        reference_scales = [basis @ coefficients for basis in bases]
+    return largest * coefficients
 
 
 def _smallest_cover(cost: Array, basis: Array, error: Array, least: Array) -> Array:
-    """c ≥ least (k,) of smallest cost·c with basis (n, k) c ≥ error (n,).
+    """Return c ≥ least (k,) of smallest cost·c with basis (n, k) c ≥ error (n,).
 
-    Only few states bind, so those that the solution violates most are added until none is left.
+    Only few states bind: the program starts with the largest errors, and the states that its
+    solution violates most are added until there is no new one.
     """
-    kept = np.argsort(error)[-_MOST_ADDED:]
+    binding = np.argsort(error)[-_MOST_ADDED:]
+    bounds = [(low, None) for low in least]
     while True:
-        bounds = [(low, None) for low in least]
-        found = linprog(cost, -basis[kept], -error[kept], bounds=bounds, method="highs")
-        if found.x is None:  # never so: basis[:, 0] is 1
-            raise SimulationError(f"calibration: no local scale: {found.message}")
-        coefficients = np.maximum(found.x, least)
+        result = linprog(cost, -basis[binding], -error[binding], bounds=bounds, method="highs")
+        if result.x is None:  # never so: basis[:, 0] is 1
+            raise SimulationError(f"calibration: no local scale: {result.message}")
+        coefficients = np.maximum(result.x, least)
         lacking = error - basis @ coefficients
         worst = np.argsort(lacking)[-_MOST_ADDED:]
-        worst = worst[lacking[worst] > _SLACK]
-        if not len(np.setdiff1d(worst, kept)):
+        violated = worst[lacking[worst] > _SLACK]
+        if not len(np.setdiff1d(violated, binding)):
             return coefficients
-        kept = np.union1d(kept, worst)
+        binding = np.union1d(binding, violated)

@@ -22,13 +22,20 @@ from surrofe2.surrogate.settings import CORNERS, SMALL
 
 State = tuple[Array, Array]
 
-CHUNK = 512  # histories asked at once: RVEs keep a warm start of each
-_KNOTS = 6  # states that a walk passes through between rest and its end
-_OUTER = 0.1  # of the half width: a corner
-_SMALLEST = 1e-3  # of a walk, among the small ones
-_LEAST = 0.1  # of a component of these
-_TURN = 0.5  # radians between two knots, at most
-_SAME = 1e-6  # relative, and µN/µm: stresses of one equilibrium differ by less
+# Histories whose stress is computed at once. RVEs keep a warm start of each, so this bounds memory.
+CHUNK = 512
+# States that a walk passes through between rest and its end.
+_KNOTS = 6
+# A walk ends in a corner where its coordinates are within this fraction of their half width from
+# the ends of the range.
+_OUTER = 0.1
+# The least factor that draws a whole small walk towards rest, and the least of one coordinate.
+_SMALLEST_WALK = 1e-3
+_SMALLEST_COORDINATE = 0.1
+# The largest turn of R between two knots, in radians.
+_TURN = 0.5
+# Two stresses within this, relative and in µN/µm, are of one equilibrium.
+_SAME = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +43,9 @@ class DeformationPaths:
     """Histories of (F, Ḟ), and which of them belong to one path.
 
     Attributes:
-        kind: what they are, e.g. "walks".
-        F, F_dot: (length, n, 2, 2) deformation gradient and its rate in 1/µs, in order of time.
+        kind: name of the kind of paths, e.g. "walks".
+        F: (length, n, 2, 2) deformation gradient, in order of time.
+        F_dot: (length, n, 2, 2) its rate, 1/µs.
         owner: (n,) number of the path that a history belongs to, from 0, none left out.
     """
 
@@ -54,20 +62,26 @@ class DeformationPaths:
     @property
     def states(self) -> State:
         """F and F_dot of all states, (length n, 2, 2) each, contiguous."""
-        return tuple(  # type: ignore[return-value]
-            np.ascontiguousarray(tensors.reshape(-1, 2, 2)) for tensors in (self.F, self.F_dot)
-        )
+        F = np.ascontiguousarray(self.F.reshape(-1, 2, 2))
+        F_dot = np.ascontiguousarray(self.F_dot.reshape(-1, 2, 2))
+        return F, F_dot
 
     def largest(self, values: Array) -> Array:
-        """(count,) the largest of `values` (length n,) on each path."""
-        worst = np.full(self.count, -np.inf)
-        np.maximum.at(worst, self.owner, values.reshape(len(self.F), -1).max(axis=0))
-        return worst
+        """Return the largest of `values` (length n,) on each path, (count,)."""
+        largest = np.full(self.count, -np.inf)
+        largest_of_history = values.reshape(len(self.F), -1).max(axis=0)
+        np.maximum.at(largest, self.owner, largest_of_history)
+        return largest
 
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """Stress (n, 2, 2) and status (n,) by a full model at the states of paths."""
+    """The response of a full model at the n states of paths, in the order of `paths.states`.
+
+    Attributes:
+        stress: (n, 2, 2) Cauchy stress, µN/µm.
+        status: (n,) codes of `Status`; where one is not OK the stress does not count.
+    """
 
     paths: DeformationPaths
     stress: Array
@@ -75,16 +89,21 @@ class Truth:
 
     @property
     def reached(self) -> Flags:
-        """(n,) whether no earlier state of the same history is without a stress; what follows
-        says nothing: a run has ended there, or its RVE answers from beyond a bifurcation."""
-        lost = self.status.reshape(len(self.paths.F), -1) != 0
-        before = np.logical_or.accumulate(lost, axis=0)
-        reached: Flags = ~np.concatenate([np.zeros_like(lost[:1]), before[:-1]])
+        """(n,) whether every earlier state of the same history has a stress.
+
+        States behind one without a stress say nothing of the model: a run has ended there, or its
+        RVE is in an equilibrium beyond a bifurcation.
+        """
+        is_lost = self.status.reshape(len(self.paths.F), -1) != 0
+        lost_so_far = np.logical_or.accumulate(is_lost, axis=0)
+        # the first state without a stress is still reached, so the flags move on by one
+        lost_before = np.concatenate([np.zeros_like(is_lost[:1]), lost_so_far[:-1]])
+        reached: Flags = ~lost_before
         return reached.ravel()
 
 
 def random_walks(range: SamplingRange, count: int, length: int, seed: int) -> DeformationPaths:
-    """Smooth walks of F = R U and RᵀḞ through the range, each from rest to a random end.
+    """Draw smooth walks of F = R U and RᵀḞ through the range, each from rest to a random end.
 
     U₁₁, U₂₂, U₁₂ and the entries of RᵀḞ, seven coordinates, begin at (I, 0) and run through random
     knots to their end by monotone cubics, which stay between their knots; so does the angle of R.
@@ -101,37 +120,48 @@ def random_walks(range: SamplingRange, count: int, length: int, seed: int) -> De
     # The stress depends on (F, Ḟ) alone: with a rate of its own a walk reaches all of the range,
     # where a rate of dF/dt would rarely be large in all entries at once.
     lower, upper = range.ends
-    at_rest = np.array([1.0, 1.0, *[0.0] * (INPUTS - 2)])
+    at_rest = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # U₁₁, U₂₂, U₁₂ and RᵀḞ
+    middle = 0.5 * (lower + upper)
+    half_width = 0.5 * (upper - lower)
     rng = np.random.default_rng(seed)
+    # The order of the draws below is part of what a seed means: stored calibrations depend on it.
     x = rng.uniform(-1.0, 1.0, (_KNOTS + 1, count, INPUTS))
-    corner = rng.choice([-1.0, 1.0], (count, INPUTS)) * rng.uniform(1 - _OUTER, 1, (count, INPUTS))
-    part, is_fast = rng.random((count, 1)), rng.random((count, 1)) < 0.5
-    is_outer = (part < CORNERS) & (is_fast | (np.arange(INPUTS) < 3))
+    side = rng.choice([-1.0, 1.0], (count, INPUTS))
+    corner = side * rng.uniform(1 - _OUTER, 1, (count, INPUTS))
+    kind = rng.random((count, 1))  # below CORNERS: to a corner; above 1 − SMALL: a small walk
+    is_fast = rng.random((count, 1)) < 0.5
+    is_stretch = np.arange(INPUTS) < 3
+    is_outer = (kind < CORNERS) & (is_fast | is_stretch)
     x[-1] = np.where(is_outer, corner, x[-1])
-    whole, each = _SMALLEST ** rng.random((count, 1)), _LEAST ** rng.random((count, INPUTS))
-    factor = np.where(part >= 1.0 - SMALL, whole * each, 1.0)
+    factor_of_walk = _SMALLEST_WALK ** rng.random((count, 1))
+    factor_of_coordinate = _SMALLEST_COORDINATE ** rng.random((count, INPUTS))
+    factor = np.where(kind >= 1.0 - SMALL, factor_of_walk * factor_of_coordinate, 1.0)
+    # knot 0 is rest, where all coordinates are zero; the last coordinate is the angle of R
     knots = np.zeros((_KNOTS + 2, count, INPUTS + 1))
-    knots[1:, :, :INPUTS] = factor * (0.5 * (lower + upper) + 0.5 * (upper - lower) * x - at_rest)
+    knots[1:, :, :INPUTS] = factor * (middle + half_width * x - at_rest)
     turn = _TURN * rng.random(count) * rng.uniform(-1.0, 1.0, (_KNOTS + 1, count))
     knots[1:, :, INPUTS] = np.cumsum(turn, axis=0)
     walk = PchipInterpolator(np.arange(len(knots)), knots, axis=0)
     states = walk(np.linspace(0.0, len(knots) - 1.0, length))
     U = np.eye(2) + states[..., [0, 2, 2, 1]].reshape(length, count, 2, 2)
     A = states[..., 3:INPUTS].reshape(length, count, 2, 2)
-    c, s = np.cos(states[..., INPUTS]), np.sin(states[..., INPUTS])
-    R = np.stack([c, -s, s, c], axis=-1).reshape(length, count, 2, 2)
+    cos = np.cos(states[..., INPUTS])
+    sin = np.sin(states[..., INPUTS])
+    R = np.stack([cos, -sin, sin, cos], axis=-1).reshape(length, count, 2, 2)
     return DeformationPaths("walks", R @ U, R @ A, np.arange(count))
 
 
 class WatchedLaw:
     """A stress law that calls `note` with F and F_dot (n, 2, 2) at the end of every accepted step.
 
-    An end to which the law objects is not noted, nor one to which another law of the same tissue
-    does: it is a `LearningLaw`.
+    It is a `LearningLaw`, so that the end of a step is noted only once all laws of a tissue accept
+    it: not where this law objects, nor where another does.
     """
 
     def __init__(self, law: StressLaw, note: Callable[[Array, Array], None]) -> None:
-        self.law, self.density, self.has_tangents = law, law.density, law.has_tangents
+        self.law = law
+        self.density = law.density
+        self.has_tangents = law.has_tangents
         self.note = note
 
     def respond(
@@ -141,10 +171,12 @@ class WatchedLaw:
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         checked = self.check(F, F_dot, response)
-        return checked if checked.status.any() else self.commit(F, F_dot, checked)
+        if checked.status.any():  # the step is rejected, so nothing is noted
+            return checked
+        return self.commit(F, F_dot, checked)
 
     def check(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
-        """What the law makes of the end of a step, which is not accepted yet."""
+        """Return the law's response at the end of a step that is not accepted yet."""
         if isinstance(self.law, LearningLaw):
             return self.law.check(F, F_dot, response)
         return self.law.accept(F, F_dot, response)
@@ -158,26 +190,36 @@ class WatchedLaw:
 
 
 def run_paths(runs: Sequence[Sequence[State]], length: int) -> DeformationPaths:
-    """Each run's states, (F, F_dot) of its points at rising times, as one path.
+    """Make one path of each run, from (F, F_dot) of the run's points at rising times.
 
     `length` states of each run are taken, evenly among its steps; a shorter run repeats some,
     and one without any step is at rest.
     """
     at_rest = [(np.eye(2)[None], np.zeros((1, 2, 2)))]
-    histories = []
+    deformations = []
+    rates = []
+    points_per_run = []
     for run in runs:
         steps = run or at_rest
         chosen = np.linspace(0, len(steps) - 1, length).round().astype(int)
-        histories.append([np.stack([steps[k][part] for k in chosen]) for part in (0, 1)])
-    owner = np.repeat(np.arange(len(runs)), [history[0].shape[1] for history in histories])
-    F, F_dot = (np.concatenate([h[part] for h in histories], axis=1) for part in (0, 1))
-    return DeformationPaths("runs", F, F_dot, owner)
+        states = [steps[k] for k in chosen]
+        F = np.stack([F for F, _ in states])
+        F_dot = np.stack([F_dot for _, F_dot in states])
+        deformations.append(F)
+        rates.append(F_dot)
+        points_per_run.append(F.shape[1])
+    return DeformationPaths(
+        kind="runs",
+        F=np.concatenate(deformations, axis=1),
+        F_dot=np.concatenate(rates, axis=1),
+        owner=np.repeat(np.arange(len(runs)), points_per_run),
+    )
 
 
 def true_stress(
     paths: DeformationPaths, law: StressLaw, progress: Callable[[int], None] | None = None
 ) -> Truth:
-    """Stress and status of a law along paths.
+    """Compute the stress and status of a law along paths.
 
     Each history is followed in time with a warm start. Where that ends without a stress, or has
     been beyond a bifurcation, the stress is computed again without one: the status is UNSTABLE
@@ -194,28 +236,39 @@ def true_stress(
         part = slice(first, first + CHUNK)
         state = None
         for k in np.arange(length):
-            F, F_dot = (np.ascontiguousarray(T[k, part]) for T in (paths.F, paths.F_dot))
+            F = np.ascontiguousarray(paths.F[k, part])
+            F_dot = np.ascontiguousarray(paths.F_dot[k, part])
             answer = law.respond(F, F_dot, state)
             accepted = law.accept(F, F_dot, answer)
             state = accepted.state
-            stress[k, part], status[k, part] = answer.stress, accepted.status
-            doubtful = np.flatnonzero((accepted.status != 0) | _left(answer) | _left(accepted))
+            stress[k, part] = answer.stress
+            status[k, part] = accepted.status
+            is_doubtful = (
+                (accepted.status != 0)
+                | _is_beyond_bifurcation(answer)
+                | _is_beyond_bifurcation(accepted)
+            )
+            doubtful = np.flatnonzero(is_doubtful)
             if len(doubtful):
-                again, points = law.respond(F[doubtful], F_dot[doubtful]), first + doubtful
-                known = (again.status == 0) & (status[k, points] == 0)
-                size = np.sqrt((again.stress**2).sum(axis=(1, 2)))
+                points = first + doubtful
+                cold = law.respond(F[doubtful], F_dot[doubtful])
+                has_both = (cold.status == 0) & (status[k, points] == 0)
+                size = np.sqrt((cold.stress**2).sum(axis=(1, 2)))
+                # a stress is NaN where there is none; `has_both` leaves these points out
                 with np.errstate(invalid="ignore"):
-                    differs = stress_error(stress[k, points], again.stress) > _SAME * (1.0 + size)
-                unstable = (known & differs) | ((again.status == 0) & _left(again))
-                stress[k, points] = again.stress
-                status[k, points] = np.where(unstable, Status.UNSTABLE, again.status)
+                    differs = stress_error(stress[k, points], cold.stress) > _SAME * (1.0 + size)
+                stays_beyond = (cold.status == 0) & _is_beyond_bifurcation(cold)
+                is_unstable = (has_both & differs) | stays_beyond
+                stress[k, points] = cold.stress
+                status[k, points] = np.where(is_unstable, Status.UNSTABLE, cold.status)
             done += len(F)
             if progress is not None:
                 progress(done)
     return Truth(paths, stress.reshape(-1, 2, 2), status.reshape(-1))
 
 
-def _left(answer: StressResponse) -> Flags:
-    """(n,) whether points are beyond a bifurcation."""
-    left = answer.left_bifurcation
-    return np.zeros(len(answer.status), dtype=np.bool_) if left is None else left
+def _is_beyond_bifurcation(response: StressResponse) -> Flags:
+    """Return (n,) whether points are beyond a bifurcation; False where the law does not tell."""
+    if response.left_bifurcation is None:
+        return np.zeros(len(response.status), dtype=np.bool_)
+    return response.left_bifurcation

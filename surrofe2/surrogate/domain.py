@@ -34,18 +34,30 @@ from surrofe2.base.tensors import INPUTS, check_arrays, to_inputs
 from surrofe2.law.samples import StressSamples
 from surrofe2.surrogate.products import STRETCH, Product, columns, monomials
 
-COMPRESSION, NORM, NEAR, SQUARES = 8, 9, 10, 11
-"""Numbers of the inputs that never fall on the way out from rest, see `all_inputs`; the squares are
-the last."""
+# Numbers of the inputs that never fall on the way out from rest, see `all_inputs`. They follow the
+# seven scaled inputs and the input that is 1.
+COMPRESSION = 8
+NORM = 9
+NEAR = 10
+SQUARES = 11
+"""The first of the squared inputs, which are the last of all inputs."""
 ALL_INPUTS = SQUARES + INPUTS
 REACH = 3e-4
-"""Mean square of the inputs, by the stress each gives, at which `NEAR` is half of what it comes to:
-the error is exactly 0 at rest, grows from there with the square, and soon no more."""
+"""Mean square of the inputs, each weighted by the stress that it gives, at which `NEAR` is ½.
+
+The error is exactly 0 at rest, grows from there with the square of the inputs, and soon grows no
+more; `NEAR` has the same course."""
+# Folds of the cross-validation that tells how far the boundary must be moved in.
 _FOLDS = 5
-_MARGIN = 0.5  # of the logarithm of the odds of failure, on top of what cross-validation wants
+# Added to what cross-validation asks for, in the logarithm of the odds of failure.
+_MARGIN = 0.5
+# Factor of the penalty on coefficients: without one, separable classes have no finite optimum.
 _RIDGE = 1e-4
 _MOST_ITERATIONS = 100
-_LARGEST_OF_RATES, _LARGEST = 2, 4  # degrees of the boundary, with rates and without
+# Degrees of the boundary, without rates and with: 330 products of all seven inputs to degree 4
+# would be more than a few failed samples can fix.
+_LARGEST = 4
+_LARGEST_OF_RATES = 2
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -53,7 +65,7 @@ class Domain:
     """The side of the failure boundary on which a surrogate answers.
 
     Attributes:
-        scale: (7,) of the inputs, 1 and 1/µs.
+        scale: (7,) half widths by which the inputs are divided, 1 and 1/µs.
         square: whether the boundary is invariant under D4.
         boundary: (k,) coefficients of `boundary_products`, whose sum is positive beyond it. Empty
             where no sample failed.
@@ -75,16 +87,16 @@ class Calibration:
 
     Attributes:
         scale: (k,) coefficients ≥ 0 of `scale_products`, µN/µm.
-        near: (7,) share of each squared input in the size of a state, which `NEAR` goes by.
-        quantile: q; infinite where no bound can be given.
-        alpha: probability that a new path breaks the bound, at most.
-        confidence: share of sets of calibration paths for which that is so.
-        kinds: by kind of path, `paths`, `states` within the domain, their own `quantile` and
-            `confidence`.
-        stress_spread: of the data's stress, µN/µm.
-        data_fingerprint: of the samples that were trained on.
+        quantile: factor q of the bound; infinite where no bound can be given.
+        alpha: greatest probability with which a new path may break the bound.
+        confidence: fraction of sets of calibration paths for which alpha is kept.
+        kinds: figures by kind of path: `paths` and `states` within the domain are numbers, and
+            `quantile` and `confidence` are those of this kind alone.
+        stress_spread: spread of the data's stress, µN/µm.
+        data_fingerprint: fingerprint of the samples that were trained on.
         subject: fingerprint of the weights and the range that were calibrated.
-        settings: of the paths, for the record.
+        settings: settings of the paths, for the record.
+        near: (7,) share of each squared input in the size of a state, which `NEAR` goes by.
     """
 
     scale: Array
@@ -106,34 +118,47 @@ class Calibration:
 
 
 def scaled_inputs(F: Array, F_dot: Array, scale: Array) -> Array:
-    """(n, 7) scaled components of U − I and RᵀḞ."""
-    return np.asarray(to_inputs(F, F_dot)[0] / scale)
+    """Return the components of U − I and RᵀḞ, each divided by its `scale` (7,), as (n, 7)."""
+    inputs, _ = to_inputs(F, F_dot)
+    return np.asarray(inputs / scale)
 
 
 def all_inputs(x: Array, near: Array) -> Array:
-    """(n, 18) what products are made of: scaled inputs x (n, 7), 1, and what never falls on the way
-    out from (I, 0): the square of s where it is negative (`COMPRESSION`), the mean square of all
-    inputs (`NORM`), with their mean m by the shares `near`, m/(m + `REACH`) (`NEAR`), and the
-    squares."""
+    """Return what the products of boundary and local scale are made of, (n, 18).
+
+    The columns are the scaled inputs x (n, 7), 1, and what never falls on the way out from (I, 0):
+
+    - `COMPRESSION`: the square of the sum s where s is negative;
+    - `NORM`: the mean square of all inputs;
+    - `NEAR`: m/(m + `REACH`), with m the mean square of the inputs weighted by `near` (7,);
+    - `SQUARES` and on: the square of each input.
+    """
     squares = x**2
-    norm, size = squares.mean(axis=1), squares @ near
-    low = np.minimum(x[:, 0], 0.0) ** 2
-    return np.column_stack([x, np.ones(len(x)), low, norm, size / (size + REACH), squares])
+    norm = squares.mean(axis=1)
+    size = squares @ near
+    compression = np.minimum(x[:, 0], 0.0) ** 2
+    return np.column_stack([x, np.ones(len(x)), compression, norm, size / (size + REACH), squares])
 
 
 def boundary_products(square: bool) -> list[Product]:
-    """Products of inputs that tell where equilibrium is lost: 1, to degree 4 in U, 2 with A; under
-    D4 only those that it leaves alone."""
-    return [()] + [
-        product
-        for product in monomials(_LARGEST)
-        if (len(product) <= _LARGEST_OF_RATES or max(product) < STRETCH)
-        and (not square or parity(product) == SUM)
-    ]
+    """Return the products of inputs of which the failure boundary is made.
+
+    They are 1, those to degree 4 of the inputs of U, and those to degree 2 with inputs of the rate.
+    For a square plant cell only those that D4 leaves alone are taken.
+    """
+    products: list[Product] = [()]
+    for product in monomials(_LARGEST):
+        has_rate = max(product) >= STRETCH
+        if has_rate and len(product) > _LARGEST_OF_RATES:
+            continue
+        if square and parity(product) != SUM:
+            continue
+        products.append(product)
+    return products
 
 
 def scale_products() -> list[Product]:
-    """Products that a local scale may be made of; the first is 1."""
+    """Return the products of which a local scale may be made; the first is 1, the last `NEAR`."""
     squares = range(SQUARES, ALL_INPUTS)
     return [
         (),
@@ -149,46 +174,64 @@ def scale_products() -> list[Product]:
 
 
 def values_of(products: list[Product], x: Array, near: Array) -> Array:
-    """(n, k) of products at scaled inputs x (n, 7)."""
+    """Return the values (n, k) of products at scaled inputs x (n, 7); `near` as in `all_inputs`."""
     return np.column_stack(columns(all_inputs(x, near), products))
 
 
 def fit_domain(samples: StressSamples, failed: tuple[Array, Array] | None = None) -> Domain:
-    """The domain that keeps out samples that failed, those beyond a bifurcation, and the points of
-    `failed`, F and F_dot (n, 2, 2)."""
-    square, scale = samples.cell.symmetry == "D4", half_widths(samples.range)
+    """Fit the domain that keeps out every failed state.
+
+    These are the samples without a stress, those beyond a bifurcation, and the states `failed`,
+    F and F_dot (n, 2, 2), which were met outside the samples.
+    """
+    is_square = samples.cell.symmetry == "D4"
+    scale = half_widths(samples.range)
     x = scaled_inputs(samples.F, samples.F_dot, scale)
-    known = samples.status == 0
+    is_known = samples.status == 0
     if samples.left_bifurcation is not None:
-        known &= ~samples.left_bifurcation
-    beyond = x[~known]
+        is_known &= ~samples.left_bifurcation
+    x_failed = x[~is_known]
     if failed is not None:
-        beyond = np.concatenate([beyond, scaled_inputs(*failed, scale)])
-    if not len(beyond):
-        return Domain(scale, square, np.empty(0))
-    products, none = boundary_products(square), np.zeros(INPUTS)
-    good, bad = (values_of(products, each, none) for each in (x[known], beyond))
-    boundary, shortfall = _logistic(good, bad), 0.0
+        F, F_dot = failed
+        x_failed = np.concatenate([x_failed, scaled_inputs(F, F_dot, scale)])
+    if not len(x_failed):
+        return Domain(scale, is_square, np.empty(0))
+    products = boundary_products(is_square)
+    near = np.zeros(INPUTS)  # of no effect: the boundary has no product with `NEAR`
+    good = values_of(products, x[is_known], near)
+    bad = values_of(products, x_failed, near)
+    boundary = _logistic(good, bad)
+    # how far failures that a fit has not seen may lie inside the boundary of those that it has seen
+    shortfall = 0.0
     for fold in np.arange(_FOLDS):
         unseen = np.arange(len(bad)) % _FOLDS == fold
         if unseen.any() and not unseen.all():
             others = _logistic(good, bad[~unseen])
             edge = (bad[~unseen] @ others).min()
             shortfall = max(shortfall, edge - (bad[unseen] @ others).min())
-    boundary[0] -= (bad @ boundary).min() - (shortfall + _MARGIN)  # all of `bad` is beyond it
-    return Domain(scale, square, boundary)
+    # product 0 is 1, so its coefficient moves the boundary in until every failure is beyond it
+    boundary[0] -= (bad @ boundary).min() - (shortfall + _MARGIN)
+    return Domain(scale, is_square, boundary)
 
 
 def _logistic(good: Array, bad: Array) -> Array:
-    """Coefficients (k,) by ridge logistic regression of failure, both classes (n, k) with one
-    weight."""
+    """Return coefficients (k,) of failure by ridge logistic regression.
+
+    Each class, (n, k) values of products, has one weight in all, however many states it has.
+    """
     if not len(good):
         return np.zeros(bad.shape[1])
-    from sklearn.linear_model import LogisticRegression  # a second, which runs do without
+    # imported here, for it takes a second that runs of a stored surrogate do without
+    from sklearn.linear_model import LogisticRegression
 
-    sizes = [len(good), len(bad)]
-    failed, weight = (np.repeat(of, sizes) for of in ([0, 1], [0.5 / size for size in sizes]))
-    how = {"solver": "newton-cholesky", "max_iter": _MOST_ITERATIONS}
-    model = LogisticRegression(C=1.0 / _RIDGE, fit_intercept=False, **how)
-    model.fit(np.concatenate([good, bad]), failed, sample_weight=weight)
+    counts = [len(good), len(bad)]
+    has_failed = np.repeat([0, 1], counts)
+    weight = np.repeat([0.5 / count for count in counts], counts)
+    model = LogisticRegression(
+        C=1.0 / _RIDGE,
+        fit_intercept=False,  # product 0 is the intercept
+        solver="newton-cholesky",
+        max_iter=_MOST_ITERATIONS,
+    )
+    model.fit(np.concatenate([good, bad]), has_failed, sample_weight=weight)
     return np.asarray(model.coef_[0])

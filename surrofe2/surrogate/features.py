@@ -1,4 +1,4 @@
-"""What a network is: the products that it reads and multiplies, and its weights.
+"""The products that a network reads and multiplies, and its weights.
 
 A network gives factors from invariants; a term is factor × product of inputs and belongs to one
 component. Under D4 an invariant has no sign and a term has the sign of its component, see
@@ -7,8 +7,8 @@ invariant and every component has every term.
 
 Inputs are the seven, 1, and of the first three x, those of U − I, u = x/√(δ² + x²) with δ = `BEND`.
 Near rest u changes ten times as fast as x: a plant cell's stress bends within half a per cent of
-strain, where pairs of particles come to act. Under D4 a network reads u x in place of a u of which
-the sign would change.
+strain, where pairs of particles come to act. Under D4 a network reads the product u x where the
+sign of u alone would change.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from surrofe2.surrogate.products import ONE, STRETCH, Product, monomials
 SYMMETRIES = ("D4", "none")
 HIGHEST_DEGREE = 5
 BEND = 0.1
-"""Of the half width of a range: size of U − I up to which states near rest differ most."""
+"""Size of U − I, as a fraction of the half width of a range, up to which states differ most."""
 BENT = ONE + 1
 """The first of the inputs u, which are the last."""
 NETWORK_INPUTS = BENT + STRETCH
 COMPONENTS = 4
-"""Of P̂."""
+"""The number of components of P̂: sum, difference, shear and spin."""
 
 # input numbers: sum s, difference d, shear g of U − I; sum S, difference D, shear G, spin W of A
 _s, _d, _g, _S, _D, _G, _W = range(INPUTS)
@@ -54,13 +54,13 @@ COVARIANTS: tuple[Product, ...] = (
 
 
 class Features(NamedTuple):
-    """What a network of one symmetry is made of.
+    """The products of inputs that make a network of one symmetry.
 
     Attributes:
         invariants: products of inputs that the network reads.
-        terms: product and component of what each of its outputs multiplies; those with an empty
-            product are factor − factor at rest.
-        monomials: of the baseline, each with its component.
+        terms: (product, component) that each output of the network multiplies and adds to. A term
+            with an empty product is factor − factor at rest, so that it vanishes at rest.
+        monomials: (product, component) of the baseline.
     """
 
     invariants: tuple[Product, ...]
@@ -69,34 +69,40 @@ class Features(NamedTuple):
 
 
 def input_scale(range: SamplingRange) -> Array:
-    """(7,) what the inputs of a network are divided by; a bound of 0 gives ½."""
+    """Return what the inputs of a network are divided by, (7,); ½ where the range has no width."""
     return 0.5 * half_widths(range)
 
 
 def make_features(symmetry: str, degree: int) -> Features:
-    """The features of a symmetry, with a baseline of that degree."""
+    """Make the features of a symmetry, with a baseline of a degree.
+
+    Raises:
+        InputError: an unknown symmetry.
+    """
     if symmetry not in SYMMETRIES:
         raise InputError(f"symmetry: {symmetry!r}; it must be one of {', '.join(SYMMETRIES)}")
-    kept = monomials(degree)
+    products = monomials(degree)
     if symmetry == "D4":
+        # the sign of a product under the symmetry says to which component it may belong
         return Features(
             invariants=(*INVARIANTS, (_us,), (_ud, _d), (_ug, _g)),
             terms=tuple((product, parity(product)) for product in COVARIANTS),
-            monomials=tuple((product, parity(product)) for product in kept),
+            monomials=tuple((product, parity(product)) for product in products),
         )
     return Features(
         invariants=tuple((k,) for k in (*range(INPUTS), _us, _ud, _ug)),
         terms=tuple(((), k) for k in range(COMPONENTS)),
-        monomials=tuple((product, k) for product in kept for k in range(COMPONENTS)),
+        monomials=tuple((product, k) for product in products for k in range(COMPONENTS)),
     )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class NetworkParameters:
-    """All that a network is, see `network`.
+    """All that a trained network is, as arrays; see `network` for the formula.
 
     Attributes:
-        symmetry, degree: of the plant cell and of the baseline.
+        symmetry: symmetry of the plant cell, one of `SYMMETRIES`.
+        degree: degree of the baseline.
         tensors: `input_scale` (7,), which the inputs are divided by; `output_scale` (4,) of the
             terms, µN/µm; `coefficients` (m,) of the baseline's monomials; `factors.0.weight`,
             `factors.0.bias`, … of the layers that give the factors of the terms.
@@ -112,29 +118,34 @@ class NetworkParameters:
                 f"network.degree: {quoted(self.degree)}; it must be from 0 to {HIGHEST_DEGREE}"
             )
         features = self.features
-        wanted: dict[str, tuple[int, ...]] = {
+        shapes: dict[str, tuple[int, ...]] = {
             "input_scale": (INPUTS,),
-            "output_scale": (4,),
+            "output_scale": (COMPONENTS,),
             "coefficients": (len(features.monomials),),
         }
-        count = sum(name.startswith("factors.") for name in self.tensors) // 2
-        if not count:
+        layers = sum(name.startswith("factors.") for name in self.tensors) // 2
+        if not layers:
             raise InputError("network.factors: 0 layers; there must be at least one")
-        size = len(features.invariants)
-        for k in np.arange(count).tolist():
-            bias = self.tensors.get(f"factors.{k}.bias", np.empty(0))
-            rows = len(features.terms) if k == count - 1 else len(bias)
-            wanted |= {f"factors.{k}.weight": (rows, size), f"factors.{k}.bias": (rows,)}
-            size = rows
-        check_arrays("network", self.tensors, wanted)
+        inputs_of_layer = len(features.invariants)
+        for k in np.arange(layers).tolist():
+            is_last = k == layers - 1
+            if is_last:
+                units = len(features.terms)
+            else:  # the size of a hidden layer is free; its bias states it
+                units = len(self.tensors.get(f"factors.{k}.bias", np.empty(0)))
+            shapes[f"factors.{k}.weight"] = (units, inputs_of_layer)
+            shapes[f"factors.{k}.bias"] = (units,)
+            inputs_of_layer = units
+        check_arrays("network", self.tensors, shapes)
 
     @property
     def features(self) -> Features:
+        """The products of this symmetry and degree."""
         return make_features(self.symmetry, self.degree)
 
     @property
     def layers(self) -> tuple[tuple[Array, Array], ...]:
-        """Matrix (outputs, inputs) and bias (outputs,) of each that gives the factors."""
+        """Matrix (outputs, inputs) and bias (outputs,) of each layer that gives the factors."""
         count = sum(name.endswith(".weight") for name in self.tensors)
         return tuple(
             (self.tensors[f"factors.{k}.weight"], self.tensors[f"factors.{k}.bias"])
@@ -143,7 +154,7 @@ class NetworkParameters:
 
     @property
     def baseline(self) -> list[list[tuple[Product, float]]]:
-        """Product and coefficient of the monomials of each component."""
+        """The monomials of each component of P̂, each as (product, coefficient in µN/µm)."""
         terms: list[list[tuple[Product, float]]] = [[] for _ in range(COMPONENTS)]
         values = self.tensors["coefficients"].tolist()
         for (product, component), value in zip(self.features.monomials, values, strict=True):
@@ -151,18 +162,23 @@ class NetworkParameters:
         return terms
 
     def sizes_at_rest(self) -> Array:
-        """(7,) Frobenius norm of what each input adds to the linear stress of the baseline, which
-        has all slopes at rest where the training knew them, by a unit of the input, µN/µm."""
+        """Return the size of the linear stress at rest by a unit of each input, (7,), µN/µm.
+
+        The size is the Frobenius norm. The slopes are those of the baseline, which has all slopes
+        at rest where the training knew them.
+        """
         slopes = np.zeros((COMPONENTS, INPUTS))
-        pairs = zip(self.features.monomials, self.tensors["coefficients"].tolist(), strict=True)
-        for (product, component), value in pairs:
-            if len(product) == 1:
+        coefficients = self.tensors["coefficients"].tolist()
+        for (product, component), value in zip(self.features.monomials, coefficients, strict=True):
+            is_linear = len(product) == 1
+            if is_linear:
                 slopes[component, product[0]] = value
+        # ½: a component of 1 stands for two entries of the tensor of ½ each
         sizes: Array = np.sqrt(0.5 * (slopes**2).sum(axis=0)) / self.tensors["input_scale"]
         return sizes
 
     def fingerprint(self, range: SamplingRange) -> str:
-        """16 hexadecimal digits of all weights and the range in which they are used."""
+        """Return 16 hexadecimal digits of all weights and the range in which they are used."""
         digest = hashlib.sha256(repr((range, self.symmetry, self.degree)).encode())
         for name, values in sorted(self.tensors.items()):
             digest.update(f"{name} {values.shape}".encode())

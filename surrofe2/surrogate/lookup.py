@@ -1,16 +1,14 @@
 """Stress, status and risk of a surrogate in one compiled pass; slopes in another.
 
 Points are taken in blocks of `TILES` tiles of `TILE` points; every quantity is a row of a block,
-(TILES, TILE), and each operation is one of SIMD values of `base.simd`. What is differentiated by
-the first K inputs has the input as first axis, (K, rows, TILES, TILE); a value alone is the same
-with K = 0. Rows of a layer are computed four at a time, so sizes are padded with zeros to multiples
-of four. Sums of SIMD values keep their order, so the bits of an answer do not depend on the place
-of its point.
+(TILES, TILE), and each operation is one of SIMD values of `base.simd`. Slopes by the first K inputs
+have the input as first axis, (K, rows, TILES, TILE); where a value alone is wanted, K is 0. Rows of
+a layer are computed four at a time, so sizes are padded with zeros to multiples of four. Sums of
+SIMD values keep their order, so the bits of a result do not depend on the place of its point.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -66,28 +64,42 @@ from surrofe2.surrogate.products import (
 
 MANY = 2000
 """Points from which on more than one core pays."""
-_PART = 8 * BLOCK  # points that a core takes at a time
-_OK, _OUT_OF_RANGE = int(Status.OK), int(Status.OUT_OF_RANGE)
-_NOT_FINITE, _NOT_TRUSTED = int(Status.NOT_FINITE), int(Status.NOT_TRUSTED)
+# Points that a core takes at a time.
+_PART = 8 * BLOCK
+# Kernels compare plain integers.
+_OK = int(Status.OK)
+_OUT_OF_RANGE = int(Status.OUT_OF_RANGE)
+_NOT_FINITE = int(Status.NOT_FINITE)
+_NOT_TRUSTED = int(Status.NOT_TRUSTED)
 
 # Rows of the frame: components of F, Ḟ (V), R, U, A; 1 or 0, whether in range; the stress.
 _F11, _F12, _F21, _F22, _V11, _V12, _V21, _V22 = range(8)
 _COS, _SIN, _U11, _U22, _U12, _A11, _A12, _A21, _A22, _INSIDE, _S11, _S12, _S21, _S22 = range(8, 22)
 _FRAME_ROWS = 22
-_HEIGHT, _BOUND, _SQUARE = range(3)  # polynomials of `BoundArrays`
+# The polynomials of `BoundArrays`: logarithm of the odds of failure, positive beyond the boundary;
+# the bound over the tolerance; the square of what the inputs add to the tolerance at rest.
+_HEIGHT, _BOUND, _SQUARE = range(3)
 
 
 class NetworkArrays(NamedTuple):
-    """A network as the arrays its kernels read.
+    """A network as the arrays that its kernels read.
 
     Attributes:
-        input_factor: (7,) 1/input scale; output_factor: (4,).
-        at_rest: (t,) what the factors are at rest, 0 unless they are subtracted.
-        products to kept: `Polynomials` of the baseline of P̂; kept are the products of the t terms,
-            then the invariants.
-        components: (t,) int64 of the terms.
-        sizes: (layers + 1,) int64 inputs, and outputs of each layer of the network of factors,
-            padded to multiples of four; weights, biases: its layers, flat, one after the other.
+        input_factor: (7,) by which inputs are multiplied, 1/input scale.
+        output_factor: (4,) by which terms of a component are multiplied, µN/µm.
+        at_rest: (t,) factors at rest of terms from which they are subtracted, else 0.
+        products: `Polynomials.products` of the baseline of P̂, as for the six fields that follow.
+        begins: see `Polynomials`.
+        heads: see `Polynomials`.
+        group_begins: see `Polynomials`.
+        rows: see `Polynomials`.
+        coefficients: see `Polynomials`.
+        kept: rows of the products of the t terms, then those of the invariants.
+        components: (t,) int64 component of P̂ to which each term belongs.
+        sizes: (layers + 1,) int64 number of inputs, then of outputs of each layer of the network of
+            factors, padded to multiples of four.
+        weights: weights of all layers, flat, one layer after the other.
+        biases: biases of all layers, likewise.
     """
 
     input_factor: Array
@@ -107,33 +119,45 @@ class NetworkArrays(NamedTuple):
 
     @classmethod
     def of(cls, network: NetworkParameters) -> NetworkArrays:
-        """The arrays of a network."""
-        features, tensors = network.features, network.tensors
-        matrices, biases = (
-            [np.pad(each, [(0, -size % 4) for size in each.shape]) for each in part]
-            for part in zip(*network.layers, strict=True)
+        """Make the arrays of a network."""
+        features = network.features
+        matrices = [_padded(matrix) for matrix, _ in network.layers]
+        biases = [_padded(bias) for _, bias in network.layers]
+        term_products = [product for product, _ in features.terms]
+        baseline = Polynomials.of(
+            NETWORK_INPUTS, network.baseline, kept=[*term_products, *features.invariants]
         )
-        products = [product for product, _ in features.terms]
         arrays = cls(
-            input_factor=1.0 / tensors["input_scale"],
-            output_factor=tensors["output_scale"],
-            at_rest=np.zeros(len(products)),
-            **Polynomials.of(
-                NETWORK_INPUTS, network.baseline, [*products, *features.invariants]
-            )._asdict(),
+            input_factor=1.0 / network.tensors["input_scale"],
+            output_factor=network.tensors["output_scale"],
+            at_rest=np.zeros(len(term_products)),
+            products=baseline.products,
+            begins=baseline.begins,
+            heads=baseline.heads,
+            group_begins=baseline.group_begins,
+            rows=baseline.rows,
+            coefficients=baseline.coefficients,
+            kept=baseline.kept,
             components=np.array([component for _, component in features.terms]),
             sizes=np.array([matrices[0].shape[1], *(len(matrix) for matrix in matrices)]),
             weights=np.concatenate([matrix.ravel() for matrix in matrices]),
             biases=np.concatenate(biases),
         )
-        # what the network gives at rest is subtracted as the very same instructions give it
-        room, units = make_room(arrays, NETWORK_INPUTS, 0), _make_units(arrays, 0)
+        # The factors at rest are computed by the very instructions of the kernels, so that the
+        # difference factor − factor at rest is exactly 0 there and not only but for rounding.
+        room = make_room(arrays, NETWORK_INPUTS, 0)
+        units = _make_units(arrays, 0)
         room.rows[:NETWORK_INPUTS] = 0.0
         room.rows[ONE] = 1.0
         first = _evaluate_factors(arrays, room, units)
-        subtracted = np.array([not product for product in products])
-        factors = units.values[first : first + len(products), 0, 0]
-        return arrays._replace(at_rest=np.where(subtracted, factors, 0.0))
+        factors = units.values[first : first + len(term_products), 0, 0]
+        is_subtracted = np.array([not product for product in term_products])
+        return arrays._replace(at_rest=np.where(is_subtracted, factors, 0.0))
+
+
+def _padded(array: Array) -> Array:
+    """Return an array with zeros behind, so that each of its sizes is a multiple of four."""
+    return np.pad(array, [(0, -size % 4) for size in array.shape])
 
 
 class Units(NamedTuple):
@@ -152,17 +176,23 @@ class Units(NamedTuple):
 
 
 class BoundArrays(NamedTuple):
-    """Range, domain and bound as the arrays their kernel reads.
+    """Range, domain and bound as the arrays that their kernel reads.
+
+    The polynomials are those of `_HEIGHT`, `_BOUND` and `_SQUARE`, of the inputs of
+    `domain.all_inputs`.
 
     Attributes:
-        limits: (2, 7) between which U₁₁, U₂₂, U₁₂ and the entries of A are in range, by the
-            rounding of the range test wider than the range.
-        factor: (7,) 1/scale of the inputs.
+        limits: (2, 7) lower and upper ends between which U₁₁, U₂₂, U₁₂ and the entries of A are in
+            range; they are wider than the range by the rounding of the range test.
+        factor: (7,) by which inputs are multiplied, 1/scale.
         near: (7,) share of each squared input in the size of a state.
-        products to coefficients: `Polynomials` of `all_inputs`: the failure boundary, beyond which
-            it is positive; the bound over the tolerance, infinite where none is known; the square
-            of what is added to the local tolerance at rest.
-        at_rest: this tolerance.
+        products: see `Polynomials`.
+        begins: see `Polynomials`.
+        heads: see `Polynomials`.
+        group_begins: see `Polynomials`.
+        rows: see `Polynomials`.
+        coefficients: see `Polynomials`.
+        at_rest: error allowed at rest, as a fraction of the tolerance.
     """
 
     limits: Array
@@ -184,30 +214,57 @@ class BoundArrays(NamedTuple):
         calibration: Calibration | None,
         tolerance: Array | None,
     ) -> BoundArrays:
-        """The arrays of a range, a domain (None: all of it) and a bound (None: infinite).
+        """Make the arrays of a range, a domain and a bound.
 
-        tolerance: (9,) of a `SurrogateLaw`; where the last is infinite, the risk is 0, whatever
-        the bound.
+        Args:
+            range: bounds of U and A.
+            domain: part of the range in which samples did not fail; None: all of it.
+            calibration: bound of the error; None: it is infinite.
+            tolerance: (9,) of a `SurrogateLaw`; None: 1 µN/µm everywhere. Where the last entry is
+                infinite, the risk is 0, whatever the bound.
         """
-        *squares, at_rest, most = [0.0] * INPUTS + [1.0, 1.0] if tolerance is None else tolerance
-        (lower, upper), slack = range.ends, SLACK * np.array([1.0, 1.0, 1.0, *[range.rate] * 4])
+        if tolerance is None:
+            tolerance = np.array([*[0.0] * INPUTS, 1.0, 1.0])
+        *squares, at_rest, most = tolerance
+        lower, upper = range.ends
+        slack = SLACK * np.array([1.0, 1.0, 1.0, *[range.rate] * 4])
+        # the range test is ≤, the kernel's comparison <
         limits = np.nextafter([lower - slack, upper + slack], [[-np.inf], [np.inf]])
-        factor, near = np.ones(INPUTS), np.ones(INPUTS)
-        boundary: Iterable[tuple[Product, float]] = []
+
+        factor = np.ones(INPUTS)
+        near = np.ones(INPUTS)
+        boundary: list[tuple[Product, float]] = []
         bound: list[tuple[Product, float]] = [((), np.inf)]
         if domain is not None:
             factor = 1.0 / domain.scale
             if len(domain.boundary):
-                boundary = zip(boundary_products(domain.square), domain.boundary, strict=True)
+                products = boundary_products(domain.square)
+                boundary = list(zip(products, domain.boundary, strict=True))
             if calibration is not None and np.isfinite(calibration.quantile):
                 scale = calibration.quantile * calibration.scale / most
-                pairs = zip(scale_products(), scale, strict=True)
-                bound = [(product, value) for product, value in pairs if value > 0.0]
+                # coefficients that are 0 are left out, which saves most of the products
+                bound = [
+                    (product, value)
+                    for product, value in zip(scale_products(), scale, strict=True)
+                    if value > 0.0
+                ]
                 near = calibration.near
-        local = [((SQUARES + k,), value) for k, value in enumerate(squares) if value]
-        parts = boundary, [] if np.isinf(most) else bound, local
-        polynomials = Polynomials.of(ALL_INPUTS, parts)[:-1]
-        return cls(limits, factor, near, *polynomials, float(at_rest))
+        if np.isinf(most):
+            bound = []
+        added = [((SQUARES + k,), value) for k, value in enumerate(squares) if value]
+        polynomials = Polynomials.of(ALL_INPUTS, [boundary, bound, added])
+        return cls(
+            limits=limits,
+            factor=factor,
+            near=near,
+            products=polynomials.products,
+            begins=polynomials.begins,
+            heads=polynomials.heads,
+            group_begins=polynomials.group_begins,
+            rows=polynomials.rows,
+            coefficients=polynomials.coefficients,
+            at_rest=float(at_rest),
+        )
 
 
 def lookup(
@@ -219,28 +276,37 @@ def lookup(
     *,
     with_stress: bool = True,
 ) -> tuple[Array, NDArray[np.int8], Array]:
-    """Stress (n, 2, 2) in µN/µm, NaN where the status (n,) is not 0, and risk (n,).
+    """Compute stress (n, 2, 2) in µN/µm, NaN where the status (n,) is not 0, and risk (n,).
 
-    Points with NaN or det F ≤ 0 are out of range. `with_stress` False leaves the stress out (None),
-    and the status does not tell whether it is finite.
+    Points with NaN or det F ≤ 0 are out of range.
 
-    F, F_dot: (n, 2, 2) contiguous float64. limit: of the risk.
+    Args:
+        F: (n, 2, 2) contiguous float64.
+        F_dot: (n, 2, 2) contiguous float64, 1/µs.
+        limit: largest risk at which a stress is trusted.
+        with_stress: False leaves the stress out (None); the status then does not tell whether it
+            is finite.
     """
     count = len(F)
-    stress: Any = np.empty(F.shape) if with_stress else None
-    status, risk = np.empty(count, dtype=np.int8), np.empty(count)
+    stress: Any = None
+    evaluated: NetworkArrays | None = None
+    if with_stress:
+        stress = np.empty(F.shape)
+        evaluated = network
+    status = np.empty(count, dtype=np.int8)
+    risk = np.empty(count)
     compute = _lookup_parallel if count >= MANY else _lookup_part
-    of = network if with_stress else None
-    compute(0, count, F, F_dot, of, bounds, float(limit), stress, status, risk)
+    compute(0, count, F, F_dot, evaluated, bounds, float(limit), stress, status, risk)
     return stress, status, risk
 
 
 def evaluate_slopes(F: Array, F_dot: Array, network: NetworkArrays) -> tuple[Array, Array]:
-    """(components of P̂ (n, 4), their slopes by the inputs (n, 4, 7)); no range is tested.
+    """Compute the components of P̂ (n, 4) and their slopes by the inputs (n, 4, 7), µN/µm.
 
-    F, F_dot: (n, 2, 2) contiguous float64, det F > 0.
+    No range is tested. F, F_dot: (n, 2, 2) contiguous float64, det F > 0.
     """
-    P, P_slopes = np.empty((len(F), COMPONENTS)), np.empty((len(F), COMPONENTS, INPUTS))
+    P = np.empty((len(F), COMPONENTS))
+    P_slopes = np.empty((len(F), COMPONENTS, INPUTS))
     _slopes(F, F_dot, network, P, P_slopes)
     return P, P_slopes
 
@@ -259,8 +325,10 @@ def _lookup_parallel(  # type: ignore[no-untyped-def]
 def _lookup_part(  # type: ignore[no-untyped-def]
     begin, end, F, F_dot, network, bounds, limit, stress, status, risk
 ):
-    """Set status and risk at points `begin` to `end` by range, failure boundary and bound; and the
-    stress, where there is a network."""
+    """Set status and risk at points `begin` to `end` by range, failure boundary and bound.
+
+    Where there is a network, the stress is set, too.
+    """
     frame = np.empty((_FRAME_ROWS, TILES, TILE))
     trust = make_room(bounds, ALL_INPUTS, 0)
     of_network = None
@@ -356,7 +424,7 @@ def _slopes(F, F_dot, network, P, slopes):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _read_points(start, F, F_dot, frame):  # type: ignore[no-untyped-def]
-    """The rows of F and Ḟ; behind the last point it is repeated."""
+    """Set the rows of F and Ḟ; the last point fills the rest of the last block."""
     for p in range(BLOCK):
         point = min(start + p, F.shape[0] - 1)
         t, lane = p // TILE, p % TILE
@@ -367,7 +435,7 @@ def _read_points(start, F, F_dot, frame):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _take_rotation_out(frame):  # type: ignore[no-untyped-def]
-    """The rows of R, U and A from those of F and Ḟ."""
+    """Set the rows of R, U and A from those of F and Ḟ."""
     for t in range(TILES):
         xx, xy = load(frame, _F11, t), load(frame, _F12, t)
         yx, yy = load(frame, _F21, t), load(frame, _F22, t)
@@ -401,7 +469,7 @@ def _set_inside(frame, limits):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
-    """The inputs of `tensors`, scaled, (7, TILES, TILE), and a row of ones."""
+    """Set the scaled inputs of `tensors`, (7, TILES, TILE), and a row of ones."""
     for t in range(TILES):
         u11, u22 = load(frame, _U11, t), load(frame, _U22, t)
         a11, a12 = load(frame, _A11, t), load(frame, _A12, t)
@@ -418,7 +486,7 @@ def _scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _set_inputs(frame, network, room):  # type: ignore[no-untyped-def]
-    """The inputs of a network, see `features`, with the slopes of those that bend."""
+    """Set the inputs of a network, see `features`, with the slopes of those that bend."""
     x, slopes = room.rows, room.slopes
     _scale_inputs(frame, network.input_factor, x)
     for k in range(STRETCH):
@@ -432,8 +500,10 @@ def _set_inputs(frame, network, room):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _evaluate_network(arrays, room, units):  # type: ignore[no-untyped-def]
-    """The components of P̂, y, and their slopes by scaled inputs: the baseline, and of each term
-    (factor − factor at rest) × product."""
+    """Set the components of P̂, y, and their slopes by scaled inputs.
+
+    Each is the baseline plus, for each of its terms, (factor − factor at rest) × product.
+    """
     first, y = _evaluate_factors(arrays, room, units), room.y
     y_slopes = room.y_slopes
     for term in range(arrays.components.shape[0]):
@@ -451,7 +521,7 @@ def _evaluate_network(arrays, room, units):  # type: ignore[no-untyped-def]
 
 @kernel
 def _make_units(arrays, along):  # type: ignore[no-untyped-def]
-    """Room for the units of all layers, with slopes along the first `along` inputs."""
+    """Make room for the units of all layers, with slopes along the first `along` inputs."""
     count = arrays.sizes.sum()
     flat = np.empty(count * BLOCK)
     slopes = np.empty((along, count, TILES, TILE))
@@ -460,7 +530,7 @@ def _make_units(arrays, along):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _evaluate_factors(arrays, room, units):  # type: ignore[no-untyped-def]
-    """Set y to the baseline, fill the units, all with slopes; returns the first factor's row."""
+    """Set y to the baseline, fill the units, all with slopes; return the first factor's row."""
     kept, values, slopes = arrays.kept, units.values, units.slopes
     evaluate(arrays, room)
     terms = arrays.components.shape[0]
@@ -481,8 +551,10 @@ def _evaluate_factors(arrays, room, units):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _forward(arrays, units):  # type: ignore[no-untyped-def]
-    """Fill the units of all layers, and their slopes, from the inputs'; the last has no tanh.
-    Returns the first row of the last layer."""
+    """Fill the units of all layers, and their slopes, from those of the inputs.
+
+    The last layer has no tanh. Return the first row of the last layer.
+    """
     sizes, weights, biases = arrays.sizes, arrays.weights, arrays.biases
     values, slopes = units.values, units.slopes
     begin, first_weight, first_bias = 0, 0, 0
@@ -516,8 +588,10 @@ def _times_tanh_slope(tanh, slopes, rows):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _apply_layer(matrix, bias, source, target):  # type: ignore[no-untyped-def]
-    """target = matrix source + bias, (rows, …), the matrix in one row; four rows of two tiles stay
-    in registers."""
+    """Set target = matrix source + bias, (rows, …), with the matrix in one row.
+
+    Four rows of two tiles stay in registers.
+    """
     columns = source.shape[0]
     for t in range(0, TILES, 2):
         for j in range(0, bias.shape[0], 4):
@@ -550,8 +624,10 @@ def _apply_layer(matrix, bias, source, target):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _set_stress(y, frame):  # type: ignore[no-untyped-def]
-    """The rows of σ from the components of P̂ in rows 0 to 3 of y: S = P̂ U/det U; R turns its
-    difference and shear by twice its angle."""
+    """Set the rows of σ from the components of P̂ in rows 0 to 3 of y.
+
+    S = P̂ U/det U, and R turns the difference and shear of S by twice its own angle.
+    """
     for t in range(TILES):
         u11, u22 = load(frame, _U11, t), load(frame, _U22, t)
         n, d, g = u11 + u22, u11 - u22, 2.0 * load(frame, _U12, t)
@@ -572,7 +648,7 @@ def _set_stress(y, frame):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _set_even_inputs(near, x):  # type: ignore[no-untyped-def]
-    """The rows of `domain.all_inputs` behind the inputs and 1."""
+    """Set the rows of `domain.all_inputs` that follow the inputs and 1."""
     for t in range(TILES):
         low = where_less(load(x, 0, t), 0.0, load(x, 0, t), 0.0)
         store(low * low, x, COMPRESSION, t)
@@ -588,7 +664,7 @@ def _set_even_inputs(near, x):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _divide_by_local_tolerance(at_rest, y):  # type: ignore[no-untyped-def]
-    """Make the bound the risk, by `SurrogateLaw.local_tolerance`."""
+    """Turn the bound into the risk: divide it by `SurrogateLaw.local_tolerance`."""
     for t in range(TILES):
         share = root(load(y, _SQUARE, t)) + at_rest
         share = where_less(share, 1.0, share, 1.0)

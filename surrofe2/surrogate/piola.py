@@ -1,6 +1,6 @@
-"""What is learnt, P̂ = RᵀP in components, and its slopes: from Cauchy stress and tangents and back.
+"""P̂ = RᵀP in components, which is what is learnt, from Cauchy stress and tangents and back.
 
-`QuadraticLaw` is the law whose slopes are those of another at rest, everywhere.
+`QuadraticLaw` has everywhere the slopes that another law has at rest.
 
 With F = R U, P = det F σ F⁻ᵀ gives P̂ = det U (Rᵀ σ R) U⁻¹. Along a change B = RᵀdF of F the
 rotation turns by dθ = (B₂₁ − B₁₂)/tr U, with E the turn by 90°:
@@ -35,56 +35,72 @@ from surrofe2.law.stress_law import (
 )
 
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
+"""The turn by 90°, E above."""
 _UNIT = from_components(np.eye(4))  # (4, 2, 2): tensors with one component 1
-_SPINLESS = 3
+_SPINLESS = 3  # components of a symmetric tensor: U has no spin, so it gives three inputs
 
 
 def to_piola(F: Array, stress: Array) -> Array:
-    """Components (n, 4) of P̂ from the Cauchy stress (n, 2, 2)."""
+    """Return the components (n, 4) of P̂ from the Cauchy stress (n, 2, 2), both in µN/µm."""
     R = rotation(F)
     P = det(F)[:, None, None] * np.einsum("nac,nbc->nab", stress, np.linalg.inv(F))
     return to_components(transpose(R) @ P)
 
 
 def to_cauchy(F: Array, components: Array) -> Array:
-    """σ (n, 2, 2) from the components of P̂ (n, 4)."""
+    """Return σ (n, 2, 2) from the components of P̂ (n, 4), both in µN/µm."""
     P = rotation(F) @ from_components(components)
     return P @ transpose(F) / det(F)[:, None, None]
 
 
 def to_slopes(F: Array, P_by_F: Array, P_by_F_dot: Array) -> Array:
-    """∂P̂ (n, 4) by the 7 inputs, (n, 4, 7), from tangents at (F, Ḟ); (n, 2, 2, 2, 2) each.
+    """Return the slopes of P̂ by the 7 inputs, (n, 4, 7), from tangents (n, 2, 2, 2, 2) at (F, Ḟ).
 
-    Along an input of U the rotation stays, so it takes R into both ends of the tangent.
+    Along an input of U the rotation stays, so R is taken out of both ends of the tangent.
     """
     R = rotation(F)
-    turned = [np.einsum("nea,nebfd,nfc->nabcd", R, by, R) for by in (P_by_F, P_by_F_dot)]
-    sides = [
-        np.einsum("nabcd,kcd->nkab", by, directions)
-        for by, directions in zip(turned, (_UNIT[:_SPINLESS], _UNIT), strict=True)
-    ]
-    return transpose(to_components(np.concatenate(sides, axis=1)))
+    by_U = np.einsum("nea,nebfd,nfc->nabcd", R, P_by_F, R)
+    by_A = np.einsum("nea,nebfd,nfc->nabcd", R, P_by_F_dot, R)
+    slopes_by_U = np.einsum("nabcd,kcd->nkab", by_U, _UNIT[:_SPINLESS])
+    slopes_by_A = np.einsum("nabcd,kcd->nkab", by_A, _UNIT)
+    return transpose(to_components(np.concatenate([slopes_by_U, slopes_by_A], axis=1)))
 
 
 def to_tangents(F: Array, F_dot: Array, components: Array, slopes: Array) -> Tangents:
-    """∂P/∂F and ∂P/∂Ḟ from the components of P̂ (n, 4) and their slopes (n, 4, 7)."""
+    """Return ∂P/∂F and ∂P/∂Ḟ from the components of P̂ (n, 4) and their slopes (n, 4, 7)."""
     inputs, R = to_inputs(F, F_dot)
-    B = np.zeros((len(F), 4, 2, 2))  # RᵀdF for the four unit dF
-    B[:, 0, :, 0] = B[:, 1, :, 1] = R[:, 0]
-    B[:, 2, :, 0] = B[:, 3, :, 1] = R[:, 1]
-    U, A = transpose(R) @ F, transpose(R) @ F_dot
-    turned = (B[:, :, 1, 0] - B[:, :, 0, 1]) / (2.0 + inputs[:, :1])
-    direct, E_U, E_A = (to_components(each) for each in (B, TURN @ U, TURN @ A))
+    # B = RᵀdF for the four unit changes dF: of F₁₁, F₁₂, F₂₁ and F₂₂
+    B = np.zeros((len(F), 4, 2, 2))
+    B[:, 0, :, 0] = R[:, 0]
+    B[:, 1, :, 1] = R[:, 0]
+    B[:, 2, :, 0] = R[:, 1]
+    B[:, 3, :, 1] = R[:, 1]
+    U = transpose(R) @ F
+    A = transpose(R) @ F_dot
+    trace_U = 2.0 + inputs[:, :1]
+    turn = (B[:, :, 1, 0] - B[:, :, 0, 1]) / trace_U  # dθ (n, 4)
+    B_components = to_components(B)
+    E_U = to_components(TURN @ U)
+    E_A = to_components(TURN @ A)
+    # changes of the seven inputs by the four unit changes of F: dU and dA of the head of this file
     changes = np.empty((len(F), 4, 7))
-    changes[..., :_SPINLESS] = direct[..., :_SPINLESS] - turned[..., None] * E_U[:, None, :3]
-    changes[..., _SPINLESS:] = -turned[..., None] * E_A[:, None]
-    across = transpose(slopes)
-    by_F = from_components(changes @ across)
-    by_F += turned[..., None, None] * (TURN @ from_components(components))[:, None]
-    by_rate = from_components(direct @ across[:, _SPINLESS:])
-    # R dP̂, put as [n, a, b, c, d] = ∂P_ab by the change of entry (c, d)
-    entries = (np.moveaxis(R[:, None] @ by, 1, 3) for by in (by_F, by_rate))
-    return Tangents(*(np.ascontiguousarray(by.reshape(-1, 2, 2, 2, 2)) for by in entries))
+    changes[..., :_SPINLESS] = B_components[..., :_SPINLESS] - turn[..., None] * E_U[:, None, :3]
+    changes[..., _SPINLESS:] = -turn[..., None] * E_A[:, None]
+    inputs_first = transpose(slopes)  # (n, 7, 4)
+    by_F = from_components(changes @ inputs_first)
+    by_F += turn[..., None, None] * (TURN @ from_components(components))[:, None]
+    # a change of Ḟ turns nothing and is a change of A alone
+    by_rate = from_components(B_components @ inputs_first[:, _SPINLESS:])
+    return Tangents(_with_entries_last(R, by_F), _with_entries_last(R, by_rate))
+
+
+def _with_entries_last(R: Array, changes: Array) -> Array:
+    """Return R dP̂ as [n, a, b, c, d] = ∂P_ab by the change of entry (c, d).
+
+    changes: (n, 4, 2, 2) RᵀdP by the change of each entry.
+    """
+    entries_last = np.moveaxis(R[:, None] @ changes, 1, 3)
+    return np.ascontiguousarray(entries_last.reshape(-1, 2, 2, 2, 2))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -105,14 +121,15 @@ class QuadraticLaw:
 
     @classmethod
     def of(cls, law: StressLaw) -> QuadraticLaw:
-        """That of a law's tangents at rest.
+        """Make the quadratic law of another law's tangents at rest.
 
         Raises:
             InputError: the law has no tangents.
             SimulationError: it has no stress at rest.
         """
         require_tangents(law, "quadratic law")
-        F, F_dot = np.eye(2)[None], np.zeros((1, 2, 2))
+        F = np.eye(2)[None]
+        F_dot = np.zeros((1, 2, 2))
         answer = law.respond(F, F_dot, tangents=True)
         if answer.status.any() or answer.tangents is None:
             raise SimulationError(f"quadratic law: at rest {describe(answer.status[0])}")
@@ -125,19 +142,23 @@ class QuadraticLaw:
         F, F_dot = check_deformation(F, F_dot)
         x, _ = to_inputs(F, F_dot)
         P = x @ self.slopes.T
-        stretch = 2.0 + x[:, 0]
-        spin = (P[:, 1] * x[:, 2] - P[:, 2] * x[:, 1]) / stretch
-        by = np.tile(self.slopes, (len(F) if tangents else 0, 1, 1))
+        trace_U = 2.0 + x[:, 0]
+        # the spin by which σ is symmetric: (P̂'s difference × U's shear − shear × difference)/tr U
+        spin = (P[:, 1] * x[:, 2] - P[:, 2] * x[:, 1]) / trace_U
+        P_with_spin = P.copy()
+        P_with_spin[:, 3] += spin
+        slopes = None
         if tangents:
-            rise = by[:, 1] * x[:, 2:3] - by[:, 2] * x[:, 1:2]
+            P_by_inputs = np.tile(self.slopes, (len(F), 1, 1))
+            # slope of the spin, times tr U, by the product and the quotient rule
+            rise = P_by_inputs[:, 1] * x[:, 2:3] - P_by_inputs[:, 2] * x[:, 1:2]
             rise[:, 2] += P[:, 1]
             rise[:, 1] -= P[:, 2]
             rise[:, 0] -= spin
-            by[:, 3] += rise / stretch[:, None]
-        P[:, 3] += spin
-        slopes = to_tangents(F, F_dot, P, by) if tangents else None
+            P_by_inputs[:, 3] += rise / trace_U[:, None]
+            slopes = to_tangents(F, F_dot, P_with_spin, P_by_inputs)
         status = np.zeros(len(F), dtype=np.int8)
-        return StressResponse(to_cauchy(F, P), status, state, {}, slopes)
+        return StressResponse(to_cauchy(F, P_with_spin), status, state, {}, slopes)
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         return response

@@ -1,7 +1,8 @@
 """Products of inputs, each an earlier one times one input, and polynomials as sums of them.
 
-One table serves invariants and terms, the polynomial that is corrected, the failure boundary and
-the scale of the bound: `columns` in numpy and torch, `evaluate` in compiled code, with slopes.
+Invariants and terms, the polynomial that is corrected, the failure boundary and the scale of the
+bound are all made of them: by `columns` in numpy and torch, by `evaluate` in compiled code, there
+with slopes.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from surrofe2.base.simd import TILE, load, spread, store
 from surrofe2.base.tensors import INPUTS
 
 Product = tuple[int, ...]
-"""Numbers of the inputs that are multiplied; an empty one is 1."""
+"""Numbers of the inputs that are multiplied; the empty product is 1."""
 
 bare_kernel = compiled(_nrt=False)
 """A kernel that makes no arrays, and counts no references to those that it is given: counting takes
@@ -27,17 +28,19 @@ an atomic operation at each call and each slice."""
 ONE = INPUTS
 """The number of the input that is 1."""
 STRETCH = 3
-"""The first inputs are those of U − I."""
+"""The number of inputs of U − I, which are the first."""
 TILES = 6
-"""Tiles of a block of points, as many as `evaluate` sums at once; each quantity of a block is
-(TILES, TILE)."""
+"""Tiles of a block of points, as many as `evaluate` sums at once.
+
+Each quantity of a block is (TILES, TILE)."""
 BLOCK = TILES * TILE
 """Points of a block."""
-_FEW = 24  # terms, which are summed faster in one group than in several
+# A polynomial of at most so many terms is summed in one group: several groups would take longer.
+_FEW = 24
 
 
 def monomials(degree: int) -> tuple[Product, ...]:
-    """All products of 1 to `degree` of the seven inputs, by rising degree."""
+    """Return all products of 1 to `degree` of the seven inputs, by rising degree."""
     return tuple(
         product
         for factors in range(1, degree + 1)
@@ -46,13 +49,20 @@ def monomials(degree: int) -> tuple[Product, ...]:
 
 
 def columns(x: Any, products: Iterable[Product]) -> list[Any]:
-    """The products of the columns of x (n, inputs), numpy or torch; column `ONE` holds ones."""
+    """Compute products of the columns of x (n, inputs), each as (n,), by numpy or torch.
+
+    Column `ONE` of x holds ones.
+    """
     values: dict[Product, Any] = {(): x[:, ONE]}
 
     def column(product: Product) -> Any:
+        # products share their beginnings, so each multiplication is done once
         if product not in values:
             last = x[:, product[-1]]
-            values[product] = last if len(product) == 1 else column(product[:-1]) * last
+            if len(product) == 1:
+                values[product] = last
+            else:
+                values[product] = column(product[:-1]) * last
         return values[product]
 
     return [column(product) for product in products]
@@ -63,16 +73,18 @@ class Polynomials(NamedTuple):
 
         y = Σ_heads x_head (Σ coefficient · row)
 
-    A term's head is the last of its inputs, its row the product of the others: so a term costs one
-    multiplication and addition. Of few terms the head is 1. Rows are numbered: the inputs, 1 among
-    them, then the products.
+    A term's head is the last of its inputs, and its row is the product of the others, so that a
+    term costs one multiplication and one addition. Where a polynomial has few terms, the head of
+    each is 1. Rows are numbered: first the inputs, 1 among them, then the products.
 
     Attributes:
         products: (m, 2) int64 row and input, whose product is the next row.
         begins: (outputs + 1,) int64 first group of each polynomial.
-        heads: (g,) int64 input of each group; group_begins: (g + 1,) int64 its first term.
-        rows: (t,) int64 row of each term; coefficients: (t,).
-        kept: (k,) int64 rows that are read besides.
+        heads: (g,) int64 input that is the head of each group of terms.
+        group_begins: (g + 1,) int64 first term of each group.
+        rows: (t,) int64 row of each term.
+        coefficients: (t,) coefficient of each term.
+        kept: (k,) int64 rows that callers read besides.
     """
 
     products: Index
@@ -90,46 +102,72 @@ class Polynomials(NamedTuple):
         polynomials: Sequence[Iterable[tuple[Product, float]]],
         kept: Iterable[Product] = (),
     ) -> Polynomials:
-        """Polynomials of so many inputs, each by its (product, coefficient), and rows besides."""
-        numbers: dict[Product, int] = {(k,): k for k in range(inputs)} | {(): ONE}
+        """Make the arrays of polynomials, and of products that are needed besides.
+
+        Args:
+            inputs: number of inputs, that which is 1 among them.
+            polynomials: the terms of each, (product, coefficient).
+            kept: products of which the caller reads the rows.
+        """
+        row_of: dict[Product, int] = {(k,): k for k in range(inputs)}
+        row_of[()] = ONE
         products: list[tuple[int, int]] = []
 
         def row(product: Product) -> int:
-            if product not in numbers:
-                pair = row(product[:-1]), product[-1]
-                numbers[product] = inputs + len(products)
-                products.append(pair)
-            return numbers[product]
+            """Return the row of a product; it and its beginnings get one where they have none."""
+            if product not in row_of:
+                factor = row(product[:-1])  # first: it may add rows, which must come before this
+                row_of[product] = inputs + len(products)
+                products.append((factor, product[-1]))
+            return row_of[product]
 
-        groups: list[dict[int, dict[int, float]]] = [{} for _ in polynomials]
-        for polynomial, of in zip(polynomials, groups, strict=True):
+        # coefficients by row, by head, of each polynomial
+        groups_of: list[dict[int, dict[int, float]]] = []
+        for polynomial in polynomials:
             terms = list(polynomial)
-            for product, value in terms:
+            groups: dict[int, dict[int, float]] = {}
+            for product, coefficient in terms:
                 if product and len(terms) > _FEW:
-                    of.setdefault(product[-1], {})[row(product[:-1])] = value
+                    groups.setdefault(product[-1], {})[row(product[:-1])] = coefficient
                 else:
-                    of.setdefault(ONE, {})[row(product)] = value
-        also = [row(product) for product in kept]
-        every = [(head, of[head]) for of in groups for head in sorted(of)]
-        flat = [term for _, group in every for term in sorted(group.items())]
+                    groups.setdefault(ONE, {})[row(product)] = coefficient
+            groups_of.append(groups)
+        kept_rows = [row(product) for product in kept]
+
+        # flat lists, sorted so that the order of a sum, and its bits, depend on the terms alone
+        begins = [0]
+        heads: list[int] = []
+        group_begins = [0]
+        rows: list[int] = []
+        coefficients: list[float] = []
+        for groups in groups_of:
+            for head in sorted(groups):
+                heads.append(head)
+                for number, coefficient in sorted(groups[head].items()):
+                    rows.append(number)
+                    coefficients.append(coefficient)
+                group_begins.append(len(rows))
+            begins.append(len(heads))
         return cls(
-            np.array(products, dtype=np.int64).reshape(-1, 2),
-            np.cumsum([0, *(len(of) for of in groups)], dtype=np.int64),
-            np.array([head for head, _ in every], dtype=np.int64),
-            np.cumsum([0, *(len(group) for _, group in every)], dtype=np.int64),
-            np.array([number for number, _ in flat], dtype=np.int64),
-            np.array([value for _, value in flat], dtype=np.float64),
-            np.array(also, dtype=np.int64),
+            products=np.array(products, dtype=np.int64).reshape(-1, 2),
+            begins=np.array(begins, dtype=np.int64),
+            heads=np.array(heads, dtype=np.int64),
+            group_begins=np.array(group_begins, dtype=np.int64),
+            rows=np.array(rows, dtype=np.int64),
+            coefficients=np.array(coefficients, dtype=np.float64),
+            kept=np.array(kept_rows, dtype=np.int64),
         )
 
 
 class Room(NamedTuple):
-    """What polynomials are evaluated in, used again for the next block.
+    """The arrays in which polynomials are evaluated; the next block uses them again.
 
     Attributes:
-        rows: (inputs + m, TILES, TILE) inputs and products.
-        y: (outputs, TILES, TILE) polynomials.
-        slopes, y_slopes: (K, …) of both by each of the first K inputs; K = 0: of none.
+        rows: (inputs + m, TILES, TILE) values of inputs and products.
+        y: (outputs, TILES, TILE) values of the polynomials.
+        slopes: (K, inputs + m, TILES, TILE) slopes of `rows` by each of the first K inputs; K may
+            be 0.
+        y_slopes: (K, outputs, TILES, TILE) slopes of `y`.
     """
 
     rows: Any
@@ -140,7 +178,10 @@ class Room(NamedTuple):
 
 @kernel
 def make_room(polynomials, inputs, along):  # type: ignore[no-untyped-def]
-    """Room for slopes along the first `along` inputs, which are 0 and 1 but of the products."""
+    """Make room for values, and for slopes along the first `along` inputs.
+
+    The slopes of inputs are set here once: 1 by the input itself, else 0.
+    """
     rows, outputs = inputs + polynomials.products.shape[0], polynomials.begins.shape[0] - 1
     slopes = np.zeros((along, rows, TILES, TILE))
     for k in range(along):
@@ -155,7 +196,7 @@ def make_room(polynomials, inputs, along):  # type: ignore[no-untyped-def]
 
 @pair_law
 def evaluate(polynomials, room):  # type: ignore[no-untyped-def]
-    """Set the products and the polynomials by the inputs, and their slopes by the inputs'.
+    """Set the products and the polynomials from the inputs, with slopes from those of the inputs.
 
     Where there are slopes, an input that depends on others is the first of its products. Written
     out where it is used: a call with all these arrays takes as long as a small polynomial.

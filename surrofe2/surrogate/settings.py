@@ -1,4 +1,4 @@
-"""How a surrogate is trained, and how the bound of its error is calibrated."""
+"""Settings of the training of a surrogate, and of the calibration of its error's bound."""
 
 from __future__ import annotations
 
@@ -46,29 +46,38 @@ class TrainingSettings:
 
 # The constants of calibration; `cache.trust` has those of audits.
 MARGIN = 1.5
-"""Factor of the bound beyond what conformal prediction gives. An engineering margin, no part of the
-guarantee: paths are looked at in a few states, and a search for the worst state accepted at a
-tolerance (validation/worst_answer.py) finds errors of up to 1.3 times the bound without it, none
-above the bound with it."""
+"""Factor of the bound beyond what conformal prediction gives.
+
+It is an engineering margin and no part of the guarantee: paths are looked at in a few states, and a
+search for the worst state accepted at a tolerance (validation/worst_answer.py) finds errors of up
+to 1.3 times the bound without it, none above the bound with it."""
 CONFIDENCE = 0.95
-"""Share of calibration sets whose bound is to hold on a share 1 − alpha of new paths."""
-SHAPING_WALKS, SHAPING_RUNS = 1.0, 1.0 / 3.0
-"""Paths that shape the local scale, for each that calibrates it; runs are expensive."""
-CORNERS, SMALL = 0.25, 0.25
-"""Probabilities that a walk ends in a corner of the range, and that all of it is near rest."""
-RUN_ELEMENTS, RUN_POINTS = 2, 20
-"""Elements of a rectangle in each direction, in runs that make paths; points that make one path."""
+"""Fraction of calibration sets whose bound is to hold on a fraction 1 − alpha of new paths."""
+SHAPING_WALKS = 1.0
+"""Walks that shape the local scale, for each walk that calibrates it."""
+SHAPING_RUNS = 1.0 / 3.0
+"""Runs that shape the local scale, for each run that calibrates it; fewer, for runs take long."""
+CORNERS = 0.25
+"""Probability that a walk ends in a corner of the range."""
+SMALL = 0.25
+"""Probability that all of a walk is near rest."""
+RUN_ELEMENTS = 2
+"""Elements of a rectangle in each direction, in runs that make paths."""
+RUN_POINTS = 20
+"""Integration points of a run that together make one path."""
 WISH = 0.75
-"""Of the bound wanted, that the paths which shape it must come to: those that calibrate differ."""
+"""Fraction of the bound wanted that the shaping paths must come to.
+
+It is below 1 because the paths that calibrate differ from those that shape."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationSettings:
     """Number and kind of the paths along which RVEs compute the stress.
 
-    As many walks again, and a third as many runs, shape the local scale, which the others then
-    calibrate. Each kind that is used needs at least 1/alpha − 1 paths; with log(0.05)/log(1 −
-    alpha), 299 at 1 %, the bound holds with 95 % confidence.
+    As many walks again, and a third as many runs, shape the local scale, which the paths counted
+    here then calibrate. Each kind that is used needs at least 1/alpha − 1 paths; with log(0.05)/
+    log(1 − alpha) of them, 299 at 1 %, the bound holds with 95 % confidence.
     """
 
     walks: int = setting(300, "random walks through the sampling range, from rest", least=0)
@@ -81,9 +90,11 @@ class CalibrationSettings:
 
     def __post_init__(self) -> None:
         check_settings(self, "calibration")
+        # with fewer paths no score is a (1 − alpha) quantile, see `conformal_quantile`
         needed = 1.0 / self.alpha - 1.0
         for name, count in (("walks", self.walks), ("runs", self.runs)):
-            if 0 < count < needed * (1.0 - 1e-9):
+            is_too_few = count < needed * (1.0 - 1e-9)  # 1e-9: rounding of 1/alpha
+            if count > 0 and is_too_few:
                 raise InputError(
                     f"calibration.{name}",
                     f"{count}; it must be 0 or at least {needed:.4g}, "

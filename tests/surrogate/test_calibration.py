@@ -169,14 +169,14 @@ def test_an_error_in_one_corner_hardly_widens_the_bound_elsewhere(law, samples, 
         return found
 
     def found_by(fits, faulty=faulty):
-        monkeypatch.setattr(calibration, "_TIMES", fits)
+        monkeypatch.setattr(calibration, "_PROGRAMS", fits)
         shaping, testing = faulty(true_paths(150, 10)), faulty(true_paths(400, 20))
         return np.median(calibrate(law, samples, shaping, testing, ALPHA).error_bound(*inner))
 
     F, F_dot = sample(RANGE, 2000, seed=3)
     inner = np.eye(2) + 0.5 * (F - np.eye(2)), 0.5 * F_dot
-    honest = found_by(calibration._TIMES, lambda part: part)
-    assert found_by(calibration._TIMES) - honest < 0.5 * (found_by(1) - honest)
+    honest = found_by(calibration._PROGRAMS, lambda part: part)
+    assert found_by(calibration._PROGRAMS) - honest < 0.5 * (found_by(1) - honest)
 
 
 def test_failures_within_the_domain_leave_no_bound(law, samples):
