@@ -88,6 +88,10 @@ def test_rest_by_every_law(stand_in, recipe_path, tmp_path):
         counts = record.counts
         assert counts["load_steps"] == 4
         assert (out / "table.h5").exists() == (law == "table")
+        assert "error of the answer, by RVEs at all 4 elements: it is off in " in done.stdout
+        error = record.met["error_of_answer"]
+        off = np.linalg.norm(np.subtract(true, record.met["watched"]))
+        assert off < 1e-6 or error["displacement"] == pytest.approx(off, rel=0.5)
         if law == "surrogate":
             assert record.cache is None
             continue
@@ -97,6 +101,18 @@ def test_rest_by_every_law(stand_in, recipe_path, tmp_path):
         assert "closing audit: " in done.stdout
         assert (out / "harvest.h5").exists()
         assert (out / "events.jsonl").exists()
+    kept = rest("--out", tmp_path / "kept", "--law", "surrogate", "--correct")
+    assert "it was, and is corrected, off in " in kept.stdout
+    record = read_record(tmp_path / "kept")
+    found = np.linalg.norm(np.subtract(true, record.met["watched"]))
+    rough = read_record(tmp_path / "surrogate").met["watched"]
+    assert found < max(0.2 * np.linalg.norm(np.subtract(true, rough)), 1e-9)
+    last = read_run(tmp_path / "kept").curve.displacement[-1]
+    np.testing.assert_allclose(last, record.met["watched"])
+    fields = read_fields(tmp_path / "kept", (), None)
+    assert len(fields.t) == 5
+    refused = rest("--out", tmp_path / "surrogate", "--law", "surrogate", "--correct", code=1)
+    assert "rest.correct: this call has True, what is there False" in refused.stderr
 
 
 def test_rest_that_fails_keeps_the_way_there(recipe_path, tmp_path, invoke):
