@@ -67,6 +67,8 @@ _STALLED = 1e-6
 """A residual this small that no correction reduces is as small as rounding or the law allows."""
 _FREE = 1e-12
 """Stiffness of a rigid motion, relative to the largest, that holds nothing."""
+STEP_ADVICE = "; load in smaller steps or raise the iteration limit"
+"""What a law advises where an RVE does not converge; a rest has taken smaller steps already."""
 _LIMIT_RATE = 3.0
 """So many times as fast as at first the watched point moves with the load near a limit point."""
 _COUNTS = (
@@ -429,7 +431,8 @@ class Loading:
 
     def _why_stopped(self, failure: NoStress) -> str:
         """What ends the way here: a limit load, or what the last trial failed by."""
-        text = f"no load step succeeds after {MAX_HALVINGS} halvings: {failure}"
+        reason = str(failure).replace(STEP_ADVICE, ", in load steps however small")
+        text = f"no load step succeeds after {MAX_HALVINGS} halvings: {reason}"
         rows = self.rest.journal["rows"]
         if len(rows) < 3 or not isinstance(failure, OutOfBalance):
             return text
@@ -647,17 +650,20 @@ class Newton:
             NoStress: no correction does. Switched: points left their branch of the law."""
         size = np.linalg.norm(now.residual)
         correction = self._still(self._solved(now, K, now.residual))
-        fraction, reason = 1.0, "the line search found no smaller residual"
+        fraction, failure = 1.0, None
         while fraction >= _LEAST_FRACTION:
             try:
                 trial = self.equations.evaluate(now.t, now.y + fraction * correction, tangents=True)
-            except NoStress as failure:
-                reason = str(failure)
+            except NoStress as of_trial:
+                failure = of_trial
             else:
                 if np.linalg.norm(trial.residual) <= (1.0 - _DECREASE * fraction) * size:
                     return trial
             fraction *= 0.5
-        raise self._stopped(now, K, reason)
+        # A point without stress stops the search; its own failure says more than the residual.
+        if failure is not None and self.relative_residual(now, K) > _STALLED:
+            raise failure
+        raise self._stopped(now, K, "the line search found no smaller residual")
 
     def relative_residual(self, now: Evaluation, K: Matrix) -> float:
         """Largest residual relative to the largest of internal force, other forces, those at

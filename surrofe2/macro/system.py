@@ -221,7 +221,7 @@ class System:
             "density": [self.mass @ np.ones(2 * self.n_rows)],
             "conditions": [problem.conditions, self.free, self.initial_velocity, *held],
             "bodies": [problem.bodies],
-            "output times": [problem.output_interval],
+            "output times": [problem.output_interval, *(problem.times or ())],
             "watched points": [[*problem.watched.items()]],
         }
         if self.surface is not None:

@@ -15,7 +15,7 @@ import numpy as np
 import skfem
 
 from surrofe2.base.arrays import Array, Flags, Index
-from surrofe2.base.errors import InputError
+from surrofe2.base.errors import InputError, shortened
 from surrofe2.problem.amplitude import ONE, Amplitude, Constant, Proportional
 from surrofe2.problem.conditions import (
     Condition,
@@ -67,6 +67,8 @@ class Problem:
         bodies: rigid bodies that touch it.
         duration: length of the run, µs.
         output_interval: time between rows of the results, µs.
+        times: of rows of the results instead, µs, increasing and within the duration; None: by the
+            interval.
         watched: reference positions whose displacement is recorded, µm, by name; the first is
             the one of the displacement curve. The tissue's middle if there is none.
         boundaries: further boundaries, by name the part of the plane that holds the ends of their
@@ -90,6 +92,7 @@ class Problem:
     boundaries: Mapping[str, Part] = field(default_factory=dict)
     regions: Mapping[str, Part] = field(default_factory=dict)
     surface: Surface | None = None
+    times: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         mesh = with_boundaries(check_mesh(self.mesh), **self.boundaries)
@@ -104,7 +107,19 @@ class Problem:
                 f"problem.output_interval: {self.output_interval}; it must be finite and at least "
                 f"{least:g} µs, a millionth of the duration"
             )
+        self._check_times()
         self._check_names()
+
+    def _check_times(self) -> None:
+        """Check that output times increase from above 0 up to at most the duration."""
+        if self.times is None:
+            return
+        steps = np.diff([0.0, *self.times])
+        if not (len(self.times) and (steps > 0.0).all() and self.times[-1] <= self.duration):
+            raise InputError(
+                f"problem.times: {shortened(str(list(self.times)), 80)}; they must increase, from "
+                f"above 0 to at most the duration, {self.duration} µs"
+            )
 
     def _check_names(self) -> None:
         """Check that names are unique, and that conditions and bodies act on places of the mesh.
@@ -227,7 +242,12 @@ class Problem:
         return min((amplitude.resolved_by for amplitude in self.amplitudes()), default=np.inf)
 
     def output_times(self) -> Array:
-        """Return the times (m,) in µs of results: multiples of the interval, and the end."""
+        """Return the times (m,) in µs of results: 0, multiples of the interval or those that are
+        stated, and the end."""
+        if self.times is not None:
+            last = self.times[-1]
+            end = () if np.isclose(last, self.duration) else (self.duration,)
+            return np.array([0.0, *self.times, *end])
         # 1e-12: a whole number of intervals may round to just below it
         count = int(np.floor(self.duration / self.output_interval * (1.0 + 1e-12)))
         times: Array = self.output_interval * np.arange(count + 1.0)

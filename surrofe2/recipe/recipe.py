@@ -162,6 +162,12 @@ class TimeSettings:
     output_interval: float | None = setting(
         None, "time between rows of results; a five-hundredth of the duration", TIME, above=0.0
     )
+    output_times: tuple[float, ...] | None = setting(
+        None, "times of rows of results, instead of an interval", TIME, above=0.0
+    )
+    outputs_per_decade: int | None = setting(
+        None, "rows in each decade of time, at equal ratios, from output_interval on", least=1
+    )
     frames: int | None = setting(
         None, "number of times at which whole fields are kept; as macro.frames", least=2
     )
@@ -175,6 +181,26 @@ class TimeSettings:
                 "time.output_interval",
                 f"{self.output_interval}; it must be at most the duration, {self.duration} µs",
             )
+        if self.output_times is not None and self.outputs_per_decade is not None:
+            raise InputError("time.outputs_per_decade", "not with output_times; leave one out")
+        if self.output_times is not None:
+            steps = np.diff([0.0, *self.output_times])
+            if not (steps.size and (steps > 0.0).all() and self.output_times[-1] <= self.duration):
+                raise InputError(
+                    "time.output_times",
+                    f"{quoted(list(self.output_times))}; they must increase, up to at most the "
+                    f"duration, {self.duration} µs",
+                )
+
+    @property
+    def times(self) -> tuple[float, ...] | None:
+        """Times of rows of results, µs; None where they are multiples of the interval."""
+        if self.outputs_per_decade is None or self.output_interval is None:
+            return self.output_times
+        decades = np.log10(self.duration / self.output_interval)
+        count = max(1, round(decades * self.outputs_per_decade))
+        first, last = self.output_interval, self.duration
+        return tuple(np.geomspace(first, last, count + 1).tolist()) if last > first else (last,)
 
 
 def _conditions(where: str, entry: Any) -> tuple[Condition, ...]:
@@ -620,6 +646,7 @@ class Recipe:
                 bodies=self.bodies,
                 duration=self.time.duration,
                 output_interval=self.time.output_interval or self.time.duration,
+                times=self.time.times,
                 watched=self.watch or {},
                 boundaries=self.mesh.boundaries or {},
                 regions=self.mesh.regions or {},

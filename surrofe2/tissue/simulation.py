@@ -559,7 +559,8 @@ def advance(
 def identity(conditions: Conditions, settings: TissueSettings) -> Array:
     """Numbers that two runs share if one may continue where the other stopped."""
     problem, tissue = conditions.problem, conditions.tissue
-    stated = problem.conditions, problem.bodies, problem.duration, problem.output_interval
+    outputs = problem.output_interval, *(problem.times or ())
+    stated = problem.conditions, problem.bodies, problem.duration, *outputs
     watched = [*problem.watched.items()]
     digest = hashlib.sha256(repr((_STATE, stated, watched, tissue.constants, settings)).encode())
     sides = [conditions.boundary(name) for name in problem.acted_boundaries()]

@@ -549,7 +549,11 @@ def _stated_problem(problem: Problem) -> dict[str, Any]:
     (width, height), elements = (high - low).tolist(), problem.mesh.nelements
     mesh = {"file": None, "width": width, "height": height, "elements": elements}
     acts = sections_of(problem.conditions, problem.bodies, problem.watched)
-    time = {"duration": problem.duration, "output_interval": problem.output_interval}
+    time = {
+        "duration": problem.duration,
+        "output_interval": problem.output_interval,
+        "output_times": problem.times,
+    }
     sides = {} if problem.surface is None else {"surface": {"on": problem.surface.on}}
     return {"mesh": {**mesh, "sha256": digest.hexdigest()}, **acts, "time": time, **sides}
 

@@ -8,9 +8,9 @@ from scipy.linalg import eigh
 
 from surrofe2 import LoadCase
 from surrofe2.base.errors import InputError, SimulationError
-from surrofe2.law.stress_law import Status
+from surrofe2.law.stress_law import Status, describe
 from surrofe2.macro import MacroSettings, Rest, find_modes, find_rest, modes, simulate
-from surrofe2.macro.rest import RestState
+from surrofe2.macro.rest import STEP_ADVICE, RestState
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem import (
     Fixed,
@@ -176,6 +176,9 @@ def test_load_that_cannot_be_borne_ends_with_the_last_rest():
     law = failing(KelvinVoigt(), fails=lambda F, F_dot: abs(F[:, 1, 0]) > 0.015)
     with pytest.raises(SimulationError, match=r"10 halvings: point .*load factor 0\.") as caught:
         find_rest(SQUARE, law, SETTINGS)
+    assert describe(Status.NOT_CONVERGED).endswith(STEP_ADVICE)
+    assert "did not converge, in load steps however small" in str(caught.value)
+    assert str(caught.value).count("point ") == 1, "the point that has no stress, and no other"
     partial = caught.value.partial
     assert isinstance(partial, Rest)
     assert 0.1 < partial.factor < 1.0
