@@ -18,6 +18,11 @@ STUDIES: Mapping[str, tuple[str, str, str]] = {
     "rates": ("rve", "rates", "error of each initialisation as the rate goes down"),
     "scales": ("bars", "scales", "slow manifold against full tissues of more and more plant cells"),
     "problems": ("tissues", "problems", "strip, block between plates and skin against tissues"),
+    "irregular-tissue": (
+        "irregular_tissue",
+        "irregular_tissue",
+        "Voronoi cells and squares with a uniform fluid",
+    ),
     "thin": ("tissues", "thin", "thin tissue with and without the surface law of its free sides"),
     "arrangements": ("arrangements", "arrangements", "irregular cells: equilibria, Cauchy–Born"),
     "irregular": ("irregular", "irregular", "moduli over the plant cells of an RVE, both fluids"),

@@ -56,6 +56,7 @@ class Case:
         measures: names among `MEASURES` of what is compared.
         axis: component of what is watched, 0 or 1.
         force: name of the condition whose force is watched; None: the displacement.
+        mean: name of the boundary whose mean displacement is watched; None: the watched point's.
         linear: FE² oscillates about its state of rest by the stiffness and damping there: what it
             does for small loads, in a second.
         even: whether the surface takes its plant cells evenly from the stiffness of the section.
@@ -70,6 +71,7 @@ class Case:
     measures: tuple[str, ...]
     axis: int = 1
     force: str | None = None
+    mean: str | None = None
     linear: bool = False
     even: bool = False
     note: str = ""
@@ -132,6 +134,8 @@ class Case:
         t, u, seconds = run.curve.t, run.curve.displacement[:, self.axis], run.wall_time["total"]
         if self.force is not None:
             u = run.history[f"force {self.force} {'xy'[self.axis]}"]
+        elif self.mean is not None:
+            u = run.history[f"mean displacement {self.mean} {'xy'[self.axis]}"]
         return Run(self, t, np.asarray(u), seconds)
 
     def compute_or_read(self, folder: Path) -> Run:

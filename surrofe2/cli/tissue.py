@@ -15,8 +15,9 @@ def tissue(
 ) -> None:
     """Simulate the whole tissue particle by particle, without homogenisation.
 
-    The bar of [load], or a rectangle of one or several cells with the conditions and rigid bodies
-    of FE². Walls at the free boundary are single. The tissue is relaxed without load, then loaded.
+    The bar of [load], or a mesh of one or several cells with the conditions and rigid bodies of
+    FE²: it has the plant cells whose middles the mesh holds. Walls at the free boundary are single.
+    The tissue is relaxed without load, then loaded.
     DIR receives run.json (configuration, costs), curve.csv (t in µs, displacement of watched
     particles in µm), history.csv (forces in µN), energies.csv (pJ) and fields.xdmf for ParaView.
 

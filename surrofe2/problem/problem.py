@@ -217,17 +217,16 @@ class Problem:
         places = self.places()
         return [name for name in self.mesh.boundaries or {} if name in places]
 
-    def cells_inside(self, name: str, cells: tuple[int, int], side: float) -> Flags:
-        """(n, m) which square plant cells of a `side` in µm have their middle in a region.
+    def cells_inside(self, name: str, middles: Array) -> Flags:
+        """(n,) which plant cells, by their middles (n, 2) in µm, a region holds.
 
         Raises:
             InputError: there is no region of that name.
         """
-        middles = side * (np.indices(cells).reshape(2, -1).T + np.array(0.5))
         if name in self.regions:
-            return self.regions[name].holds(middles).reshape(cells)
+            return self.regions[name].holds(middles)
         elements = self.mesh.element_finder()(*middles.T)
-        return np.isin(elements, region(self.mesh, name)).reshape(cells)
+        return np.isin(elements, region(self.mesh, name))
 
     def corners(self) -> Array:
         """Return the times (m,) in µs at which a step must end, from 0 to the end of the run."""

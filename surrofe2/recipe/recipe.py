@@ -24,7 +24,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 import skfem
 
-from surrofe2.base.arrays import Flags, Index
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import FileError, InputError, quoted, shortened
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.base.settings import (
@@ -435,24 +435,22 @@ def _takes_rest(cell: CellType, known: Container[str]) -> bool:
     return not cell.regions or (REST in cell.regions and REST not in known)
 
 
-def kinds_of_cells(
-    problem: Problem, types: Mapping[str, CellType], counts: tuple[int, int]
-) -> Index:
-    """(n, m) which of the types each plant cell of a full tissue is, by where its middle lies.
+def kinds_of_cells(problem: Problem, types: Mapping[str, CellType], middles: Array) -> Index:
+    """(n,) which of the types each plant cell of a full tissue is, by its middle (n, 2), µm.
 
     Raises:
         InputError: a plant cell is of none, or of two.
     """
-    known, side = problem.mesh.subdomains or {}, next(iter(types.values())).cell.cell_side
-    kind = np.full(counts, -1)
+    known = problem.mesh.subdomains or {}
+    kind = np.full(len(middles), -1)
 
     def at(where: Flags) -> str:
-        x, y = side * (np.argwhere(where)[0] + 0.5)
+        x, y = middles[where][0]
         return f"({x:g}, {y:g}) µm"
 
     for k, (name, each) in enumerate(types.items()):
         for part in (part for part in each.regions if part in known):
-            inside = problem.cells_inside(part, counts, side)
+            inside = problem.cells_inside(part, middles)
             twice = inside & (kind >= 0) & (kind != k)
             if twice.any():
                 raise InputError(

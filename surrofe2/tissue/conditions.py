@@ -1,6 +1,6 @@
 """A problem made particles: who is held, driven and loaded, and who may touch which body.
 
-A boundary is the wall particles along the outline whose places on the grid of walls it holds.
+A boundary is the wall particles along the outline whose places on the outline of the mesh it holds.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ from surrofe2.tissue.external_forces import (
     DrivenParticles,
     OutlineForces,
 )
-from surrofe2.tissue.layout import Tissue, shares
+from surrofe2.tissue.layout import Tissue
+from surrofe2.tissue.outline import on_outline, outlines, rings_of
 
 _LOADS = (BodyForce, Traction, Pressure, Foundation)
 STIFFNESS, SMOOTHING, SLIP = 4.0, 0.002, 1e-3
@@ -56,8 +57,8 @@ class Conditions:
 
     def boundary(self, name: str) -> Index:
         """Numbers of the wall particles of a boundary, increasing."""
-        indices, mesh = np.sort(self._outer[:, 0]), self.problem.mesh
-        points, part = self.tissue.outline[indices], self.problem.boundaries.get(name)
+        indices, mesh = np.unique(self._outer[:, 0]), self.problem.mesh
+        points, part = self.outline_places[indices], self.problem.boundaries.get(name)
         if part is not None:
             indices = indices[part.holds(points)]
         else:  # on a side of the mesh: no detour between its ends
@@ -71,9 +72,10 @@ class Conditions:
 
     def lengths(self, name: str) -> Array:
         """(k,) unloaded length of the outline that each particle of a boundary stands for, µm."""
-        ends = np.bincount(self._pairs_on(name).ravel(), minlength=self.tissue.particles)
-        half = 0.5 * self.tissue.cell.spring_length
-        return half * ends[self.boundary(name)].astype(np.float64)
+        pairs, places = self._pairs_on(name), self.outline_places
+        halves = 0.5 * np.linalg.norm(places[pairs[:, 1]] - places[pairs[:, 0]], axis=1)
+        total = np.bincount(pairs.ravel(), np.repeat(halves, 2), self.tissue.particles)
+        return np.asarray(total[self.boundary(name)])
 
     def places(self, condition: Condition) -> Index:
         """Numbers of the particles of a boundary or a region, increasing."""
@@ -85,7 +87,7 @@ class Conditions:
     def supports(self) -> tuple[Support, ...]:
         """Components of particles that are held or moved."""
         supports = supports_of(self.problem, self.places)
-        return without_overlap(supports, self.tissue.outline, "particle")
+        return without_overlap(supports, self.outline_places, "particle")
 
     @property
     def held(self) -> Flags:
@@ -213,7 +215,11 @@ class Conditions:
         return float(stiffness), float(damping)
 
     def outline(self, relaxed: Array, offset: Array) -> OutlineForces:
-        """Follower pressures and foundations; `relaxed` (particles, 2) positions, µm."""
+        """Follower pressures and foundations; `relaxed` (particles, 2) positions, µm.
+
+        With a uniform fluid pressure acts on the polygons of the walls, as that of the sap does;
+        else on the outline that the problem states, as it moves.
+        """
         pressed = [
             (n, load.pressure, *bond)
             for n, load in enumerate(self.loads) if isinstance(load, Pressure)
@@ -233,7 +239,7 @@ class Conditions:
             at=self.tissue.address[everyone],
             load=owners.astype(np.int64),
             pressure=bonds[:, 1].copy(),
-            offset=offset[bonded],
+            offset=(0.0 if self.tissue.cell.has_uniform_fluid else 1.0) * offset[bonded],
             home=relaxed[base],
             stiffness=feet[:, 2:4].copy(),
             damping=feet[:, 4:].copy(),
@@ -257,30 +263,28 @@ class Conditions:
         tissue, name = self.tissue, condition.on
         if name is None:
             return np.ones(tissue.particles)
-        n, m = tissue.kind.shape
-        inside = self.problem.cells_inside(name, (n, m), tissue.cell.cell_side)
+        is_there = tissue.kind >= 0
+        inside = np.zeros_like(is_there)
+        inside[is_there] = self.problem.cells_inside(name, tissue.middles[is_there])
         if not inside.any():
             raise InputError(f"region {name}: it holds the middle of no plant cell")
-        mine, whole = (
-            tissue.to_particles(pack(shares(tissue.cell, filled, tissue.column_row)))
-            for filled in (inside, np.ones_like(inside))
-        )
-        return mine / whole
+        mine, whole = (tissue.shares(each) for each in (inside, is_there))
+        return tissue.to_particles(pack(mine)) / tissue.to_particles(pack(whole))
 
     def _pairs_on(self, name: str) -> Index:
         """(k, 2) bonds along the outline whose two particles are on a boundary."""
         return self._outer[np.isin(self._outer, self.boundary(name)).all(axis=1)]
 
     @cached_property
+    def outline_places(self) -> Array:
+        """(particles, 2) places on the outline that particles along it stand for; of other walls,
+        where they are laid out, µm."""
+        places, outlines_ = self.tissue.laid_out, outlines(self.problem.mesh)
+        for ring in rings_of(self._outer):
+            places[ring] = on_outline(places[ring], outlines_)
+        return places
+
+    @cached_property
     def _outer(self) -> Index:
         """(k, 2) bonds along the outline, the tissue on their left."""
-        side, (x, y) = self.tissue.cell.cell_side, self.tissue.outline[self.tissue.is_wall].T
-        width, height = side * np.array(self.tissue.kind.shape)
-        near = 1e-9 * side
-        way = np.select(
-            [y < near, x > width - near, y > height - near, x < near],
-            [x, width + y, 2.0 * width + height - x, 2.0 * (width + height) - y],
-            np.inf,
-        )
-        ring = np.argsort(way)[: int(np.isfinite(way).sum())]
-        return np.stack([ring, np.roll(ring, -1)], axis=1)
+        return self.tissue.outline()

@@ -32,6 +32,13 @@ from surrofe2.plant_cell.pair_laws import (
 )
 from surrofe2.plant_cell.pair_sums import add_pair, difference, norm, pair_at
 from surrofe2.plant_cell.sph_fluid import add_sph_forces, fluid_specific_volume
+from surrofe2.plant_cell.uniform_fluid import (
+    add_vector,
+    normal_at,
+    rim_area,
+    rim_product,
+    twice_deviator,
+)
 from surrofe2.tissue.external_forces import (
     add_contact_loss,
     add_driving_work,
@@ -42,7 +49,7 @@ from surrofe2.tissue.external_forces import (
     drive_particles,
     move_bodies,
 )
-from surrofe2.tissue.pair_lists import bond_at, contact_at, fluid_at
+from surrofe2.tissue.pair_lists import bond_at, contact_at, fluid_at, sap_at
 
 
 class Particles(NamedTuple):
@@ -148,6 +155,30 @@ def _sum_forces(t, particles, lists, constants, cells):
         volume = np.empty((own - cells.walls, TILE))
         row = min(np.int64(t), constants.fluid.shape[0] - 1)
         add_sph_forces(x, v, f, cells, fluid_at(constants.fluid, row), slope, volume)
+        for k in range(cells.rim_start.shape[0] - 1):
+            rim = lists.rim[t, cells.rim_start[k] : cells.rim_start[k + 1]]
+            _add_sap_forces(x, v, f, rim, sap_at(constants.sap, t, k))
+
+
+@kernel
+def _sap_area(x, rim, sap):
+    """Area within a rim, µm²; 1 where there is no plant cell."""
+    return sap.is_there * rim_area(x, rim) + (1.0 - sap.is_there)
+
+
+@kernel
+def _add_sap_forces(x, v, f, rim, sap):
+    """Add pressure and viscous forces S g_k of a uniform fluid to f."""
+    per_area = 1.0 / _sap_area(x, rim, sap)
+    osmotic = sap.fluid_mass * sap.sound_speed_squared
+    pressure = (osmotic + sap.sap_modulus * sap.rest_area) * per_area - sap.sap_modulus
+    xx, xy, yx, yy = rim_product(v, x, rim)
+    L = (xx * per_area, xy * per_area, yx * per_area, yy * per_area)
+    txx, txy, tyy = twice_deviator(L, sap.viscosity)
+    sxx, syy = pressure - txx, pressure - tyy
+    for k in range(rim.shape[0]):
+        gx, gy = normal_at(x, rim, k)
+        add_vector(f, rim[k], sxx * gx - txy * gy, syy * gy - txy * gx)
 
 
 @kernel
@@ -252,7 +283,7 @@ def _largest_motion(watch):
 def elastic_energy(x, lists, constants, cells, energy):
     """energy (tiles, TILE) of which the forces at rest are the negative gradient, in pJ.
 
-    Springs ½ k (|r| − l₀)², contacts, fluid Σ m c_s² ln ρ.
+    Springs ½ k (|r| − l₀)², contacts, SPH fluid Σ m c_s² ln ρ, or that of `uniform_fluid`.
     x: (tiles + 1, 2, local, TILE) with images set.
     """
     for t in numba.prange(energy.shape[0]):
@@ -277,3 +308,22 @@ def elastic_energy(x, lists, constants, cells, energy):
                     weight = constants.fluid[row, 1, lane] * constants.fluid[row, 2, lane]
                     weight *= cells.exists[t, cells.walls + p, lane]
                     energy[t, lane] -= weight * np.log(volume[p, lane])
+            for k in range(cells.rim_start.shape[0] - 1):
+                rim = lists.rim[t, cells.rim_start[k] : cells.rim_start[k + 1]]
+                _add_sap_energy(there, rim, sap_at(constants.sap, t, k), energy[t])
+
+
+@kernel
+def _add_sap_energy(x, rim, sap, energy):
+    """Add the stored energy of a uniform fluid, pJ, to energy (TILE,)."""
+    sums = np.empty((5, TILE))
+    store(_sap_area(x, rim, sap), sums, 0)
+    store(sap.fluid_mass, sums, 1)
+    store(sap.fluid_mass * sap.sound_speed_squared, sums, 2)
+    store(sap.sap_modulus, sums, 3)
+    store(sap.rest_area, sums, 4)
+    for lane in range(TILE):
+        area, mass, osmotic = sums[0, lane], sums[1, lane], sums[2, lane]
+        modulus, rest = sums[3, lane], sums[4, lane]
+        energy[lane] += osmotic * np.log(mass / area)
+        energy[lane] += modulus * (area - rest - rest * np.log(area / rest))

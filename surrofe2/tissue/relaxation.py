@@ -107,13 +107,14 @@ def rounded_step(limit: float) -> float:
 def stable_step(
     cell: CellParameters, reference: ReferenceState, outside: tuple[float, float] = (0.0, 0.0)
 ) -> float:
-    """The longest stable step of two by two plant cells at rest, µs.
+    """The longest stable step of two by two RVEs at rest, µs.
 
     Args:
         outside: the largest stiffness and damping by mass that what acts on the outline adds, 1/µs²
             and 1/µs.
     """
-    dynamics = TissueDynamics(make_tissue([cell], [reference], np.zeros((2, 2), dtype=np.int64)))
+    kind = np.zeros((2, 2, cell.cells), dtype=np.int64)
+    dynamics = TissueDynamics(make_tissue([cell], [reference], kind))
     at_rest = dynamics.x
 
     def stiffness(u: Array) -> Array:

@@ -11,6 +11,7 @@ place on the grid of walls, moved by its displacement, does.
 from __future__ import annotations
 
 import hashlib
+import logging
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +24,7 @@ import numpy as np
 from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.clock import clock
 from surrofe2.base.errors import InputError, MismatchError, SimulationError
-from surrofe2.plant_cell.arrangement import ReferenceState
+from surrofe2.plant_cell.arrangement import ReferenceState, make_arrangement
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem.mesh import extent
 from surrofe2.problem.problem import Problem, label
@@ -41,8 +42,8 @@ from surrofe2.run.loop import carry_out
 from surrofe2.run.views import Facts, ViewedRun, course
 from surrofe2.tissue.conditions import TOUCHING, Conditions
 from surrofe2.tissue.dynamics import TissueDynamics
-from surrofe2.tissue.layout import make_tissue
-from surrofe2.tissue.pair_lists import bonded_particles
+from surrofe2.tissue.layout import make_tissue, middles_of, stretch_of
+from surrofe2.tissue.outline import are_within, area_within, outlines
 from surrofe2.tissue.relaxation import LONGEST, OF_LIMIT, relax, rounded_step, stable_step
 from surrofe2.tissue.settings import TissueSettings
 
@@ -50,6 +51,7 @@ Cells = CellParameters | Sequence[CellParameters]
 References = ReferenceState | Sequence[ReferenceState]
 
 DEFAULTS = TissueSettings()
+_log = logging.getLogger(__name__)
 _STATE = 4
 """Version of what a state holds."""
 
@@ -264,7 +266,7 @@ class Recorder:
 
     def _particles(self, position: Array) -> Particles:
         tissue = self._dynamics.tissue
-        return Particles(position, bonded_particles(tissue), tissue.is_wall)
+        return Particles(position, tissue.bonds(), tissue.is_wall)
 
     def checkpoint(self) -> TissueState:
         """The state at the last output time recorded."""
@@ -358,12 +360,13 @@ def simulate_tissue(
     """Motion of all particles of a tissue, which is first relaxed without load.
 
     Args:
-        problem: on a rectangle [0, width] × [0, height] of whole plant cells; its elements do not
-            matter. A boundary is the wall particles on its sides, a region the plant cells whose
-            middles it holds, a watched point the nearest particle.
-        cell: the plant cell that the tissue is made of, or several of one size.
+        problem: its mesh is the outline, its elements do not matter; a rectangle of square cells
+            has whole cells. A boundary is the wall particles on its sides, a region the plant cells
+            whose middles it holds, a watched point the nearest particle.
+        cell: the plant cell that the tissue is made of, or several of one size and arrangement.
         reference: its reference state, as the RVE law of the same cell has it, or theirs.
-        kind: (n, m) which of several each plant cell is.
+        kind: (columns, rows, cells) which of several each plant cell of each RVE is, −1 where there
+            is none, see `plant_cells_within`; of one cell per RVE also (columns, rows).
         progress: called with (t, duration) in µs at every output time.
         checkpoint: called at output times with the state of the run when `checkpoint_interval`
             seconds have passed since it last was, and upon an interrupt, which then goes its way.
@@ -373,7 +376,7 @@ def simulate_tissue(
             the states of checkpoints, but for their times.
 
     Raises:
-        InputError: the cells do not fill the extent, the problem contradicts itself, or the step
+        InputError: the cells do not fill the mesh, the problem contradicts itself, or the step
             is longer than the tissue bears.
         SimulationError: the tissue collapses, or the step is too long for it; `partial` is the
             `TissueRun` up to there (None before the loaded run begins).
@@ -385,6 +388,8 @@ def simulate_tissue(
     dynamics = held_and_loaded(conditions, settings)
     recorder = Recorder(conditions, settings, dynamics, keep_frame)
     if resume is None:
+        if any(each.sap_bulk_modulus > 0.0 for each in conditions.tissue.types):
+            _log.info(step_note(settings, conditions))
         if progress is not None:
             progress(0.0, problem.duration)
         meet_bodies(dynamics, conditions, relax(dynamics, settings.residual))
@@ -426,16 +431,18 @@ def make_conditions(
     """A problem on the particles of its tissue; arguments as of `simulate_tissue`."""
     types = [cell] if isinstance(cell, CellParameters) else cell
     references = [reference] if isinstance(reference, ReferenceState) else reference
-    cells = cells_that_fill(problem, types[0])
-    kind = np.zeros(cells, dtype=np.int64) if kind is None else kind
-    if kind.shape != cells or not 0 <= kind.min() <= kind.max() < len(types):
+    origin, inside = plant_cells_within(problem, types[0], references[0])
+    kind = np.where(inside, 0, -1) if kind is None else kind.reshape(*kind.shape[:2], -1)
+    if kind.shape != inside.shape or not np.array_equal(kind >= 0, inside):
         raise InputError(
-            f"tissue: kinds {kind.shape} up to {kind.max()}; it has {cells[0]} × {cells[1]} plant "
-            f"cells of {len(types)} types"
+            f"tissue: kinds {kind.shape}; it has {inside.sum()} plant cells in {inside.shape[0]} × "
+            f"{inside.shape[1]} RVEs of {inside.shape[2]}, and −1 must stand for all others"
         )
-    conditions = Conditions(problem, make_tissue(types, references, kind))
+    if kind.max() >= len(types):
+        raise InputError(f"tissue: kinds up to {kind.max()}; there are {len(types)} types of cells")
+    conditions = Conditions(problem, make_tissue(types, references, kind, origin.tolist()))
     for body in problem.bodies:
-        points = conditions.tissue.outline[conditions.boundary(body.on)]
+        points = conditions.outline_places[conditions.boundary(body.on)]
         allowed = TOUCHING * types[0].cell_side
         check_outside(body.name, body.shape, np.array(body.position), points, allowed)
     return conditions
@@ -446,6 +453,27 @@ def step_at_rest(conditions: Conditions) -> float:
     tissue, outside = conditions.tissue, conditions.stiffest()
     types = zip(tissue.types, tissue.references, strict=True)
     return min(stable_step(cell, reference, outside) for cell, reference in types)
+
+
+def step_note(settings: TissueSettings, conditions: Conditions) -> str:
+    """The step that undrained sap makes a tissue take, and why.
+
+    Args:
+        settings: with their step, as of `with_step`.
+    """
+    tissue, outside = conditions.tissue, conditions.stiffest()
+    modulus = max(cell.sap_bulk_modulus for cell in tissue.types)
+    drained = []
+    for cell, reference in zip(tissue.types, tissue.references, strict=True):
+        # at rest, where areas are those of the reference, the modulus exerts nothing
+        open_cell = replace(cell, sap_bulk_modulus=0.0)
+        same = replace(reference, fingerprint=open_cell.fingerprint)
+        drained.append(stable_step(open_cell, same, outside))
+    return (
+        f"tissue.micro_step: {settings.micro_step:.3g} µs; undrained sap (sap_bulk_modulus "
+        f"{modulus:g} MPa) bears {step_at_rest(conditions):.3g} µs at rest, drained sap would bear "
+        f"{min(drained):.3g} µs"
+    )
 
 
 def with_step(settings: TissueSettings, conditions: Conditions) -> TissueSettings:
@@ -467,24 +495,64 @@ def with_step(settings: TissueSettings, conditions: Conditions) -> TissueSetting
     return settings
 
 
-def cells_that_fill(
-    problem: Problem, cell: CellParameters, section: str = "mesh"
-) -> tuple[int, int]:
-    """Plant cells in x and y.
+def plant_cells_within(
+    problem: Problem, cell: CellParameters, reference: ReferenceState, section: str = "mesh"
+) -> tuple[Index, Flags]:
+    """The plant cells at rest whose middles a mesh holds.
 
     Args:
         section: of the recipe that states the extent.
 
+    Returns:
+        Column and row of the first RVE (2,), and (columns, rows, cells) whether each plant cell
+        from there on is within the mesh.
+
     Raises:
-        InputError: no whole number of them fills the mesh, or it is no rectangle.
+        InputError: square cells do not fill a rectangle, or the cells' area is not the mesh's.
     """
     mesh, (low, high) = problem.mesh, extent(problem.mesh)
-    ends = mesh.p[:, mesh.facets[:, mesh.boundary_facets()]]
-    on_a_side = [(abs(ends.T - side) < 1e-9 * high.max()).all(axis=1) for side in (0.0 * low, high)]
-    if abs(low).max() > 1e-9 * high.max() or not np.any(on_a_side, axis=(0, 2)).all():
-        raise InputError("mesh: a full tissue needs a rectangle [0, width] × [0, height]")
-    n, m = (round(length / cell.cell_side) for length in high.tolist())
-    for name, length, count in (("width", high[0], n), ("height", high[1], m)):
+    rings = outlines(mesh)
+    if cell.arrangement == "square" and _is_rectangle(rings, high):
+        _check_whole_squares(high, cell, section)
+    lattice = reference.lattice
+    corners = np.array([(x, y) for x in (low[0], high[0]) for y in (low[1], high[1])])
+    at = np.linalg.solve(lattice, corners.T)
+    first = np.floor(at.min(axis=1)).astype(np.int64) - _MARGIN
+    periods = np.ceil(at.max(axis=1)).astype(np.int64) + _MARGIN - first
+    # a middle on a side of the mesh belongs to one side only
+    middles = middles_of(cell, reference, first, periods.tolist()) + _ASIDE * cell.cell_side
+    inside = are_within(middles.reshape(-1, 2), rings).reshape(middles.shape[:3])
+    area, areas = area_within(rings), make_arrangement(cell).tessellation.areas
+    filled = float((inside * areas).sum() * np.linalg.det(stretch_of(cell, lattice)))
+    if abs(filled - area) > _MOST_OFF * area:
+        raise InputError(
+            f"{section}: its {area:.6g} µm² hold the middles of {inside.sum()} plant cells of "
+            f"{filled:.6g} µm²; both areas may differ by {100 * _MOST_OFF:g} %: take sides of "
+            f"whole RVEs, {lattice[0, 0]:.6g} × {lattice[1, 1]:.6g} µm, or a larger tissue"
+        )
+    has_cells = np.asarray(inside.any(axis=2))
+    columns, rows = np.flatnonzero(has_cells.any(axis=1)), np.flatnonzero(has_cells.any(axis=0))
+    inside = inside[columns[0] : columns[-1] + 1, rows[0] : rows[-1] + 1]
+    return first + np.array([columns[0], rows[0]]), inside
+
+
+_MARGIN = 2
+"""RVEs around the extent of a mesh that may have plant cells within."""
+_ASIDE = np.array([1e-7, 0.7e-7])
+_MOST_OFF = 0.02
+"""Of a mesh's area, by which that of its plant cells may differ."""
+
+
+def _is_rectangle(rings: list[Array], high: Array) -> bool:
+    """Whether the outline is that of [0, width] × [0, height]."""
+    slack = 1e-9 * high.max()
+    is_within = all((ring > -slack).all() and (ring < high + slack).all() for ring in rings)
+    return is_within and abs(area_within(rings) - high.prod()) < 1e-9 * high.prod()
+
+
+def _check_whole_squares(high: Array, cell: CellParameters, section: str) -> None:
+    for name, length in zip(("width", "height"), high.tolist(), strict=True):
+        count = round(length / cell.cell_side)
         if count < 1 or abs(count * cell.cell_side - length) > 1e-9 * length:
             few = int(length / cell.cell_side)
             near = " or ".join(f"{k * cell.cell_side:g}" for k in (few, few + 1) if k)
@@ -493,7 +561,6 @@ def cells_that_fill(
                 f"{section}.{name}: {length:g}; a tissue needs a whole number of plant cells of "
                 f"{cell.cell_side:g} µm{hint}"
             )
-    return n, m
 
 
 def held_and_loaded(conditions: Conditions, settings: TissueSettings) -> TissueDynamics:
@@ -509,7 +576,7 @@ def held_and_loaded(conditions: Conditions, settings: TissueSettings) -> TissueD
 
 def meet_bodies(dynamics: TissueDynamics, conditions: Conditions, relaxed: Array) -> None:
     """Let all act on the outline; `relaxed` (particles, 2): where it is unloaded, µm."""
-    offset = conditions.tissue.outline - relaxed
+    offset = conditions.outline_places - relaxed
     dynamics.bodies = conditions.bodies(offset)
     dynamics.outline = conditions.outline(relaxed, offset)
 
@@ -565,6 +632,6 @@ def identity(conditions: Conditions, settings: TissueSettings) -> Array:
     digest = hashlib.sha256(repr((_STATE, stated, watched, tissue.constants, settings)).encode())
     sides = [conditions.boundary(name) for name in problem.acted_boundaries()]
     acts = conditions.held, conditions.dead_loads(), conditions.velocity()
-    for array in (tissue.mass, tissue.kind, *sides, *acts):
+    for array in (tissue.mass, tissue.kind, tissue.start, *sides, *acts):
         digest.update(array.tobytes())
     return np.array(list(digest.digest()), dtype=np.float64)

@@ -21,7 +21,6 @@ from surrofe2.macro.elements import make_discretisation
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.store.samples import kept_reference
-from surrofe2.tissue.layout import check_cell_of_tissue
 from surrofe2.tissue.relaxation import rounded_step, stable_step
 from surrofe2.workflow.tissue import tissue_of
 
@@ -116,16 +115,8 @@ def sap_wave_speed(cell: CellParameters) -> float:
     return math.sqrt(cell.sap_bulk_modulus * cell.tissue_thickness / cell.density)
 
 
-def all_particles(recipe: Recipe) -> Particles | None:
-    """The full particle model of a recipe's tissue, by the area of each kind of plant cell.
-
-    None where there is no such model of one of its plant cells.
-    """
-    try:
-        for part in recipe.parts().values():
-            check_cell_of_tissue(part.cell)
-    except InputError:
-        return None
+def all_particles(recipe: Recipe) -> Particles:
+    """The full particle model of a recipe's tissue, by the area of each kind of plant cell."""
     elements = _elements_by_cell(recipe)
     plant_cells = particles = 0.0
     step = math.inf if recipe.tissue.micro_step is None else recipe.tissue.micro_step
@@ -145,12 +136,10 @@ def all_particles(recipe: Recipe) -> Particles | None:
     return Particles(plant_cells, particles, recipe.duration / step, is_possible)
 
 
-def particles_sentence(found: Particles | None) -> str:
+def particles_sentence(found: Particles) -> str:
     """What all particles would take."""
-    if found is None:
-        return "All particles: a full tissue takes square plant cells of SPH fluid alone"
     total = rough_number(found.particles * found.steps)
-    only = "" if found.is_possible else " (surrofe2 tissue takes rectangles of whole cells alone)"
+    only = "" if found.is_possible else " (surrofe2 tissue takes whole plant cells alone)"
     return (
         f"All particles: {found.plant_cells:,.0f} plant cells, {found.particles:,.0f} particles, "
         f"{found.steps:,.0f} steps. At {PARTICLE_STEPS / 1e6:.0f} million particle-steps a second, "

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from surrofe2.base.arrays import Index
 from surrofe2.base.clock import seconds_compiling
 from surrofe2.base.errors import InputError
@@ -17,12 +19,12 @@ from surrofe2.store.fields import FrameWriter, fields_of_particles, particle_wri
 from surrofe2.store.run_folder import CHECKPOINT_INTERVAL, RunFolder, RunRecord, write_curves
 from surrofe2.store.samples import kept_reference
 from surrofe2.tissue import TissueRun, TissueState, simulate_tissue
-from surrofe2.tissue.layout import check_cell_of_tissue
+from surrofe2.tissue.layout import middles_of
 from surrofe2.tissue.simulation import (
     ParticleFrames,
     Particles,
-    cells_that_fill,
     make_conditions,
+    plant_cells_within,
     with_step,
 )
 from surrofe2.workflow.run import new_record
@@ -31,7 +33,8 @@ from surrofe2.workflow.run import new_record
 def tissue_of(
     recipe: Recipe,
 ) -> tuple[Problem, list[CellParameters], Index]:
-    """The problem of a recipe, its plant cells, and which of these each one is (n, m).
+    """The problem of a recipe, its plant cells, and which of these each one of the tissue is, as
+    `simulate_tissue` takes it.
 
     Raises:
         InputError: naming what a tissue of particles does not take.
@@ -39,16 +42,13 @@ def tissue_of(
     problem, section = recipe.problem(), "load" if recipe.is_bar else "mesh"
     cells = [each.cell for each in recipe.cells.values()]
     with recipe.named(InputError):
-        for cell in cells:
-            check_cell_of_tissue(cell)
-        if recipe.mesh.file is not None:
-            raise InputError(
-                f"mesh.file: {recipe.mesh.file!r}; a full tissue needs a rectangle: mesh.width and "
-                "mesh.height"
-            )
         problem.check_course()
-        counts = cells_that_fill(problem, cells[0], section)
-        return problem, cells, kinds_of_cells(problem, recipe.cells, counts)
+        reference = kept_reference(cells[0])
+        origin, inside = plant_cells_within(problem, cells[0], reference, section)
+        kind = np.where(inside, 0, -1)
+        middles = middles_of(cells[0], reference, origin, inside.shape[:2])
+        kind[inside] = kinds_of_cells(problem, recipe.cells, middles[inside])
+        return problem, cells, kind
 
 
 def run_tissue(

@@ -247,16 +247,6 @@ def test_all_particles_are_those_of_the_tissue(recipe, changed_recipe):
     ).is_possible
 
 
-@pytest.mark.parametrize("cell", ['preset = "apple"', 'arrangement = "voronoi"\ncells = 9'])
-def test_plant_cells_without_a_full_tissue_are_said(changed_recipe, cell):
-    """A uniform fluid, and irregular cells: what is refused is no reason to end the check."""
-    recipe = load_recipe(changed_recipe('preset = "printed"', cell))
-    assert all_particles(recipe) is None
-    with pytest.raises(InputError, match="a full tissue"):
-        tissue_of(recipe)
-    assert "square plant cells of SPH fluid alone" in scale.particles_sentence(None)
-
-
 @pytest.mark.parametrize(("rate", "advice"), [(1e30, "surrofe2 tissue"), (1e-30, "--law rve")])
 def test_all_particles_are_advised_where_they_take_less(
     invoke, recipe_path, monkeypatch, rate, advice

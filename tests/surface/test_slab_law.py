@@ -249,7 +249,7 @@ def test_outer_rows_of_a_relaxed_tissue_shrink_as_those_of_the_slab():
     tissue = make_tissue([law.cell], [law.law.reference], np.zeros((n, m), dtype=int))
     relaxed = relax(TissueDynamics(tissue), 1e-3)
     grid = [np.array([n // 2 * side, k * side]) for k in (0, 1)]
-    at = [np.abs(tissue.outline - place).sum(axis=1).argmin() for place in grid]
+    at = [np.abs(tissue.laid_out - place).sum(axis=1).argmin() for place in grid]
     shrinks = side - np.diff(relaxed[at, 1])[0]
     assert side - np.diff(x[rows, 1])[0] == pytest.approx(shrinks, rel=0.1)
 

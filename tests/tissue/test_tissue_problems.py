@@ -196,7 +196,7 @@ def test_pressure_follows_and_is_the_gradient_of_the_area(reference):
     free = dynamics.forces(with_outline=False)
     pushed = dynamics.forces(amplitudes=factors) - free
     np.testing.assert_allclose(dynamics.outline.total[3], [0.0, -14.0 * 50.0], rtol=0, atol=1e-9)
-    outline = conditions.tissue.outline
+    outline = conditions.outline_places
     outer = np.flatnonzero(np.isfinite(outline[:, 0]) & (abs(outline - 25.0).max(axis=1) > 24.9))
     order = outer[np.argsort(np.arctan2(*(outline[outer] - 25.0).T[::-1]))]
     direction = np.random.default_rng(5).normal(size=x.shape)
@@ -329,8 +329,8 @@ CLAMP = Fixed(name="clamp", on="left")
             "boundary patch: it holds no wall particle",
         ),
         (
-            {"mesh": replace(PRESSED.mesh, doflocs=PRESSED.mesh.p + 1.0)},
-            r"mesh: a full tissue needs a rectangle \[0, width\]",
+            {"mesh": replace(PRESSED.mesh, doflocs=0.7 * PRESSED.mesh.p + 1.0)},
+            r"mesh: its 1225 µm² hold the middles of 1 plant cells of 625 µm²; both areas may",
         ),
         ({"mesh": rectangle(60.0, 50.0, (2, 2))}, "mesh.width: 60; a tissue needs a whole number"),
         ({"mesh": rectangle(50.0, 20.0, (2, 2))}, "mesh.height: 20; a tissue needs a whole num"),

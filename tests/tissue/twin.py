@@ -14,7 +14,7 @@ class TissueTwin:
     """
 
     def __init__(self, tissue):
-        cell, reference, cells = tissue.cell, tissue.references[0], tissue.kind.shape
+        cell, reference, cells = tissue.cell, tissue.references[0], tissue.kind.shape[:2]
         self.cell, self.rest_length = cell, reference.rest_length
         per_side, side, position = cell.wall_springs_per_side, cell.cell_side, reference.position
         outer = per_side * np.array(cells)
