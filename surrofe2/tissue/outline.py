@@ -79,8 +79,8 @@ def on_outline(walls: Array, rings: list[Array]) -> Array:
         unrolled = _ascending(unrolled, around)
     for corner in _corners(ring):
         off = np.mod(unrolled - starts[corner] + 0.5 * around, around) - 0.5 * around
-        nearest = int(abs(off).argmin())
-        unrolled[nearest] -= off[nearest]
+        nearest = off[abs(off).argmin()]
+        unrolled[abs(off - nearest) < _LEVEL * around] -= nearest
     place = np.mod(unrolled, around)
     side = np.clip(np.searchsorted(starts, place, side="right") - 1, 0, len(ring) - 1)
     along = ((place - starts[side]) / lengths[side])[:, None]

@@ -540,17 +540,21 @@ class PairLister:
         cells, tissue = self.cells, self._tissue
         if not np.isfinite(x).all():
             raise SimulationError("tissue: positions are not finite")
-        centre = (x * (cells.exists * cells.per_count[:, None])[:, None]).sum(axis=2)
-        from_there = (x - centre[:, :, None]) * cells.exists[:, None]
-        extent = np.hypot(from_there[:, 0], from_there[:, 1]).max()
+        # the box around the particles of each period
         filled = tissue.column_row[:, 0] >= 0
-        centres, at = unpack(centre, len(filled))[filled], tissue.column_row[filled]
-        near = tissue.cell.repulsion_cutoff + 2.0 * extent
-        tree = scipy.spatial.cKDTree(centres)
-        i, j = tree.query_pairs(near + cells.skin * at.max(), output_type="ndarray").T
+        at, exists = tissue.column_row[filled], cells.exists[:, None] > 0.0
+        low, high = (
+            unpack(of(np.where(exists, x, beyond), axis=2), len(filled))[filled]
+            for of, beyond in ((np.min, np.inf), (np.max, -np.inf))
+        )
+        reach = tissue.cell.repulsion_cutoff + cells.skin * at.max()
+        farthest = reach + float(np.hypot(*(high - low).T).max())
+        tree = scipy.spatial.cKDTree(0.5 * (low + high))
+        i, j = tree.query_pairs(farthest, output_type="ndarray").T
         rings = abs(at[i] - at[j]).max(axis=1)
-        distance = np.hypot(*(centres[i] - centres[j]).T)
-        if (distance < near + cells.skin * rings)[rings > RINGS].any():
+        between = np.maximum(np.maximum(low[i] - high[j], low[j] - high[i]), 0.0)
+        near = tissue.cell.repulsion_cutoff + cells.skin * rings
+        if (np.hypot(*between.T) < near)[rings > RINGS].any():
             raise SimulationError(
                 f"tissue: plant cells with {RINGS} others between them come within reach of each "
                 "other; the tissue has collapsed"
