@@ -282,21 +282,21 @@ def test_places_on_an_outline_never_go_back():
 def test_a_round_tissue_has_the_plant_cells_whose_middles_it_holds():
     """A disc with a hole, of squares, by a mesh: its weight, its outlines, its loads."""
     mesh = skfem.MeshTri.init_circle(4)
-    mesh = skfem.MeshTri(200.0 * mesh.p + 300.0, mesh.t)
+    mesh = skfem.MeshTri(300.0 * mesh.p + 400.0, mesh.t)
     centres = mesh.p[:, mesh.t].mean(axis=1).T
-    ring = mesh.restrict(np.flatnonzero(np.linalg.norm(centres - 300.0, axis=1) > 60.0))
+    ring = mesh.restrict(np.flatnonzero(np.linalg.norm(centres - 400.0, axis=1) > 80.0))
     cell = CellParameters.preset("printed", fluid="uniform")
     unit = make_unit_cell(cell)
     weight = BodyForce(name="weight", acceleration=(0.0, -1.0))
     problem = Problem(
         mesh=ring, conditions=(weight,), duration=1.0, output_interval=1.0,
-        watched={"end": (300.0, 480.0)},
+        watched={"end": (400.0, 680.0)},
     )  # fmt: skip
     assert len(outlines(problem.mesh)) == 2
     conditions = make_conditions(problem, cell, unit.reference)
     tissue = conditions.tissue
-    radius = np.linalg.norm(tissue.middles[tissue.kind >= 0] - 300.0, axis=-1)
-    assert 60.0 < radius.min() < radius.max() < 200.0
+    radius = np.linalg.norm(tissue.middles[tissue.kind >= 0] - 400.0, axis=-1)
+    assert 65.0 < radius.min() < radius.max() < 300.0
     area = (tissue.kind >= 0).sum() * 625.0
     assert conditions.dead_loads()[0, :, 1].sum() == pytest.approx(-cell.density * area, rel=1e-12)
     x, v = shaken(tissue)
