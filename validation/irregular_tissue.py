@@ -25,8 +25,10 @@ from validation.tissues import ALONG, DURATION, RAMP, STRIP
 
 PER_RVE, SEEDS = 16, (1, 2, 3)
 """Voronoi cells of an RVE, and their arrangements."""
-ACROSS, MESH, STRETCH = (8, 16), 8, 0.03
+ACROSS, MESH, STRETCH = (8, 16), 4, 0.03
 """Strips: plant cells across, and what they are pulled by; elements per side of the bar."""
+WIDE = 4
+"""Plant cells along an element of a strip, which is as wide as an RVE."""
 SMALL, LOAD = "bar, a tenth of the load", "bar, full load"
 FACTORS = {SMALL: 0.1, LOAD: 1.0}
 SQUARES = "squares"
@@ -85,7 +87,7 @@ def strip(of: NamedCell, n: int, method: str) -> Case:
     width, height = sides(of.cell, ALONG, n)
     ramp = {"kind": "ramp", "end": RAMP, "smooth": True}
     table = {
-        "mesh": {"width": width, "height": height, "elements": [ALONG // 2, max(n // 2, 1)]},
+        "mesh": {"width": width, "height": height, "elements": [ALONG // WIDE, max(n // WIDE, 1)]},
         "conditions": {
             "clamp": {"kind": "fixed", "on": "left"},
             "grip": {

@@ -17,6 +17,8 @@ _CORNER = 0.3
 """Sine of the turn from which on a vertex of an outline is a corner."""
 _LEVEL = 1e-9
 """Of the extent: particles as near to the outline lie on it."""
+_HAIR = 1e-6
+"""Of the way around: between a corner and all particles but the one that stands for it."""
 
 
 def outlines(mesh: skfem.Mesh) -> list[Array]:
@@ -78,9 +80,7 @@ def on_outline(walls: Array, rings: list[Array]) -> Array:
     if abs(steps.sum() - around) < 0.5 * around:
         unrolled = _ascending(unrolled, around)
     for corner in _corners(ring):
-        off = np.mod(unrolled - starts[corner] + 0.5 * around, around) - 0.5 * around
-        nearest = off[abs(off).argmin()]
-        unrolled[abs(off - nearest) < _LEVEL * around] -= nearest
+        unrolled = _with_one_at(starts[corner], unrolled, around)
     place = np.mod(unrolled, around)
     side = np.clip(np.searchsorted(starts, place, side="right") - 1, 0, len(ring) - 1)
     along = ((place - starts[side]) / lengths[side])[:, None]
@@ -107,6 +107,22 @@ def _ascending(way: Array, around: float) -> Array:
     above = np.maximum.accumulate(every)
     below = np.minimum.accumulate(every[::-1])[::-1]
     return np.asarray(0.5 * (above + below)[len(way) : 2 * len(way)])
+
+
+def _with_one_at(corner: float, way: Array, around: float) -> Array:
+    """Ways of which one ends at a corner, and no other within `_HAIR`, so that each bond is on one
+    side of it."""
+    off = np.mod(way - corner + 0.5 * around, around) - 0.5 * around
+    nearest = off[abs(off).argmin()]
+    ties = np.flatnonzero(abs(off - nearest) < _LEVEL * around)
+    # the last of those before the corner, or the first of those behind it
+    beside = 1 if nearest < 0.0 else -1
+    one = next(k for k in ties.tolist() if (k + beside) % len(way) not in ties)
+    is_before = np.mod(np.arange(len(way)) - one, len(way)) > len(way) // 2
+    hair = _HAIR * around
+    moved = np.where(abs(off) < hair, np.where(is_before, -hair, hair), off)
+    moved[one] = 0.0
+    return np.asarray(way + moved - off)
 
 
 def _corners(ring: Array) -> list[int]:
