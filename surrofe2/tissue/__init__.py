@@ -1,9 +1,10 @@
 """The full microscopic tissue: every particle of every plant cell, nothing homogenised.
 
 Reading order: settings, layout (which particles there are), pair_lists (who may interact, how
-strongly, and who does now); external_forces (prescribed motion, the outline, rigid bodies),
-kernels, dynamics (particles in motion); conditions (a problem made particles), relaxation (at rest
-without load, and the step that is stable there), simulation (a run and its history).
+strongly, and who does now); external_forces (prescribed motion, loads along the outline, rigid
+bodies), kernels, dynamics (particles in motion); outline (of the mesh, and the tissue's own along
+it), conditions (a problem made particles), relaxation (at rest without load, and the step that is
+stable there), simulation (a run and its history).
 """
 
 from __future__ import annotations
