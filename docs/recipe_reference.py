@@ -10,6 +10,8 @@ from typing import Any, Literal, Union, get_args, get_origin
 
 from surrofe2.base.settings import allowed_numbers, hints_of
 from surrofe2.base.units import NONE
+from surrofe2.plant_cell.measurements import DETERMINED
+from surrofe2.plant_cell.parameters import CellParameters, LivingTissue
 from surrofe2.problem.amplitude import KINDS, Amplitude, Constant
 from surrofe2.problem.conditions import CONDITIONS, Condition
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody
@@ -31,6 +33,11 @@ CELL_NOTE = (
     "constant of the preset, so the default of a key is the preset's. The defaults below are those "
     "of `printed`. `[cells.NAME]` states several plant cells, each with `regions`, a list of the "
     "mesh's regions that it fills, and with sections `range`, `samples` and `training` of its own."
+)
+MEASUREMENT_NOTE = (
+    'Beside `preset = "apple"` or `"potato"` the section takes measurements, from which the '
+    "constants follow ([translation](cells.md#translation)). A measurement wins over a constant "
+    "that it determines; a measurement that is left out is the preset's."
 )
 NOTES = {
     "cell": CELL_NOTE,
@@ -63,6 +70,8 @@ def page() -> str:
     parts = [HEAD]
     for name, kind in SECTIONS.items():
         parts += [f"## [{name}]", _first_line(kind), NOTES.get(name, ""), _table(kind)]
+        if kind is CellParameters:
+            parts += [MEASUREMENT_NOTE, _measurements()]
     parts += ["## [mesh]", _first_line(MeshSettings), MESH_NOTE, _table(MeshSettings)]
     parts += ["## [conditions]", CONDITION_NOTE]
     for condition in CONDITIONS:
@@ -94,6 +103,17 @@ def _table(kind: type) -> str:
     if not rows:
         return ""
     head = "| key | allowed | default | unit | meaning |", "|---|---|---|---|---|"
+    return "\n".join([*head, *rows])
+
+
+def _measurements() -> str:
+    """The table of what is measured, with the constants that each determines."""
+    rows = [
+        f"| `{item.name}` | {item.metadata['unit']} | {item.metadata['about']} "
+        f"| {', '.join(f'`{each}`' for each in DETERMINED[item.name])} |"
+        for item in fields(LivingTissue)
+    ]
+    head = "| key | unit | meaning | determines |", "|---|---|---|---|"
     return "\n".join([*head, *rows])
 
 

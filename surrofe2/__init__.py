@@ -84,7 +84,11 @@ if TYPE_CHECKING:
     from surrofe2.macro.rest import Rest as Rest, find_rest as find_rest
     from surrofe2.macro.settings import MacroSettings as MacroSettings
     from surrofe2.macro.simulation import MacroRun as MacroRun, simulate as simulate
-    from surrofe2.plant_cell.parameters import CellParameters as CellParameters
+    from surrofe2.plant_cell.measurements import living_cell as living_cell
+    from surrofe2.plant_cell.parameters import (
+        CellParameters as CellParameters,
+        LivingTissue as LivingTissue,
+    )
     from surrofe2.recipe.recipe import load_recipe as load_recipe
     from surrofe2.law.regional_law import RegionalLaw as RegionalLaw
     from surrofe2.problem.rigid_bodies import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -14,6 +14,7 @@ from surrofe2.cli import console
 from surrofe2.questions import memory as memory_of
 from surrofe2.questions import moduli as moduli_of
 from surrofe2.questions import stability as stability_of
+from surrofe2.questions import wilting as wilting_of
 from surrofe2.report.study import NamedCell, Study, keep_study
 from surrofe2.rve import INITIALISATIONS
 from surrofe2.store.store import keep
@@ -23,10 +24,19 @@ from surrofe2.workflow.zoom import write_zoom, zoom_into
 
 def moduli(
     cell: console.CellName = "printed",
-    initialisation: console.AnyInitialisation = "all",
+    every: Annotated[
+        bool,
+        typer.Option(
+            "--all", help="Also elastic and viscous matrices by each initialisation, N/m and MPa."
+        ),
+    ] = False,
+    initialisation: Annotated[
+        Literal["all", "cauchy-born", "elastic", "constrained-runs", "slow-manifold"] | None,
+        typer.Option(metavar="NAME", help="As --all, by one: how RVEs begin."),
+    ] = None,
     turgor: Annotated[
         float | None,
-        typer.Option(metavar="MPa", help="Wanted turgor instead of the fluid's mass."),
+        typer.Option(metavar="MPa", help="Wanted turgor, at constant density."),
     ] = None,
     memory: Annotated[
         Path | None,
@@ -40,6 +50,14 @@ def moduli(
         float,
         typer.Option(metavar="µs", help="--memory: period of the fastest motion expected."),
     ] = memory_of.PERIOD,
+    wilt: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Also size and moduli against turgor as the tissue wilts in a bath; figure, CSV "
+            "and numbers in DIR.",
+        ),
+    ] = None,
     stability: Annotated[
         Path | None,
         typer.Option(
@@ -50,27 +68,34 @@ def moduli(
     out: console.JsonFile = None,
     fresh: console.Fresh = False,
 ) -> None:
-    """Elastic and viscous moduli of a plant cell at rest, in N/m and MPa.
+    """What experiments on a tissue would find: Young's modulus, shear modulus, Poisson's ratio.
 
-    From the exact tangents of the stress at F = I. The turgor is the pressure that the tension of
-    the walls carries; it is set by the fluid's mass.
+    They are of a slow test of the tissue at rest, along the axes and at 45° to them, from the exact
+    tangents of the stress at F = I, in MPa. Beside them stand the turgor, how far it stretches the
+    walls, and the compression up to which the cells are stable. The turgor is the pressure that the
+    tension of the walls carries; --turgor sets it at the density that the cell has.
 
-    Example: surrofe2 moduli --cell water
+    Example: surrofe2 moduli --cell apple --wilt out/wilting
     """
     of = NamedCell.of(cell)
     if turgor is not None:
         of = NamedCell(moduli_of.with_turgor(of.cell, turgor), of.name, of.source)
 
-    make = partial(_moduli, of, initialisation)
-    identity = of.identity({"initialisation": initialisation})
+    names: tuple[str, ...] = ()
+    if every or initialisation is not None:
+        is_one = initialisation not in (None, "all")
+        names = (str(initialisation),) if is_one else INITIALISATIONS
+    make = partial(_moduli, of, names)
+    identity = of.identity({"initialisations": list(names)})
     if out is not None and keep(out, identity, make, fresh=fresh)[1]:
         console.print_line(f"{out}: there already")
     else:
         if out is None:
             make()
-        console.done(out, f"elastic and viscous, of {of}")
+        console.done(out, f"moduli of {of}")
     questions: tuple[tuple[str, Path | None, dict[str, Any], Callable[..., Study]], ...] = (
         ("memory", memory, {"period": period}, partial(memory_of.memory_study, of.cell, period)),
+        ("wilting", wilt, {}, partial(wilting_of.wilting_study, of.cell)),
         ("stability", stability, {}, partial(stability_of.stability, of.cell)),
     )
     for name, folder, asked, ask in questions:
@@ -90,25 +115,25 @@ def moduli(
         console.print_line(files)
 
 
-def _moduli(of: NamedCell, initialisation: str) -> dict[str, Any]:
-    """Compute and show them; what a file says of them."""
-    names, found = INITIALISATIONS if initialisation == "all" else (initialisation,), {}
-    with console.working("moduli", len(names), "initialisations", "nothing was changed") as report:
-        pressure = moduli_of.turgor(of.cell)
+def _moduli(of: NamedCell, names: tuple[str, ...]) -> dict[str, Any]:
+    """Compute and show them, with tables of these initialisations; the contents of their file."""
+    parts = 1 + len(names)
+    matrices: dict[str, moduli_of.CellModuli] = {}
+    with console.working("moduli", parts, "parts", "nothing was changed") as report:
+        tests = moduli_of.experiment_table(of.cell)
+        report(1, "")
         for name in names:
-            found[name] = moduli_of.cell_moduli(of.cell, name)
-            report(len(found), "")
-    console.print_line(
-        f"{of}, fluid {of.cell.fluid}, {of.cell.fluid_density:.5g} ng/µm²: turgor "
-        f"{pressure:.4g} MPa (carried by the walls)"
-    )
-    shown = moduli_of.moduli_tables(of.cell, found)
-    for title, table in shown.items():
+            matrices[name] = moduli_of.cell_moduli(of.cell, name)
+            report(1 + len(matrices), "")
+    sap = "undrained" if of.cell.sap_bulk_modulus > 0.0 else "drained"
+    console.show_table(f"{of}, fluid {of.cell.fluid}, {sap}", tests)
+    tables = moduli_of.moduli_tables(of.cell, matrices) if matrices else {}
+    for title, table in tables.items():
         console.show_table(title, table)
     return {
         "fingerprint": of.cell.fingerprint,
-        "turgor_MPa": pressure,
-        "tables": {title: table.to_records() for title, table in shown.items()},
+        "experiment": tests.to_records(),
+        "tables": {title: table.to_records() for title, table in tables.items()},
     }
 
 

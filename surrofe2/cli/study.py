@@ -74,8 +74,9 @@ def check(
     """Check a recipe: its faults, the range it needs, how long it takes, which law to take.
 
     Reports everything that is wrong with the recipe, its mesh, names and files, and what each
-    boundary and region of the mesh holds; the time scales of tissue and loads, and so whether to
-    run in time or at rest. Then a dry run or rest by
+    boundary and region of the mesh holds; each plant cell both as an experiment would tell of it
+    (size, turgor, walls) and by its constants; the time scales of tissue and loads, and so whether
+    to run in time or at rest. Then a dry run or rest by
     the tangents of the RVE at rest, on a coarser mesh where the recipe's takes too long, proposes
     the [range], to be copied into the recipe. It knows neither stiffening nor loss of stability;
     the margin is for that. The number of RVEs to solve and the time of one give the order of
@@ -101,7 +102,7 @@ def check(
     if merged:
         along, across = mesh.mesh.elements or (0, 0)
         console.print_line(f"the mesh is large: checked with {along} × {across} elements")
-    for line in checking.parts_of_mesh(mesh):
+    for line in (*checking.parts_of_mesh(mesh), *checking.lines_of_cells(study)):
         console.print_line(line)
     without = [part.section("range") for part in study.parts().values() if part.range is None]
     if without:

@@ -1,8 +1,10 @@
 """Questions about a plant cell, each with its answer.
 
-    moduli           elastic and viscous moduli at rest
+    moduli           what experiments find at rest: moduli, turgor
+    wilting          size and moduli against turgor in a bath
     memory           how long an RVE remembers its past
     stability        where a plant cell has a stable equilibrium
 
-Each computes plain results; `memory` and `stability` describe theirs as a `report.study.Study`.
+Each computes plain results; `wilting`, `memory` and `stability` describe theirs as a
+`report.study.Study`.
 """

@@ -7,6 +7,11 @@ its rate. In Voigt's order xx, yy, xy (engineering shear, minor symmetries taken
     bulk K = (C₁₁ + C₁₂)/2         shear along the axes G₀ = C₆₆, at 45° G₄₅ = (C₁₁ − C₁₂)/2
     Young E = C₁₁ − C₁₂²/C₂₂       Poisson ν = C₁₂/C₂₂        (pulled along x, free across)
 
+Along n = (cos θ, sin θ), with m across it and S = C⁻¹, a test finds::
+
+    1/E = v·S v      ν = −E w·S v      1/G = u·S u
+    v = (n₁², n₂², n₁n₂)      w = (m₁², m₂², m₁m₂)      u = (2 n₁m₁, 2 n₂m₂, n₁m₂ + n₂m₁)
+
 All are two-dimensional; divided by the thickness of the tissue they are in MPa and MPa µs.
 """
 
@@ -21,7 +26,9 @@ from scipy.optimize import brentq
 
 from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError
+from surrofe2.plant_cell.measurements import check_turgor, even_pressure
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.questions.stability import WAYS, find_onset
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
 from surrofe2.rve.particles import look_into
@@ -37,6 +44,36 @@ MODULI: Mapping[str, Callable[[Array], float]] = {
     "poisson": lambda C: C[1, 0] / C[1, 1],
 }
 """Of a matrix (3, 3), by name; all but Poisson's ratio in its unit."""
+
+
+def _along(degrees: float) -> tuple[Array, Array, Array]:
+    """v, w and u of the module's formulas: stresses along and across a direction, and shear."""
+    angle = np.deg2rad(degrees)
+    n = np.array([np.cos(angle), np.sin(angle)])
+    m = np.array([-n[1], n[0]])
+    v = np.array([n[0] ** 2, n[1] ** 2, n[0] * n[1]])
+    w = np.array([m[0] ** 2, m[1] ** 2, m[0] * m[1]])
+    u = np.array([2.0 * n[0] * m[0], 2.0 * n[1] * m[1], n[0] * m[1] + n[1] * m[0]])
+    return v, w, u
+
+
+def young(C: Array, degrees: float) -> float:
+    """Young's modulus of (3, 3) C in this direction from x towards y, in the unit of C."""
+    v, _, _ = _along(degrees)
+    return float(1.0 / (v @ np.linalg.solve(C, v)))
+
+
+def poisson(C: Array, degrees: float) -> float:
+    """Poisson's ratio of C pulled in this direction and free across."""
+    v, w, _ = _along(degrees)
+    strain = np.linalg.solve(C, v)
+    return float(-(w @ strain) / (v @ strain))
+
+
+def shear_modulus(C: Array, degrees: float) -> float:
+    """Modulus of shear between this direction and the one across."""
+    _, _, u = _along(degrees)
+    return float(1.0 / (u @ np.linalg.solve(C, u)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,32 +119,84 @@ def turgor(cell: CellParameters) -> float:
 
 
 def with_turgor(cell: CellParameters, pressure: float) -> CellParameters:
-    """The cell with the fluid mass that gives it a `turgor`, MPa.
+    """The cell with that `turgor`, MPa, at the density that it has.
 
-    p = c_s² ρ has no reference density, so the mass sets the pressure.
+    The sound speed sets the pressure c_s² ρ of the fluid. Contacts are as much stronger as the
+    turgor, as in `LivingTissue`, so that the distance of walls and fluid stays.
 
     Raises:
         InputError: not positive, or more than the walls bear at any rest length.
     """
+    check_turgor("turgor", pressure)
     if not 0.0 < pressure < float("inf"):
         raise InputError(f"turgor: {pressure}; it must be positive (MPa)")
 
-    # Mass of a fluid that fills the cell evenly; pressure grows nearly in proportion. SPH fluid is
-    # carried by walls with a sixth more.
-    spread = cell.cell_side**2 / cell.fluid_particles_per_side**2
-    guess = pressure * cell.tissue_thickness / cell.sound_speed**2 * spread
+    def scaled(ratio: float) -> CellParameters:
+        return replace(
+            cell,
+            sound_speed=cell.sound_speed * ratio**0.5,
+            repulsion_strength=cell.repulsion_strength * ratio,
+        )
 
-    def excess(mass: float) -> float:
-        return turgor(replace(cell, fluid_particle_mass=mass)) / pressure - 1.0
+    # ratio of a fluid that fills the cell evenly, as a uniform one does
+    even = pressure / even_pressure(cell)
+    if cell.has_uniform_fluid:
+        return scaled(even)
 
-    try:
-        mass = float(brentq(excess, 0.6 * guess, 1.6 * guess, rtol=1e-10))
+    def excess(ratio: float) -> float:
+        return turgor(scaled(ratio)) / pressure - 1.0
+
+    try:  # walls carry a sixth more than the mean pressure of SPH particles
+        return scaled(float(brentq(excess, 0.6 * even, 1.6 * even, rtol=1e-10)))
     except InputError:
         raise
     except ValueError:
-        message = f"turgor: {pressure} MPa; no fluid mass near {guess:.3g} ng gives it"
+        speed = cell.sound_speed * even**0.5
+        message = f"turgor: {pressure} MPa; no sound speed near {speed:.3g} µm/µs gives it"
         raise InputError(message) from None
-    return replace(cell, fluid_particle_mass=mass)
+
+
+def experiment_table(cell: CellParameters) -> Table[Any]:
+    """What experiments on the tissue at rest would find: moduli, turgor, walls, stability.
+
+    Moduli are drained or not as the cell's sap is, and of slow tests, whose particles relax.
+
+    Raises:
+        InputError: the plant cell has no equilibrium at rest.
+    """
+    C = cell_moduli(cell, "elastic").elastic / cell.tissue_thickness
+    onset = find_onset(cell, *WAYS["uniaxial compression"])
+    furthest = WAYS["uniaxial compression"][1]
+    walls = RveLaw(cell).particles(np.eye(2)[None], np.zeros((1, 2, 2)))
+    rows: list[dict[str, Any]] = [
+        {"quantity": f"{name} {where}", "value": of(C, degrees), "unit": unit}
+        for name, of, unit, places in _TESTS
+        for where, degrees in places.items()
+    ]
+    rows += [
+        {"quantity": "turgor", "value": turgor(cell), "unit": "MPa"},
+        {
+            "quantity": "mean stretch of the walls by the turgor",
+            "value": 100.0 * (float(walls.stretch.mean()) - 1.0),
+            "unit": "%",
+        },
+        {
+            "quantity": "stable in compression along x up to",
+            "value": 100.0 * (furthest if onset is None else onset),
+            "unit": "% and beyond" if onset is None else "%",
+        },
+    ]
+    return Table((Quantity("quantity", "", ""), Quantity("value", "", ".4g"), _UNIT), rows)
+
+
+_AXES = {"along x": 0.0, "along y": 90.0, "at 45°": 45.0}
+_TESTS: tuple[tuple[str, Callable[[Array, float], float], str, dict[str, float]], ...] = (
+    ("Young's modulus", young, "MPa", _AXES),
+    ("shear modulus", shear_modulus, "MPa", {"along the axes": 0.0, "at 45°": 45.0}),
+    ("Poisson's ratio", poisson, "", _AXES),
+)
+"""Name, formula, unit and directions of each modulus."""
+_UNIT: Quantity[Any] = Quantity("unit", "", "")
 
 
 def moduli_tables(cell: CellParameters, found: Mapping[str, CellModuli]) -> dict[str, Table[Any]]:

@@ -40,6 +40,7 @@ from surrofe2.base.units import LENGTH, TIME, with_micro_sign
 from surrofe2.cache.settings import CacheSettings, TableSettings
 from surrofe2.macro.elements import make_discretisation, points_by_region
 from surrofe2.macro.settings import MacroSettings, RestSettings, SurfaceSettings
+from surrofe2.plant_cell.measurements import MEASUREMENTS, living_cell, overruled
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem.bar import LoadSettings
 from surrofe2.problem.conditions import FREE, BodyForce, Condition, Foundation, Pressure, Traction
@@ -289,6 +290,8 @@ class CellType:
         preset: name of the preset of its parameters.
         cell: its parameters.
         names_fluid: whether the recipe names its fluid, and does not leave it to the preset.
+        overruled: constants in the recipe that are not taken, each with the measurement beside it
+            that determines it.
         regions: regions of the mesh that it fills; empty for [cell], which fills all of them.
         training_file: file of its surrogate, relative to the recipe.
         range: range of (F, Ḟ) in which its stress is sampled and learnt.
@@ -299,6 +302,7 @@ class CellType:
     preset: str
     cell: CellParameters
     names_fluid: bool
+    overruled: Mapping[str, str]
     regions: tuple[str, ...]
     training_file: str | None
     range: SamplingRange | None = setting(None, "range of (F, Ḟ)")
@@ -397,8 +401,12 @@ def _cell_type(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]])
     with faults.noted():
         preset = check_value(f"{where}.preset", entries.get("preset", "printed"), str, {})
         preset = ALIASES.get(preset, preset)
-        make = partial(CellParameters.preset, preset)
-        cell = build(make, parameters, where, other_keys, of=CellParameters)
+        make = partial(living_cell, preset)
+        # measurements are checked where the constants are translated
+        measured = {key: value for key, value in parameters.items() if key in MEASUREMENTS}
+        constants = {key: value for key, value in parameters.items() if key not in MEASUREMENTS}
+        known = (*other_keys, *MEASUREMENTS)
+        cell = build(make, constants, where, known, of=CellParameters, **measured)
     if is_named:
         with faults.noted():
             stated = entries.get("regions", [name])
@@ -424,6 +432,7 @@ def _cell_type(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]])
         preset=preset,
         cell=cell,
         names_fluid="fluid" in parameters,
+        overruled=overruled(parameters),
         regions=regions,
         training_file=training_file,
         **settings,

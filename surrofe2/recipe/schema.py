@@ -18,7 +18,7 @@ from typing import Any, Literal, Union, get_args, get_origin
 from surrofe2.base.errors import InputError
 from surrofe2.base.settings import hints_of, unknown
 from surrofe2.base.units import NONE
-from surrofe2.plant_cell.parameters import PRESETS
+from surrofe2.plant_cell.parameters import PRESETS, LivingTissue
 from surrofe2.problem.amplitude import KINDS, Amplitude
 from surrofe2.problem.conditions import CONDITIONS
 from surrofe2.problem.mesh import PARTS, Box, Part
@@ -55,6 +55,8 @@ def recipe_schema() -> Schema:
     """Return the schema, of JSON Schema's draft 7."""
     sections = {name: _settings(kind) for name, kind in SECTIONS.items()}
     # entries that the recipe reads besides the settings of these sections
+    measured = _settings(LivingTissue)["properties"]
+    sections["cell"] = _with(sections["cell"], measured)
     sections["cell"]["properties"]["preset"] = {"enum": [*PRESETS, *ALIASES]}
     sections["training"]["properties"]["file"] = _TEXT
     sections["macro"]["properties"]["elements"] = _value(tuple[int, int], {"least": 1})

@@ -15,6 +15,7 @@ from surrofe2.base.errors import InputError
 from surrofe2.base.simd import TILE, pack, unpack
 from surrofe2.law.stress_law import Status, StressResponse, check_deformation, describe
 from surrofe2.plant_cell.arrangement import ReferenceState, make_arrangement, rim_areas
+from surrofe2.plant_cell.measurements import cell_called
 from surrofe2.plant_cell.neighbours import Topology
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tessellation import mean_aspect
@@ -37,7 +38,7 @@ class RveLaw(Viewed):
     """σ(F, Ḟ) of periodic cells put into the state they would have in a tissue (section 5).
 
     Args:
-        cell: parameters of the plant cell.
+        cell: parameters of the plant cell, or the name of a preset.
         settings: initialisation, solver and tolerances.
         initialisation, solver: instead of those of the settings; see `RveSettings`.
         reference: the cell's settled reference state, as another law's `reference`; None: it is
@@ -53,17 +54,14 @@ class RveLaw(Viewed):
 
     def __init__(
         self,
-        cell: CellParameters,
+        cell: CellParameters | str,
         settings: RveSettings | None = None,
         *,
         initialisation: str | None = None,
         solver: str | None = None,
         reference: ReferenceState | None = None,
     ) -> None:
-        if not isinstance(cell, CellParameters):
-            raise InputError(
-                f"cell: {cell!r}; it must be CellParameters, as CellParameters.preset(name) makes"
-            )
+        cell = cell_called(cell)
         if not isinstance(settings, RveSettings | None):
             raise InputError(
                 f"rve: {settings!r}; settings must be an RveSettings, "

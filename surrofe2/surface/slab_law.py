@@ -142,7 +142,7 @@ class SlabLaw:
     """P_s(λ, λ̇): half of what a slab's resultant has beyond that of the bulk with a free side.
 
     Args:
-        cell: one square plant cell.
+        cell: one square plant cell, or the name of a preset.
         settings: initialisation and tolerance; solver direct.
         initialisation: instead of that of the settings.
         rows: plant cells across the slab; from 6 on the law does not depend on it.
@@ -154,7 +154,7 @@ class SlabLaw:
 
     def __init__(
         self,
-        cell: CellParameters,
+        cell: CellParameters | str,
         settings: RveSettings | None = None,
         *,
         initialisation: str | None = None,
@@ -166,8 +166,9 @@ class SlabLaw:
         self.law = RveLaw(cell, settings, initialisation=initialisation, reference=reference)
         if not self.law.has_tangents:
             raise InputError("rve.solver: 'iterated'; for a surface law it must be direct")
-        self.cell, self.rows = cell, rows
-        self.unit = make_slab(cell, self.law.reference, rows)
+        self.cell = self.law.cell
+        self.rows = rows
+        self.unit = make_slab(self.cell, self.law.reference, rows)
 
     @property
     def initialisation(self) -> str:

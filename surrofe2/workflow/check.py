@@ -11,7 +11,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,8 @@ from surrofe2.law.stress_law import StressLaw, StressResponse
 from surrofe2.macro import MetRange, find_rest, simulate
 from surrofe2.macro.history import NO_EXTREMES, widen_extremes
 from surrofe2.macro.settings import RestSettings
+from surrofe2.plant_cell.measurements import DETERMINED, measurements_of
+from surrofe2.plant_cell.parameters import CellParameters, LivingTissue
 from surrofe2.problem.mesh import area_of, element_nodes, extent, facet_nodes, length_of
 from surrofe2.recipe.recipe import Recipe, load_recipe
 from surrofe2.run.loop import Report, no_report
@@ -123,6 +125,28 @@ def parts_of_mesh(recipe: Recipe) -> list[str]:
     for what, names in (("boundaries", boundaries), ("regions", regions)):
         if len(names) > _MOST_PARTS:
             lines.append(f"and {len(names) - _MOST_PARTS} more {what}")
+    return lines
+
+
+def lines_of_cells(recipe: Recipe) -> list[str]:
+    """Lines about each of a recipe's plant cells: what experiments would tell of it, and the
+    constants that mean the same."""
+    lines = []
+    for name, each in recipe.cells.items():
+        cell = each.cell
+        values = measurements_of(cell)
+        units = {item.name: item.metadata["unit"] for item in fields(LivingTissue)}
+        measured = [f"{key} {value:.4g} {units[key]}" for key, value in values.items()]
+        if "turgor" not in values:
+            measured.append("turgor by `surrofe2 moduli`")
+        units = {item.name: item.metadata["unit"] for item in fields(CellParameters)}
+        # wall_stiffness is of two measurements
+        names = dict.fromkeys(each for names in DETERMINED.values() for each in names)
+        constants = [f"{key} {getattr(cell, key):.4g} {units[key]}" for key in names]
+        lines += [
+            f"{f'cell {name}' if name else 'plant cell'}: {', '.join(measured)}",
+            f"  as constants: {', '.join(constants)}",
+        ]
     return lines
 
 

@@ -296,8 +296,15 @@ def _law_record(law: SurfaceLaw) -> dict[str, Any]:
 
 
 def recipe_notes(recipe: Recipe) -> Iterator[tuple[str, bool]]:
-    """A message where cells that had SPH fluid in earlier versions have a uniform one by default,
-    and that it is no warning."""
+    """Messages on the recipe's cells, each with whether it is a warning.
+
+    Cells that had SPH fluid in earlier versions may have a uniform one by default, and constants
+    are not taken where a measurement determines them.
+    """
+    for name, each in recipe.cells.items():
+        section = f"cells.{name}" if name else "cell"
+        for constant, measured in each.overruled.items():
+            yield f"{section}.{constant}: not taken, as {section}.{measured} determines it", True
     unnamed = [each for each in recipe.cells.values() if not each.names_fluid]
     changed = [each for each in unnamed if each.cell.has_uniform_fluid]
     if changed:

@@ -196,23 +196,34 @@ def test_modes_about_both_states(recipe, recipe_path, tmp_path):
 def test_moduli(tmp_path, monkeypatch):
     monkeypatch.setattr(console, "SELDOM", 0.0)
     path = tmp_path / "moduli.json"
-    done = call("moduli", "--preset", "water", "--turgor", "2.5", "--out", path)
-    assert "turgor 2.5 MPa" in done.stdout
+    done = call("moduli", "--preset", "water", "--turgor", "2.5", "--all", "--out", path)
     assert "Viscous moduli, MPa µs" in done.stdout
-    assert "moduli: 50 %" in done.stderr
-    assert done.stdout.splitlines()[-1].startswith(f"{path}: elastic and viscous, of ")
+    assert "moduli: 40 %" in done.stderr
+    assert done.stdout.splitlines()[-1].startswith(f"{path}: moduli of ")
     record = json.loads(path.read_text(encoding="utf-8"))
-    assert record["turgor_MPa"] == pytest.approx(2.5)
+    tests = {row["quantity"]: row["value"] for row in record["experiment"]}
+    assert tests["turgor"] == pytest.approx(2.5)
     rows = record["tables"]["Elastic moduli, MPa"]
     assert [row["initialisation"] for row in rows] == [
         "cauchy-born", "elastic", "constrained-runs", "slow-manifold"
     ]  # fmt: skip
     assert rows[0]["bulk"] > rows[1]["bulk"] > 0.0
-    alone = call("moduli", "--preset", "water", "--initialisation", "elastic")
-    assert alone.stdout.splitlines()[-1].startswith("moduli: elastic and viscous, of "), "no file"
+    assert tests["Young's modulus along x"] == pytest.approx(rows[1]["young"], rel=1e-9)
+    alone = call("moduli", "--preset", "water")
+    assert "Young's modulus at 45°" in alone.stdout
+    assert "Viscous" not in alone.stdout
+    assert alone.stdout.splitlines()[-1].startswith("moduli: moduli of "), "no file"
 
 
-WATER = "moduli", "--cell", "water", "--initialisation", "elastic"
+def test_wilting_is_written(tmp_path):
+    done = call("moduli", "--cell", "apple", "--wilt", tmp_path)
+    assert "water potential" in done.stdout
+    rows = read_json(tmp_path / "wilting-apple.json")["results"]["rows"]
+    assert rows[0]["turgor"] == pytest.approx(0.4)
+    assert (tmp_path / "wilting-apple.png").stat().st_size > 10_000
+
+
+WATER = "moduli", "--cell", "water"
 
 
 @pytest.mark.slow

@@ -1,12 +1,13 @@
 """Presets of living tissue: turgor by two ways, range of stability, translation and sources."""
 
 import itertools
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 
 import numpy as np
 import pytest
 
 from surrofe2.base.errors import InputError
+from surrofe2.plant_cell.measurements import DETERMINED, living_cell, measurements_of, overruled
 from surrofe2.plant_cell.parameters import (
     LIVING,
     PRESETS,
@@ -17,6 +18,7 @@ from surrofe2.plant_cell.parameters import (
 from surrofe2.questions.moduli import cell_moduli, turgor
 from surrofe2.questions.stability import LEFT, STABLE, WAYS, categories, find_onset
 from surrofe2.rve import RveLaw
+from surrofe2.surface.slab_law import SlabLaw
 from tests.plant_cell.twin import Twin
 
 STABLE_WITHIN = {"apple": 0.1, "potato": 0.07}
@@ -121,5 +123,93 @@ def test_unknown_names_and_impossible_values_are_refused():
     apple = LIVING["apple"][0]
     with pytest.raises(InputError, match=r"tissue\.turgor: -0\.4; it must be positive"):
         replace(apple, turgor=-0.4)
+    with pytest.raises(InputError, match=r"tissue\.turgor: 0.0; it must be positive"):
+        replace(apple, turgor=0.0)
+    with pytest.raises(InputError, match=r"cell\.turgor: 0; walls here do not resist bending"):
+        living_cell("apple", turgor=0.0)
     with pytest.raises(InputError, match=r"cell\.fluid_particle_mass: -.*must be positive"):
         replace(apple, wall_thickness=60.0).parameters()
+
+
+MEASURED = {
+    "cell_size": 90.0,
+    "turgor": 0.25,
+    "wall_modulus": 120.0,
+    "wall_thickness": 0.5,
+    "sap_viscosity": 2.0,
+    "density": 950.0,
+}
+
+
+@pytest.mark.parametrize("fluid", ["uniform", "sph"])
+@pytest.mark.parametrize("name", MEASURED)
+def test_each_measurement_is_taken_and_the_others_stay(fluid, name):
+    cell = living_cell("apple", fluid=fluid, **{name: MEASURED[name]})
+    before = measurements_of(living_cell("apple", fluid=fluid))
+    assert measurements_of(cell) == pytest.approx({**before, name: MEASURED[name]}, rel=1e-12)
+
+
+def test_all_measurements_are_the_tissue_made_of_them():
+    assert living_cell("potato", **MEASURED) == LivingTissue(**MEASURED).parameters()
+
+
+@pytest.mark.parametrize(
+    "constants",
+    [
+        {"tissue_thickness": 25.0},
+        {"wall_springs_per_side": 16},
+        {"fluid_particles_per_side": 3},
+        {"cell_side": 60.0},
+        {"fluid_particle_mass": 4.0},
+        {"arrangement": "hexagon"},
+    ],
+    ids=str,
+)
+def test_walls_carry_the_turgor_beside_any_constant(constants):
+    cell = living_cell("apple", turgor=0.3, **constants)
+    assert turgor(cell) == pytest.approx(0.3, rel=1e-8)
+    for name, value in constants.items():
+        assert getattr(cell, name) == value
+
+
+@pytest.mark.parametrize("name", ["tissue_thickness", "wall_springs_per_side"])
+def test_a_finer_or_thicker_layer_is_the_same_tissue(name):
+    usual = living_cell("apple", turgor=0.3)
+    finer = living_cell("apple", turgor=0.3, **{name: 2 * getattr(usual, name)})
+    assert measurements_of(finer) == pytest.approx(measurements_of(usual), rel=1e-12)
+
+
+def test_a_measurement_wins_over_the_constants_that_it_determines():
+    for measured, constants in DETERMINED.items():
+        alone = living_cell("apple", **{measured: MEASURED[measured]})
+        for constant in constants:
+            both = living_cell("apple", **{measured: MEASURED[measured], constant: 7.0})
+            assert both == alone
+    changes = {"turgor": 0.3, "sound_speed": 7.0, "viscosity": 3.0}
+    assert overruled(changes) == {"sound_speed": "turgor"}
+    assert living_cell("apple", **changes).viscosity == 3.0
+
+
+def test_a_preset_of_constants_takes_no_measurements():
+    with pytest.raises(InputError, match=r"cell\.turgor: 0\.4; preset water is made of constants"):
+        living_cell("water", turgor=0.4)
+    assert "turgor" not in measurements_of(living_cell("printed"))
+
+
+def test_without_measurements_it_is_the_preset():
+    for name, changes in (("apple", {"tissue_thickness": 20.0}), ("water", {"viscosity": 1.0})):
+        assert living_cell(name, **changes) == CellParameters.preset(name, **changes)
+
+
+def test_measurements_of_a_preset_are_those_that_it_is_made_of():
+    for name, (tissue, _) in LIVING.items():
+        for fluid in ("uniform", "sph"):
+            cell = CellParameters.preset(name, fluid=fluid)
+            assert measurements_of(cell) == pytest.approx(asdict(tissue), rel=1e-12)
+            assert living_cell(name, fluid=fluid, turgor=tissue.turgor) == cell
+
+
+def test_a_law_takes_the_name_of_a_preset():
+    law = RveLaw("apple", initialisation="elastic")
+    assert law.cell == living_cell("apple")
+    assert SlabLaw("apple", rows=1).cell == law.cell

@@ -7,10 +7,14 @@ import pytest
 
 from surrofe2 import LoadCase
 from surrofe2.base.errors import FileError, InputError
+from surrofe2.plant_cell.measurements import living_cell
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe.recipe import PROBLEM_SECTIONS, load_recipe, make_recipe
+from surrofe2.workflow.check import lines_of_cells
 from surrofe2.workflow.laws import recipe_notes
 
+MESH = {"width": 300.0, "height": 300.0, "elements": [1, 1]}
+HELD = {"foot": {"kind": "fixed", "on": "left"}}
 RECIPES = sorted((Path(__file__).parents[2] / "data").glob("*.toml"))
 
 
@@ -135,3 +139,56 @@ def test_a_note_says_where_a_fluid_that_is_not_named_is_another_than_before(cell
     for text, is_warning in notes:
         assert f"default of {named}; earlier versions" in text
         assert not is_warning
+
+
+def test_measurements_stand_in_a_cell_beside_its_preset():
+    entries = {"preset": "apple", "turgor": 0.8, "wall_modulus": 400, "arrangement": "hexagon"}
+    changes = {key: value for key, value in entries.items() if key != "preset"}
+    expected = living_cell("apple", **changes)
+    assert make_recipe({"cell": entries}).cell == expected
+    section = {
+        "mesh": MESH,
+        "conditions": HELD,
+        "cells": {"pith": {**entries, "regions": ["rest"]}},
+    }
+    assert make_recipe(section).cells["pith"].cell == expected
+
+
+def test_measurements_can_be_changed_as_a_grid_does(changed_recipe):
+    path = changed_recipe('preset = "printed"', 'preset = "apple"')
+    cells = [load_recipe(path, {"cell.turgor": value}).cell for value in (0.2, 0.4)]
+    assert cells == [living_cell("apple", turgor=value) for value in (0.2, 0.4)]
+    assert cells[0].fingerprint != cells[1].fingerprint
+
+
+@pytest.mark.parametrize(
+    ("entries", "sentence"),
+    [
+        ({"preset": "apple", "turgor": 0}, "cell.turgor: 0; walls here do not resist bending"),
+        (
+            {"preset": "apple", "turgor": -1},
+            "cell.turgor: -1; it must be positive and finite",
+        ),
+        ({"preset": "apple", "turgr": 1}, "cell.turgr: unknown key; did you mean turgor?"),
+        ({"turgor": 0.4}, "cell.turgor: 0.4; preset printed is made of constants: take apple or"),
+        ({"preset": "apple", "density": "high"}, "cell.density: 'high'; it must be a number"),
+    ],
+)
+def test_a_measurement_that_cannot_be_gets_one_sentence(entries, sentence):
+    with pytest.raises(InputError) as caught:
+        make_recipe({"cell": entries})
+    assert str(caught.value).startswith(sentence)
+
+
+def test_a_constant_that_a_measurement_determines_is_named():
+    entries = {"preset": "apple", "fluid": "uniform", "turgor": 0.8, "sound_speed": 20.0}
+    assert list(recipe_notes(make_recipe({"cell": entries}))) == [
+        ("cell.sound_speed: not taken, as cell.turgor determines it", True)
+    ]
+
+
+def test_a_check_says_measurements_and_constants():
+    lines = lines_of_cells(make_recipe({"cell": {"preset": "apple", "turgor": 0.8}}))
+    assert lines[0].startswith("plant cell: cell_size 150 µm, turgor 0.8 MPa, wall_modulus 300 MPa")
+    assert lines[1].startswith("  as constants: cell_side 150 µm, sound_speed ")
+    assert "turgor by `surrofe2 moduli`" in lines_of_cells(make_recipe({}))[0]

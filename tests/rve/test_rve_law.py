@@ -179,7 +179,8 @@ def test_states_of_single_points_can_be_taken_and_put_back():
             "with initialisation slow-manifold it must be direct",
         ),
         ({"settings": "elastic"}, "rve: 'elastic'; settings must be an RveSettings"),
-        ({"cell": "printed"}, "cell: 'printed'; it must be CellParameters"),
+        ({"cell": {"preset": "apple"}}, "cell: {'preset': 'apple'}; it must be CellParameters"),
+        ({"cell": "pear"}, "cell.preset: 'pear'; it must be one of printed, "),
     ],
 )
 def test_bad_settings_are_named(settings, message):
