@@ -2,7 +2,8 @@
 
 console (what is printed, progress, shared options) serves all commands: study (new, check, study,
 grid), learn (generate, train, refine, export), run, tissue, rest (and modes), compare, cells
-(moduli, zoom).
+(moduli, cells,
+zoom).
 
 `COMMANDS` names the commands, their modules and their group in help. A module is imported when its
 command is called. `surrofe2 --help` takes the first line and the example of each command from the
@@ -50,6 +51,7 @@ COMMANDS = {
     "rest": ("rest", "Physics"),
     "modes": ("rest", "Physics"),
     "moduli": ("cells", "Physics"),
+    "cells": ("cells", "Physics"),
 }
 """Module and group of each command, in the order of help."""
 

@@ -1,4 +1,4 @@
-"""`surrofe2 moduli` and `surrofe2 zoom`: what plant cells are like, and what they do in a run."""
+"""`surrofe2 moduli`, `cells` and `zoom`: what plant cells are like, and what they do in a run."""
 
 from __future__ import annotations
 
@@ -9,15 +9,20 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from surrofe2.base.errors import InputError
+from surrofe2.base.errors import InputError, quoted
+from surrofe2.base.settings import unknown
 from surrofe2.cli import console
+from surrofe2.plant_cell.parameters import LIVING
+from surrofe2.questions import cell_image as image_of
 from surrofe2.questions import memory as memory_of
 from surrofe2.questions import moduli as moduli_of
 from surrofe2.questions import stability as stability_of
 from surrofe2.questions import wilting as wilting_of
 from surrofe2.report.study import NamedCell, Study, keep_study
+from surrofe2.run.charts import encoded
 from surrofe2.rve import INITIALISATIONS
-from surrofe2.store.store import keep
+from surrofe2.store.labelled_image import read_labels
+from surrofe2.store.store import check_replaceable, keep, write_bytes, write_text
 from surrofe2.workflow.laws import use_threads
 from surrofe2.workflow.zoom import write_zoom, zoom_into
 
@@ -135,6 +140,70 @@ def _moduli(of: NamedCell, names: tuple[str, ...]) -> dict[str, Any]:
         "experiment": tests.to_records(),
         "tables": {title: table.to_records() for title, table in tables.items()},
     }
+
+
+def cells(
+    image: Annotated[
+        Path, typer.Argument(metavar="IMAGE", help="Labels of cells: TIFF, PNG or NPY, 0 between.")
+    ],
+    pixel: Annotated[float, typer.Option(metavar="µm", help="Side of a pixel.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="TISSUE.toml",
+            help="Write the [cell] of a Voronoi RVE that is like the image, with a picture.",
+        ),
+    ] = None,
+    preset: Annotated[
+        str, typer.Option(metavar="NAME", help=f"Turgor and walls of it: {', '.join(LIVING)}.")
+    ] = "apple",
+    number: Annotated[
+        int, typer.Option("--cells", min=4, metavar="N", help="Plant cells in the RVE.")
+    ] = 9,
+    picture: Annotated[
+        Path | None,
+        typer.Option(metavar="PNG", help="Picture of the outlines; default: beside TISSUE.toml."),
+    ] = None,
+    fresh: console.Fresh = False,
+) -> None:
+    """Measure the cells of a labelled image, and write an RVE that is like them.
+
+    Reports number, area, variation of areas, aspect ratio, direction and neighbours of the cells
+    that lie whole within the image. Cells at its border, specks, pieces, holes and places where
+    four cells meet are named. Lines of up to three pixels between cells are divided among them.
+    --out corrects area_variation and elongation until the cells of the RVE at rest are like those
+    of the image, and reports how near they come.
+
+    Example: surrofe2 cells labels.tif --pixel 0.35 --out tissue.toml
+
+    Next: surrofe2 moduli --cell tissue.toml
+    """
+    of_image = image_of.measure_cells(read_labels(image), pixel)
+    console.show_table(f"{image.name}, {pixel:g} µm per pixel", image_of.shapes_table(of_image))
+    for remark in of_image.remarks():
+        console.print_line(remark)
+    like = None
+    if out is not None:
+        if out.suffix != ".toml":
+            raise InputError(f"--out: {quoted(out.name)}; it must end in .toml")
+        picture = picture or out.with_suffix(".png")
+        if preset not in LIVING:
+            raise unknown(f"--preset: {quoted(preset)}", preset, "preset of living cells", LIVING)
+        check_replaceable(out, "recipe that `cells` wrote", image_of.MARK)
+        if out.exists() and not fresh:
+            raise InputError(f"{out}: it is there; --fresh writes this one in its place")
+        with console.working("RVE", 1.0, "parts", "nothing was changed") as report:
+            like = image_of.rve_like(of_image, preset, number, progress=lambda x: report(x, ""))
+        wanted = image_of.Shapes.of_image(of_image)
+        console.show_table(f"RVE of {number} cells", like.table(wanted))
+        for remark in like.remarks:
+            console.print_warning(remark)
+        about = f"{len(of_image.area)} cells of {image.name}, {pixel:g} µm per pixel"
+        write_text(out, image_of.section(like, about))
+    if picture is not None:
+        write_bytes(picture, encoded(image_of.picture(of_image, like), "png"))
+    written = ", ".join(str(path) for path in (out, picture) if path is not None)
+    console.done(out or picture, written or f"{len(of_image.area)} cells measured")
 
 
 def zoom(

@@ -9,6 +9,7 @@ import pytest
 from surrofe2.cli import console
 from surrofe2.macro import find_modes, find_rest
 from surrofe2.questions import stability
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.store.fields import read_fields
 from surrofe2.store.run_folder import read_record, read_run
@@ -221,6 +222,30 @@ def test_wilting_is_written(tmp_path):
     rows = read_json(tmp_path / "wilting-apple.json")["results"]["rows"]
     assert rows[0]["turgor"] == pytest.approx(0.4)
     assert (tmp_path / "wilting-apple.png").stat().st_size > 10_000
+
+
+def test_cells_of_an_image_become_a_recipe(tmp_path):
+    draw = pytest.importorskip("skimage.draw")
+    labels = np.zeros((80, 320), dtype=np.int64)
+    for k, half in enumerate((30.0, 24.0, 34.0, 27.0)):
+        rows, columns = draw.ellipse(40.0, 40.0 + 80.0 * k, half / 1.2, 1.2 * half)
+        labels[rows, columns] = k + 1
+    image, out = tmp_path / "labels.npy", tmp_path / "tissue.toml"
+    np.save(image, labels)
+    done = call("cells", image, "--pixel", 0.5, "--cells", 4, "--out", out)
+    assert "mean aspect ratio" in done.stdout
+    assert "laid out" in done.stdout
+    cell = load_recipe(out).cell
+    assert (cell.arrangement, cell.cells) == ("voronoi", 4)
+    assert cell.cell_side == pytest.approx(np.sqrt((labels > 0).sum() / 4) * 0.5, rel=1e-3)
+    assert (tmp_path / "tissue.png").stat().st_size > 10_000
+    refused = call("cells", image, "--pixel", 0.5, "--out", out, code=1)
+    assert "it is there; --fresh writes this one" in refused.stderr
+    out.write_text("[cell]", encoding="utf-8")
+    refused = call("cells", image, "--pixel", 0.5, "--out", out, "--fresh", code=1)
+    assert "not a recipe that `cells` wrote" in refused.stderr
+    alone = call("cells", image, "--pixel", 0.5)
+    assert alone.stdout.splitlines()[-1].startswith("cells: 4 cells measured")
 
 
 WATER = "moduli", "--cell", "water"

@@ -1,0 +1,541 @@
+"""Plant cells of a labelled image: how large and long they are, and an RVE that is like them.
+
+Pixels of a cell have its label, those between cells 0. Lines between cells are divided among their
+neighbours; what is wider stays a hole, an air space. Cells that the border of the image cuts count
+as neighbours alone, and so does what is too small to have a shape.
+
+The aspect ratio of a cell is the root of the ratio of its principal second moments of area, its
+direction that of the long axis, from x (to the right) towards y (upwards). The *alignment* of cells
+is the length of the mean of exp(2iθ) over their directions, weighted by the logarithm of their
+aspect ratio: 1 where all long axes are parallel, near 0 where they point everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy  # scipy.ndimage is loaded where an image is measured
+
+from surrofe2.base.arrays import Array, Flags, Index
+from surrofe2.base.errors import InputError
+from surrofe2.plant_cell.arrangement import make_arrangement
+from surrofe2.plant_cell.measurements import living_cell
+from surrofe2.plant_cell.parameters import LEAST_VARIATION, LIVING, CellParameters
+from surrofe2.plant_cell.tessellation import aspect_ratio, mean_aspect, polygon_area
+from surrofe2.report.outlines import is_whole, long_axes, outlines_figure
+from surrofe2.report.tables import Quantity, Table
+from surrofe2.rve import RveLaw
+from surrofe2.store.labelled_image import Labels
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MARK = "# Like "
+"""How the recipe of such an RVE begins."""
+LINE = 3
+"""Pixels between cells, in the narrowest direction, up to which they are a line and no hole."""
+FEWEST_PIXELS = 9
+"""Pixels of a cell below which it has no shape."""
+FEWEST_CELLS = 3
+_ALIGNED = 0.5
+"""Alignment below which an RVE is not stretched: cells that are laid out at random reach 0.4."""
+_MOST_VARIATION, _MOST_ELONGATION = 0.6, 6.0
+_SEEDS, _ENOUGH = 20, 3
+"""Seeds that are tried at most, and of how many the best is taken."""
+_CORRECTIONS, _NEAR = 3, 0.03
+"""How often what is laid out is corrected for what is left of it at rest, and the relative
+difference at which it is near enough."""
+_LEAST_SHAPE = 1e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImagedCells:
+    """The whole cells of an image, n of them, and what was left out of it.
+
+    Attributes:
+        labels: (rows, columns) of all cells, lines between them divided.
+        pixel: side of a pixel, µm.
+        number: (n,) of the whole cells in `labels`. label: (n,) in the image. area: (n,) µm².
+        aspect: (n,). direction: (n,) degrees from −90 to 90. centre: (n, 2) x and y from
+            the lower left corner, µm.
+        neighbours: (n,) cells beside each; −1 of a cell at a hole or at the outside, which has
+            fewer than in a closed tissue.
+        cut: cells at the border of the image. small: cells of fewer than `FEWEST_PIXELS` pixels.
+        pieces: cells whose largest part was taken. holes: their number. hole_fraction: their part
+            of all area. corners: places where four cells meet; those across are no neighbours.
+    """
+
+    labels: Labels
+    pixel: float
+    number: Index
+    label: Index
+    area: Array
+    aspect: Array
+    direction: Array
+    centre: Array
+    neighbours: Index
+    cut: int
+    small: int
+    pieces: int
+    holes: int
+    hole_fraction: float
+    corners: int
+
+    @property
+    def cell_size(self) -> float:
+        """Side of a square of the mean area, µm."""
+        return float(np.sqrt(self.area.mean()))
+
+    @property
+    def area_variation(self) -> float:
+        """Coefficient of variation of the areas."""
+        return float(self.area.std() / self.area.mean())
+
+    @property
+    def elongation(self) -> float:
+        """Mean aspect ratio."""
+        return float(self.aspect.mean())
+
+    @property
+    def alignment(self) -> tuple[float, float]:
+        """Alignment of the long axes, and their mean direction in degrees."""
+        return alignment_of(self.aspect, self.direction)
+
+    @property
+    def mean_neighbours(self) -> float:
+        """Mean number of neighbours of cells that are surrounded by cells; NaN: there is none."""
+        enclosed = self.neighbours[self.neighbours >= 0]
+        return float(enclosed.mean()) if enclosed.size else float("nan")
+
+    def remarks(self) -> Iterator[str]:
+        """A sentence on each thing of the image that is no whole cell among cells."""
+        if self.cut:
+            yield f"{self.cut} cells are cut by the border of the image and left out"
+        if self.small:
+            yield f"{self.small} cells of fewer than {FEWEST_PIXELS} pixels are left out"
+        if self.pieces:
+            yield f"{self.pieces} cells are in pieces; the largest of each is taken"
+        if self.holes:
+            yield (
+                f"{self.holes} holes are {100.0 * self.hole_fraction:.2g} % of the area; an RVE "
+                "has no air spaces"
+            )
+        if self.corners:
+            yield (
+                f"four cells meet at {self.corners} places; those across are not counted as "
+                "neighbours"
+            )
+
+
+def alignment_of(aspect: Array, direction: Array) -> tuple[float, float]:
+    """Alignment of long axes (n,), and their mean direction in degrees."""
+    weight = np.log(aspect)
+    total = weight.sum()
+    if not total > 0.0:
+        return 0.0, 0.0
+    mean = (weight * np.exp(2j * np.deg2rad(direction))).sum() / total
+    return float(abs(mean)), float(np.rad2deg(np.angle(mean)) / 2.0)
+
+
+def measure_cells(labels: Labels, pixel: float) -> ImagedCells:
+    """Measure the cells of a labelled image.
+
+    Args:
+        labels: (rows, columns), the first row at the top; 0 between cells.
+        pixel: side of a pixel, µm.
+
+    Raises:
+        InputError: the pixel has no size, or fewer than `FEWEST_CELLS` cells are whole.
+    """
+    if not 0.0 < pixel < np.inf:
+        raise InputError(f"--pixel: {pixel}; it must be positive (µm)")
+    whole, pieces = _largest_pieces(labels)
+    count = np.bincount(whole.ravel())
+    count[0] = 0
+    few = (count > 0) & (count < FEWEST_PIXELS)
+    whole[few[whole]] = 0
+    filled = _without_lines(whole)
+    at_border = np.zeros(len(count), dtype=np.bool_)
+    for side in (filled[0], filled[-1], filled[:, 0], filled[:, -1]):
+        at_border[side] = True
+    area = np.bincount(filled.ravel(), minlength=len(count))
+    number = np.flatnonzero((area > 0) & ~at_border)
+    number = number[number > 0]
+    if len(number) < FEWEST_CELLS:
+        raise InputError(
+            f"image: {len(number)} whole cells; at least {FEWEST_CELLS} must lie within its border"
+        )
+    holes, hole_area, at_hole = _holes(filled, len(count))
+    aspect, direction, centre = _moments(filled, number)
+    beside = _neighbours(filled, len(count))
+    beside[at_hole] = -1
+    names = np.unique(labels)
+    names = np.concatenate([[0], names[names > 0]])
+    return ImagedCells(
+        labels=filled,
+        pixel=pixel,
+        number=number,
+        label=names[number],
+        area=np.asarray(area[number] * pixel**2, dtype=np.float64),
+        aspect=aspect,
+        direction=direction,
+        centre=centre * pixel,
+        neighbours=beside[number],
+        cut=int((at_border & (area > 0))[1:].sum()),
+        small=int(few.sum()),
+        pieces=pieces,
+        holes=holes,
+        hole_fraction=hole_area / filled.size,
+        corners=_corners_of_four(filled),
+    )
+
+
+def _largest_pieces(labels: Labels) -> tuple[Labels, int]:
+    """Cells numbered from 1 in the order of their labels, each its largest connected piece; and how
+    many had several."""
+    names, inverse = np.unique(labels, return_inverse=True)
+    numbered: Labels = inverse.reshape(labels.shape).astype(np.int64)
+    numbered += 0 if names[0] == 0 else 1
+    several = 0
+    for number, box in enumerate(scipy.ndimage.find_objects(numbered), 1):
+        if box is None:
+            continue
+        inside = numbered[box] == number
+        parts, count = scipy.ndimage.label(inside)
+        if count > 1:
+            several += 1
+            sizes = np.bincount(parts.ravel())
+            sizes[0] = 0
+            numbered[box][inside & (parts != sizes.argmax())] = 0
+    return numbered, several
+
+
+def _without_lines(labels: Labels) -> Labels:
+    """Labels whose lines of at most `LINE` pixels between cells belong to the nearest cell."""
+    empty = labels == 0
+    if not empty.any():
+        return labels
+    # what holds a square of more pixels is no line; beyond the image there may be more of it
+    square = np.ones((LINE + 1, LINE + 1), dtype=np.bool_)
+    room = np.pad(empty, LINE + 1, constant_values=True)
+    wide = scipy.ndimage.binary_opening(room, square)[LINE + 1 : -LINE - 1, LINE + 1 : -LINE - 1]
+    nearest = scipy.ndimage.distance_transform_edt(
+        empty, return_distances=False, return_indices=True
+    )
+    filled: Labels = np.where(empty & ~wide, labels[tuple(nearest)], labels)
+    return filled
+
+
+def _holes(labels: Labels, numbers: int) -> tuple[int, int, Flags]:
+    """Number and pixels of the holes within cells, and (numbers,) cells at a hole or outside."""
+    parts, count = scipy.ndimage.label(labels == 0)
+    sizes = np.bincount(parts.ravel(), minlength=count + 1)
+    inner = np.ones(count + 1, dtype=np.bool_)
+    inner[0] = False
+    for side in (parts[0], parts[-1], parts[:, 0], parts[:, -1]):
+        inner[side] = False
+    beside = np.zeros(numbers, dtype=np.bool_)
+    for a, b in _beside(labels):
+        beside[a[b == 0]] = True
+        beside[b[a == 0]] = True
+    return int(inner.sum()), int(sizes[inner].sum()), beside
+
+
+def _beside(labels: Labels) -> Iterator[tuple[Index, Index]]:
+    """Labels of pixels that share a side: to the right of each other, and below each other."""
+    for first, second in ((labels[:, :-1], labels[:, 1:]), (labels[:-1], labels[1:])):
+        differ = first != second
+        yield first[differ], second[differ]
+
+
+def _neighbours(labels: Labels, count: int) -> Index:
+    """(count,) number of cells that share a side of a pixel with each cell."""
+    pairs = np.concatenate([np.stack(each, axis=1) for each in _beside(labels)])
+    pairs = pairs[(pairs > 0).all(axis=1)]
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    return np.bincount(pairs.ravel(), minlength=count)
+
+
+def _corners_of_four(labels: Labels) -> int:
+    """Places where four different cells meet."""
+    four = np.stack([labels[:-1, :-1], labels[:-1, 1:], labels[1:, :-1], labels[1:, 1:]])
+    ordered = np.sort(four, axis=0)
+    differ = (np.diff(ordered, axis=0) > 0).all(axis=0)
+    return int((differ & (ordered[0] > 0)).sum())
+
+
+def _moments(labels: Labels, number: Index) -> tuple[Array, Array, Array]:
+    """(n,) aspect ratios and directions in degrees, (n, 2) centres in pixels, of numbered cells."""
+    rows, columns = np.nonzero(labels)
+    x, y = columns + 0.5, labels.shape[0] - 0.5 - rows
+    which = labels[rows, columns]
+
+    def mean(values: Any) -> Array:
+        return np.asarray((np.bincount(which, values) / area)[number], dtype=np.float64)
+
+    area = np.maximum(np.bincount(which), 1)
+    centre = np.stack([mean(x), mean(y)], axis=1)
+    # a pixel has the second moment 1/12 of its own
+    xx = mean(x * x) - centre[:, 0] ** 2 + 1.0 / 12.0
+    yy = mean(y * y) - centre[:, 1] ** 2 + 1.0 / 12.0
+    xy = mean(x * y) - centre[:, 0] * centre[:, 1]
+    half, deviation = (xx + yy) / 2.0, np.hypot((xx - yy) / 2.0, xy)
+    aspect = np.sqrt((half + deviation) / (half - deviation))
+    return aspect, np.rad2deg(np.arctan2(2.0 * xy, xx - yy) / 2.0), centre
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shapes:
+    """Numbers that an RVE shall have, or has: coefficient of variation of areas, mean aspect ratio,
+    mean direction of long axes in degrees and their alignment, mean number of neighbours."""
+
+    area_variation: float
+    elongation: float
+    direction: float
+    alignment: float
+    neighbours: float
+
+    @classmethod
+    def of_image(cls, cells: ImagedCells) -> Shapes:
+        """Those of the whole cells of an image."""
+        alignment, direction = cells.alignment
+        return cls(
+            area_variation=cells.area_variation,
+            elongation=cells.elongation,
+            direction=direction,
+            alignment=alignment,
+            neighbours=cells.mean_neighbours,
+        )
+
+    @classmethod
+    def of_polygons(cls, polygons: list[Array], areas: Array, neighbours: float) -> Shapes:
+        """Those of polygons (k, 2)."""
+        aspect = np.array([aspect_ratio(polygon) for polygon in polygons])
+        direction = np.array([_direction(polygon) for polygon in polygons])
+        alignment, mean = alignment_of(aspect, direction)
+        return cls(
+            area_variation=float(areas.std() / areas.mean()),
+            elongation=mean_aspect(polygons),
+            direction=mean,
+            alignment=alignment,
+            neighbours=neighbours,
+        )
+
+    def difference(self, wanted: Shapes) -> float:
+        """Largest relative difference of areas' variation and aspect ratio."""
+        of_areas = abs(self.area_variation - wanted.area_variation) / wanted.area_variation
+        return max(of_areas, abs(self.elongation - wanted.elongation) / wanted.elongation)
+
+
+def _direction(corners: Array) -> float:
+    """Direction of a polygon's long axis in degrees, by its corners' spread along its outline."""
+    steps = np.linspace(0.0, 1.0, 20, endpoint=False)[:, None, None]
+    along = corners + steps * (np.roll(corners, -1, axis=0) - corners)
+    length = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+    weight = np.broadcast_to(length, along.shape[:2]).ravel()
+    r = along.reshape(-1, 2)
+    r = r - weight @ r / weight.sum()
+    xx, yy, xy = (weight @ product for product in (r[:, 0] ** 2, r[:, 1] ** 2, r[:, 0] * r[:, 1]))
+    return float(np.rad2deg(np.arctan2(2.0 * xy, xx - yy) / 2.0))
+
+
+def laid_out(cell: CellParameters) -> Shapes:
+    """Shapes of the plant cells of an RVE as they are laid out."""
+    tessellation = cell.tessellation
+    polygons = [tessellation.corners(k) for k in range(cell.cells)]
+    neighbours = float(np.mean([len(each) for each in tessellation.polygons]))
+    return Shapes.of_polygons(polygons, tessellation.areas, neighbours)
+
+
+def at_rest(cell: CellParameters) -> Shapes:
+    """Shapes of the plant cells of an RVE at rest, by the wall particles around each."""
+    polygons = polygons_at_rest(cell)
+    areas = np.array([polygon_area(polygon) for polygon in polygons])
+    return Shapes.of_polygons(polygons, areas, laid_out(cell).neighbours)
+
+
+def polygons_at_rest(cell: CellParameters) -> list[Array]:
+    """(k, 2) wall particles around each plant cell of an RVE at rest, µm."""
+    reference = RveLaw(cell).reference
+    position, lattice = reference.position, reference.lattice
+    rims = make_arrangement(cell).rims
+    return [position[rim[:, 0]] + rim[:, 1:] @ lattice.T for rim in rims]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LikeCells:
+    """An RVE that is like an image: its cell, by the entries of a section [cell], its shapes as
+    laid out and at rest, and sentences on what it cannot have."""
+
+    entries: dict[str, Any]
+    cell: CellParameters
+    laid_out: Shapes
+    at_rest: Shapes
+    remarks: tuple[str, ...]
+
+    def table(self, wanted: Shapes) -> Table[Any]:
+        """What is wanted, laid out, and left at rest."""
+        shapes = {"image": wanted, "laid out": self.laid_out, "at rest": self.at_rest}
+        rows: list[dict[str, Any]] = [
+            {"quantity": name, **{column: of(each) for column, each in shapes.items()}}
+            for name, of in _SHOWN.items()
+        ]
+        columns: list[Quantity[Any]] = [Quantity("quantity", "", "")]
+        columns += [Quantity(column, "", ".3g") for column in shapes]
+        return Table(columns, rows)
+
+
+_SHOWN: dict[str, Callable[[Shapes], float]] = {
+    "variation of areas": lambda shapes: shapes.area_variation,
+    "mean aspect ratio": lambda shapes: shapes.elongation,
+    "mean direction, °": lambda shapes: shapes.direction,
+    "alignment": lambda shapes: shapes.alignment,
+    "neighbours": lambda shapes: shapes.neighbours,
+}
+
+
+def rve_like(
+    cells: ImagedCells,
+    preset: str = "apple",
+    number: int = 9,
+    *,
+    progress: Callable[[float], None] = lambda done: None,
+) -> LikeCells:
+    """A Voronoi RVE whose cells at rest are like those of an image.
+
+    Walls of one rest length change areas and shapes when they settle, so that what is laid out is
+    corrected until the cells at rest are near what is wanted, or `_CORRECTIONS` times, with each of
+    some seeds. The thickness of the walls is the preset's in proportion to the size of the cells,
+    so that the turgor stretches them as much.
+
+    Args:
+        preset: of living cells, whose other measurements it has.
+        number: of plant cells in the RVE.
+
+    Raises:
+        InputError: no seed has a layout that comes to rest.
+    """
+    wanted = Shapes.of_image(cells)
+    tissue = LIVING[preset][0]
+    thickness = tissue.wall_thickness * cells.cell_size / tissue.cell_size
+    remarks = [
+        f"wall_thickness {thickness:.3g} µm is the preset's in proportion to the size of the "
+        "cells: measure it"
+    ]
+    variation = wanted.area_variation
+    if variation > _MOST_VARIATION:
+        remarks.append(f"areas vary by {variation:.3g}; an RVE has at most {_MOST_VARIATION}")
+        variation = _MOST_VARIATION
+    is_stretched = wanted.alignment >= _ALIGNED
+    if not is_stretched:
+        remarks.append(
+            f"long axes point everywhere (alignment {wanted.alignment:.2g}), so the RVE is not "
+            "stretched"
+        )
+    entries: dict[str, Any] = {
+        "preset": preset,
+        "cell_size": _rounded(cells.cell_size),
+        "wall_thickness": _rounded(thickness),
+        "arrangement": "voronoi",
+        "cells": number,
+    }
+    aim = replace(wanted, area_variation=variation)
+    best: LikeCells | None = None
+    settled, refused = 0, list[InputError]()
+    for seed in range(1, 1 + _SEEDS):
+        entries["arrangement_seed"] = seed
+        try:
+            for reached in _corrected(entries, aim, is_stretched, tuple(remarks)):
+                if best is None or reached.at_rest.difference(aim) < best.at_rest.difference(aim):
+                    best = reached
+        except InputError as error:
+            refused.append(error)
+        else:
+            settled += 1
+        progress(min(1.0, (settled + 1) / (1 + _ENOUGH)))
+        if settled == _ENOUGH or (best and best.at_rest.difference(aim) <= _NEAR):
+            break
+    if best is None:
+        raise refused[-1]
+    return best
+
+
+def _corrected(
+    entries: Mapping[str, Any], aim: Shapes, is_stretched: bool, remarks: tuple[str, ...]
+) -> Iterator[LikeCells]:
+    """RVEs of one seed, each laid out by what the one before lacked at rest.
+
+    Raises:
+        InputError: the layout is out of reach, or does not come to rest.
+    """
+    areas, aspect = aim.area_variation, aim.elongation if is_stretched else 1.0
+    for _ in range(1 + _CORRECTIONS):
+        tried = {
+            **entries,
+            "area_variation": _rounded(min(max(areas, LEAST_VARIATION), _MOST_VARIATION)),
+        }
+        if aspect > 1.0:
+            tried["elongation"] = _rounded(aspect)
+            tried["elongation_direction"] = _rounded(aim.direction)
+        cell = living_cell(**tried)
+        reached = LikeCells(
+            entries=tried,
+            cell=cell,
+            laid_out=laid_out(cell),
+            at_rest=at_rest(cell),
+            remarks=remarks,
+        )
+        yield reached
+        rest = reached.at_rest
+        if rest.difference(aim) <= _NEAR:
+            return
+        areas *= aim.area_variation / max(rest.area_variation, _LEAST_SHAPE)
+        if is_stretched:
+            # what is laid out beyond a round cell, in proportion to what is left of it
+            aspect = 1.0 + (aspect - 1.0) * (aim.elongation - 1.0) / (rest.elongation - 1.0)
+            aspect = min(max(aspect, 1.0), _MOST_ELONGATION)
+
+
+def _rounded(value: float) -> float:
+    """A number of four digits, as a recipe states it."""
+    return float(f"{value:.4g}")
+
+
+def shapes_table(cells: ImagedCells) -> Table[Any]:
+    """What the whole cells of an image are like."""
+    alignment, direction = cells.alignment
+    rows: list[dict[str, Any]] = [
+        {"quantity": "whole cells", "value": len(cells.area), "unit": ""},
+        {"quantity": "mean area", "value": float(cells.area.mean()), "unit": "µm²"},
+        {"quantity": "side of a square of that area", "value": cells.cell_size, "unit": "µm"},
+        {"quantity": "variation of areas", "value": cells.area_variation, "unit": ""},
+        {"quantity": "mean aspect ratio", "value": cells.elongation, "unit": ""},
+        {"quantity": "mean direction of long axes", "value": direction, "unit": "°"},
+        {"quantity": "alignment of long axes", "value": alignment, "unit": ""},
+        {"quantity": "neighbours", "value": cells.mean_neighbours, "unit": ""},
+    ]
+    value: Quantity[Any] = Quantity("value", "", ".4g")
+    return Table((Quantity("quantity", "", ""), value, Quantity("unit", "", "")), rows)
+
+
+def picture(cells: ImagedCells, like: LikeCells | None = None) -> Figure:
+    """The outlines of the image's cells, beside them those of an RVE."""
+    rve = None
+    if like is not None:
+        rve = polygons_at_rest(like.cell), RveLaw(like.cell).reference.lattice
+    whole = is_whole(cells.labels, cells.number)
+    axes = long_axes(cells.centre, cells.area, cells.aspect, cells.direction)
+    return outlines_figure(cells.labels, cells.pixel, whole, axes, rve)
+
+
+def section(like: LikeCells, about: str) -> str:
+    """The section [cell] of a recipe in TOML, with a comment on where it comes from."""
+    lines = [f"{MARK}{about}"]
+    lines += [f"# {remark}" for remark in like.remarks]
+    lines.append("[cell]")
+    for key, value in like.entries.items():
+        lines.append(f'{key} = "{value}"' if isinstance(value, str) else f"{key} = {value}")
+    return "\n".join(lines) + "\n"

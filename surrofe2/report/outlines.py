@@ -1,0 +1,108 @@
+"""The picture of a labelled image: outlines and long axes of its cells, and of an RVE like them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from surrofe2.base.arrays import Array, Flags, Index
+from surrofe2.report.figures import draw_scale_bar
+from surrofe2.run.charts import BLUE, VERMILION
+
+_LEAF = (0.80, 0.90, 0.74)
+_CUT, _HOLE = (0.88, 0.88, 0.88), (1.0, 1.0, 1.0)
+_SHADES = 0.12
+"""By how much the colours of neighbours differ."""
+_OF_AXIS = 0.7
+"""Part of a long axis that is drawn, so that it stays within its cell."""
+_HEIGHT = 4.6
+_PERIODS = [(a, b) for a in range(2) for b in range(2)]
+
+
+def outlines_figure(
+    labels: NDArray[np.int64],
+    pixel: float,
+    whole: Flags,
+    axes: Array,
+    rve: tuple[Sequence[Array], Array] | None = None,
+) -> Figure:
+    """The image with the outlines of its cells, beside it four periods of an RVE at its scale.
+
+    Args:
+        labels: (rows, columns), 0 in holes. pixel: side of a pixel, µm.
+        whole: by label, whether the cell counts; the others are grey.
+        axes: (n, 2, 2) ends of the long axes of cells, x and y, µm.
+        rve: polygons (k, 2) of an RVE and its (2, 2) periods, columns, µm.
+    """
+    figure = Figure(layout="constrained")
+    places = figure.subplots(1, 1 if rve is None else 2, squeeze=False)[0]
+    height, width = (pixel * count for count in labels.shape)
+    place = places[0]
+    place.imshow(_coloured(labels, whole), extent=(0.0, width, 0.0, height))
+    lines = _outlines(labels, pixel)
+    place.add_collection(LineCollection(lines, colors="black", linewidths=0.6))
+    place.add_collection(LineCollection(list(axes), colors=VERMILION, linewidths=1.0))
+    place.set_title("cells of the image and their long axes; grey: left out", fontsize=9)
+    _finish(place, np.zeros(2), np.array([width, height]))
+    if rve is not None:
+        polygons, lattice = rve
+        every = [polygon + lattice @ period for period in _PERIODS for polygon in polygons]
+        drawn = PolyCollection(every, facecolors=[_LEAF], edgecolors="black", linewidths=0.6)
+        places[1].add_collection(drawn)
+        corners = np.concatenate(every)
+        own = PolyCollection(list(polygons), facecolors="none", edgecolors=BLUE, linewidths=1.2)
+        places[1].add_collection(own)
+        places[1].set_title("RVE at rest (blue), repeated, at the same scale", fontsize=9)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        size = np.maximum(high - low, [width, height])
+        middle = (low + high) / 2.0
+        _finish(places[1], middle - size / 2.0, middle + size / 2.0)
+    figure.set_size_inches(len(places) * _HEIGHT * min(max(width / height, 0.6), 1.8), _HEIGHT)
+    return figure
+
+
+def _coloured(labels: NDArray[np.int64], whole: Flags) -> NDArray[np.float64]:
+    """(rows, columns, 3) colours of the pixels."""
+    shade = 1.0 - _SHADES * ((np.arange(len(whole)) * 7) % 5) / 4.0
+    colour = np.array(_LEAF) * shade[:, None]
+    colour[~whole] = _CUT
+    colour[0] = _HOLE
+    return np.asarray(colour[labels])
+
+
+def _outlines(labels: NDArray[np.int64], pixel: float) -> list[Array]:
+    """Sides of pixels between different labels, each two points, µm."""
+    rows = labels.shape[0]
+    y, x = np.nonzero(labels[:, :-1] != labels[:, 1:])
+    upright = np.stack([np.stack([x + 1, rows - y], 1), np.stack([x + 1, rows - y - 1], 1)], 1)
+    y, x = np.nonzero(labels[:-1] != labels[1:])
+    level = np.stack([np.stack([x, rows - y - 1], 1), np.stack([x + 1, rows - y - 1], 1)], 1)
+    return list(pixel * np.concatenate([upright, level]))
+
+
+def _finish(place: Axes, low: Array, high: Array) -> None:
+    place.set_xlim(low[0], high[0])
+    place.set_ylim(low[1], high[1])
+    place.set_aspect("equal")
+    place.set_axis_off()
+    draw_scale_bar(place, low, high)
+
+
+def long_axes(centre: Array, area: Array, aspect: Array, direction: Array) -> Array:
+    """(n, 2, 2) ends of most of the long axes of ellipses of these areas, µm."""
+    half = _OF_AXIS * np.sqrt(area * aspect / np.pi)
+    angle = np.deg2rad(direction)
+    way = half[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.stack([centre - way, centre + way], axis=1)
+
+
+def is_whole(labels: NDArray[np.int64], number: Index) -> Flags:
+    """By label, whether it is among these numbers."""
+    whole = np.zeros(labels.max() + 1, dtype=np.bool_)
+    whole[number] = True
+    return whole
