@@ -26,6 +26,7 @@ STUDIES: Mapping[str, tuple[str, str, str]] = {
     "thin": ("tissues", "thin", "thin tissue with and without the surface law of its free sides"),
     "arrangements": ("arrangements", "arrangements", "irregular cells: equilibria, Cauchy–Born"),
     "irregular": ("irregular", "irregular", "moduli over the plant cells of an RVE, both fluids"),
+    "wilting": ("wilting", "wilting", "moduli of wilting tissue against published tests"),
     "locking": ("locking", "locking", "elements of nearly incompressible tissue"),
     "ablation": ("ablation", "ablation", "what each part of the surrogate is worth"),
     "worst-answer": ("worst_answer", "worst_answer", "the worst states that the cache accepts"),
