@@ -97,7 +97,7 @@ def moduli(
     else:
         if out is None:
             make()
-        console.done(out, f"moduli of {of}")
+        console.done(out, f"at rest, of {of}")
     questions: tuple[tuple[str, Path | None, dict[str, Any], Callable[..., Study]], ...] = (
         ("memory", memory, {"period": period}, partial(memory_of.memory_study, of.cell, period)),
         ("wilting", wilt, {}, partial(wilting_of.wilting_study, of.cell)),
