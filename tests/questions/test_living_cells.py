@@ -159,7 +159,7 @@ def test_all_measurements_are_the_tissue_made_of_them():
         {"tissue_thickness": 25.0},
         {"wall_springs_per_side": 16},
         {"fluid_particles_per_side": 3},
-        {"cell_side": 60.0},
+        {"cell_side": 140.0},
         {"fluid_particle_mass": 4.0},
         {"arrangement": "hexagon"},
     ],
