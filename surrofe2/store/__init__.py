@@ -16,4 +16,5 @@ In reading order:
     gmsh_file         files of Gmsh
     abaqus_file       files of Abaqus
     plane_mesh        one kind of element in the plane, with named sides and regions
+    labelled_image    images whose pixels have the numbers of their cells
 """
