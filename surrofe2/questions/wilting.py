@@ -98,13 +98,20 @@ def wilt(cell: CellParameters, points: int = POINTS) -> Wilting:
     """States of equal steps in size from the reference to where the walls carry no turgor.
 
     Raises:
-        InputError: fewer than two points, SPH fluid, whose pressure is not that of a solution, or
-            a state without an equilibrium.
+        InputError: fewer than two points, SPH fluid, whose pressure is not that of a solution,
+            sap that cannot leave its cell, or a reference without a stable equilibrium.
     """
     if points < 2:
         raise InputError(f"points: {points}; wilting needs at least 2")
     if not cell.has_uniform_fluid:
-        raise InputError("cell.fluid: 'sph'; wilting needs the pressure of a uniform fluid")
+        raise InputError(
+            "cell.fluid: 'sph'; wilting needs the pressure of a solution: take fluid uniform"
+        )
+    if cell.sap_bulk_modulus > 0.0:
+        raise InputError(
+            f"cell.sap_bulk_modulus: {cell.sap_bulk_modulus}; cells that wilt lose water: it must "
+            "be 0"
+        )
     law = RveLaw(cell, initialisation="elastic")
     size = np.linspace(1.0, _limp_size(law), points)
     F, stable = _shapes(law, size)
