@@ -29,7 +29,7 @@ from surrofe2.workflow.rest import (
     study_by_method,
     summary_of,
 )
-from surrofe2.workflow.run import cache_notes, tolerance_notes
+from surrofe2.workflow.run import cache_notes, sharp_bodies, sharp_notes, tolerance_notes
 from surrofe2.workflow.train import is_trained, large_errors, learn, training_summary
 from surrofe2.workflow.workers import executor_of
 
@@ -110,6 +110,8 @@ def check(
     else:
         for message in checking.study_faults(mesh, ("rve", "cached")):
             console.print_line(f"not by --law cached or surrogate: {message}")
+    for message, _ in sharp_notes(sharp_bodies(mesh.problem())):
+        console.print_warning(message)
     for message in scale.scale_warnings(mesh, merged):
         console.print_warning(message)
     if only:

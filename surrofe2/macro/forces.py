@@ -4,7 +4,8 @@ Forces along sides are forms of scikit-fem over facets, whose unknowns are numbe
 is component i of node a. The positions of rigid bodies are numbered on after the nodes of the mesh.
 A force knows its slopes, which Newton's method needs.
 
-Contact of a boundary with a rigid body acts at three points of each side by `contact_law`. Where
+Contact of a boundary with a rigid body acts at three points of each side by `contact_law`, and at
+more where a rounding of the body would fit between two of them. Where
 nothing has a velocity friction follows from the sliding Δ since the last equilibrium and the
 friction τ of that: τ + k Δ, at most µ p, so that a point sticks to the body by the spring k or
 slips by Coulomb's law. The body takes the opposite forces, so momentum is kept to rounding."""
@@ -173,6 +174,8 @@ MODULI, ONSET, DAMPING = 200.0, 0.04, 0.5
 """Defaults: k by modulus over the length h of a side, k δ by modulus, c by the critical damping of
 the mass by which k moves the boundary of a mesh, ρ h/√12 a length."""
 
+FEWEST_POINTS, MOST_POINTS = 3, 40
+"""Contact points of a side."""
 _TOUCHING = 0.01
 """Of a side: the depth or gap at which a body begins in touch."""
 
@@ -324,19 +327,38 @@ def _turned(normal: Array) -> Array:
     return np.stack([-normal[:, 1], normal[:, 0]], axis=1)
 
 
+def points_per_side(shape: Shape, side: float) -> int:
+    """How many contact points a side of an element has: so many that a rounding of the body does
+    not fit between two of them, from `FEWEST_POINTS` up to `MOST_POINTS`."""
+    radius = getattr(shape, "radius", np.inf)
+    wanted = FEWEST_POINTS
+    while wanted < MOST_POINTS and contact_gap(wanted, side) > radius:
+        wanted += 1
+    return wanted
+
+
+def contact_gap(points: int, side: float) -> float:
+    """The largest distance between neighbouring contact points of a side, µm."""
+    places, _ = np.polynomial.legendre.leggauss(points)
+    return float(0.5 * side * np.diff(places).max())
+
+
 def make_contact(
     problem: Problem, body: RigidBody, row: int, n: int, modulus: float, density: float
 ) -> Contact:
     """The contact of `body`, `row` of n, with a tissue of this modulus (µN/µm) and density."""
     mesh = problem.mesh
     facets = boundary(mesh, body.on, f"{body.name}.on")
-    basis = skfem.FacetBasis(mesh, mesh.elem(), facets=facets, intorder=4)
+    basis = skfem.FacetBasis(mesh, mesh.elem(), facets=facets, intorder=2 * FEWEST_POINTS - 1)
+    side = float(basis.dx.sum() / len(facets))
+    points = points_per_side(body.shape, side)
+    if points > FEWEST_POINTS:
+        basis = skfem.FacetBasis(mesh, mesh.elem(), facets=facets, intorder=2 * points - 1)
     nodes = np.repeat(element_nodes(mesh)[mesh.f2t[0, facets]], len(basis.W), axis=0)
     shapes = np.stack([np.ravel(each[0]) for each in basis.basis], axis=1)
     columns = np.insert(nodes, 0, row, axis=1)
     relative = sparse_rows(columns, np.insert(shapes, 0, -1.0, axis=1), n)
     relative.eliminate_zeros()
-    side = float(basis.dx.sum() / len(facets))
     stiffness = MODULI * modulus / side if body.stiffness is None else body.stiffness
     critical = 2.0 * np.sqrt(stiffness * density * side / np.sqrt(12.0))
     slip_speed = 1e-3 * np.sqrt(modulus / density)

@@ -55,6 +55,7 @@ from surrofe2.workflow.run import (
     run_notes,
     run_study,
     run_summary,
+    sharp_notes,
     thickness_of,
     with_costs,
     with_rest,
@@ -304,7 +305,8 @@ def rest_summary(record: RunRecord) -> str:
 
 
 def rest_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
-    """Notes on free sides and the cache, each with whether it is a warning."""
+    """Notes on sharp bodies, free sides and the cache, each with whether it is a warning."""
+    yield from sharp_notes(record.problem.get("sharp", {}))
     yield from laws.surface_notes(record)
     yield from cache_notes(record)
     yield from closing_notes(record)

@@ -21,7 +21,7 @@ from surrofe2.base.arrays import Array
 from surrofe2.base.clock import seconds_compiling
 from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import out_of_range
-from surrofe2.base.units import time_text
+from surrofe2.base.units import number, time_text
 from surrofe2.cache import CachedLaw, StressTable
 from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.law.stress_law import AuditedLaw, StressLaw, state_arrays, state_of
@@ -32,6 +32,7 @@ from surrofe2.macro.elements import (
     make_discretisation,
     n_points_of,
 )
+from surrofe2.macro.forces import contact_gap, points_per_side
 from surrofe2.macro.history import Frames
 from surrofe2.plant_cell.parameters import PRESETS
 from surrofe2.problem import Problem
@@ -455,6 +456,7 @@ def problem_record(problem: Problem, thickness: float | None = None) -> dict[str
         "bodies": [body.name for body in problem.bodies],
         "watched": {name: list(at) for name, at in problem.watched.items()},
         "places": _places(problem, thickness),
+        "sharp": sharp_bodies(problem),
         **({"surface": laws.surface_record(problem)} if problem.surface is not None else {}),
     }
 
@@ -463,6 +465,31 @@ def thickness_of(recipe: Recipe) -> float | None:
     """The thickness of the tissue, µm; None where its cells have several."""
     found = {part.cell.tissue_thickness for part in recipe.parts().values()}
     return found.pop() if len(found) == 1 else None
+
+
+def sharp_bodies(problem: Problem) -> dict[str, list[float]]:
+    """By name of a body that is sharper than the contact points of its boundary are apart: the
+    radius of its rounding and that distance, µm."""
+    mesh, sharp = problem.mesh, dict[str, list[float]]()
+    for body in problem.bodies:
+        facets = boundary(mesh, body.on, f"bodies.{body.name}.on")
+        side = length_of(mesh, facets) / len(facets)
+        gap = contact_gap(points_per_side(body.shape, side), side)
+        radius = float(getattr(body.shape, "radius", np.inf))
+        if gap > radius:
+            sharp[body.name] = [radius, gap]
+    return sharp
+
+
+def sharp_notes(sharp: Mapping[str, Sequence[float]]) -> Iterator[tuple[str, bool]]:
+    """A warning for each body that the mesh is too coarse for; see `sharp_bodies`."""
+    for name, (radius, gap) in sharp.items():
+        yield (
+            f"contact: {name} has a rounding of {number(radius)} µm and may press between contact "
+            f"points, which are {number(gap)} µm apart; make the elements there "
+            f"{number(gap / radius, 2)} times smaller, or the rounding larger",
+            True,
+        )
 
 
 def _places(problem: Problem, thickness: float | None) -> dict[str, dict[str, Any]]:
@@ -576,6 +603,7 @@ def run_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
             is_deep = depth > 0.01 * side
             wish = f"; a larger bodies.{name}.stiffness would lessen it" if is_deep else ""
             yield f"contact: {name} penetrates by {depth:.2g} µm{wish}", is_deep
+    yield from sharp_notes(of.get("sharp", {}))
     yield from laws.surface_notes(record)
     yield from cache_notes(record)
     if record.ranks is not None:  # what rank 0 takes for itself bounds what more ranks can do

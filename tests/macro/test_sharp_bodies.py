@@ -1,0 +1,59 @@
+"""Bodies that are sharper than three contact points of a side are apart press all the same."""
+
+import numpy as np
+import pytest
+
+from surrofe2 import Corner, Fixed, Plane, Problem, RigidBody
+from surrofe2.macro import find_rest
+from surrofe2.macro.forces import FEWEST_POINTS, MOST_POINTS, contact_gap, points_per_side
+from surrofe2.problem.mesh import rectangle
+from surrofe2.workflow.run import problem_record, sharp_notes
+from tests.laws import KelvinVoigt
+
+SIDE = 20.0
+
+
+def under_a_blade(x, radius=1.5, depth=2.0):
+    blade = RigidBody(
+        name="blade",
+        shape=Corner(axis=(0.0, 1.0), angle=30.0, radius=radius),
+        on="top",
+        position=(x, 40.0),
+        displacement=(0.0, -depth),
+    )
+    mesh = rectangle(120.0, 40.0, (6, 2))
+    return Problem(mesh=mesh, conditions=(Fixed(on="bottom"),), bodies=(blade,), duration=1.0)
+
+
+@pytest.mark.parametrize("place", [0.0, 0.2, 0.3, 0.5, 0.7])
+def test_a_blade_is_felt_wherever_it_presses(place):
+    """Three points of a side are 7.7 µm apart, four times as wide as the blade is at the side."""
+    rest = find_rest(under_a_blade(60.0 + place * SIDE), KelvinVoigt(), load_steps=4)
+    force = -rest.history["force blade y"][-1]
+    middle = find_rest(under_a_blade(60.0 + 0.5 * SIDE), KelvinVoigt(), load_steps=4)
+    assert force == pytest.approx(-middle.history["force blade y"][-1], rel=0.5)
+    assert force > 10.0
+
+
+def test_points_are_as_near_as_a_rounding_is_wide():
+    for radius in (1.0, 1.5, 5.0):
+        shape = Corner(axis=(0.0, 1.0), angle=30.0, radius=radius)
+        points = points_per_side(shape, SIDE)
+        assert contact_gap(points, SIDE) <= radius
+        assert points == FEWEST_POINTS or contact_gap(points - 1, SIDE) > radius
+    assert points_per_side(Plane(normal=(0.0, 1.0)), SIDE) == FEWEST_POINTS
+    sharp = Corner(axis=(0.0, 1.0), angle=30.0, radius=0.01)
+    assert points_per_side(sharp, SIDE) == MOST_POINTS
+    places, _ = np.polynomial.legendre.leggauss(3)
+    assert contact_gap(3, SIDE) == pytest.approx(0.5 * SIDE * places[2])
+
+
+def test_a_mesh_that_is_too_coarse_is_warned_of():
+    assert not problem_record(under_a_blade(60.0))["sharp"]
+    sharp = problem_record(under_a_blade(60.0, radius=0.1))["sharp"]
+    ((warning, is_warning),) = sharp_notes(sharp)
+    assert is_warning
+    gap = contact_gap(MOST_POINTS, SIDE)
+    assert sharp == {"blade": [0.1, pytest.approx(gap)]}
+    assert "contact: blade has a rounding of 0.1 µm" in warning
+    assert f"make the elements there {gap / 0.1:.1f} times smaller" in warning
