@@ -327,6 +327,15 @@ def _turned(normal: Array) -> Array:
     return np.stack([-normal[:, 1], normal[:, 0]], axis=1)
 
 
+def check_bodies(problem: Problem) -> None:
+    """Check that no rigid body begins with a part of the tissue deep inside it; an `InputError`
+    names the first that does."""
+    n_nodes = int(element_nodes(problem.mesh).max()) + 1
+    n = n_nodes + len(problem.bodies)
+    for k, body in enumerate(problem.bodies, n_nodes):
+        make_contact(problem, body, k, n, modulus=1.0, density=1.0).check_start()
+
+
 def points_per_side(shape: Shape, side: float) -> int:
     """How many contact points a side of an element has: so many that a rounding of the body does
     not fit between two of them, from `FEWEST_POINTS` up to `MOST_POINTS`."""

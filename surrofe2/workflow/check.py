@@ -24,6 +24,7 @@ from surrofe2.base.errors import FileError, InputError, MismatchError, Simulatio
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.law.stress_law import StressLaw, StressResponse
 from surrofe2.macro import MetRange, find_rest, simulate
+from surrofe2.macro.forces import check_bodies
 from surrofe2.macro.history import NO_EXTREMES, widen_extremes
 from surrofe2.macro.settings import RestSettings
 from surrofe2.plant_cell.measurements import DETERMINED, measurements_of
@@ -75,7 +76,7 @@ def study_faults(recipe: Recipe, kinds: Sequence[str], *, fresh: bool = False) -
     Args:
         fresh: a data set and a surrogate that are there do not count.
     """
-    checks: list[Callable[[], Any]] = [recipe.problem]
+    checks: list[Callable[[], Any]] = [partial(_check_problem, recipe)]
     if "table" in kinds:
         checks.append(partial(laws.check_solver, recipe))
     for part in recipe.parts().values():
@@ -91,6 +92,13 @@ def study_faults(recipe: Recipe, kinds: Sequence[str], *, fresh: bool = False) -
         except (FileError, InputError, MismatchError) as error:
             faults.append(str(error))
     return faults
+
+
+def _check_problem(recipe: Recipe) -> None:
+    """Check mesh and names, and that bodies begin outside the tissue."""
+    problem = recipe.problem()
+    with recipe.named(InputError):
+        check_bodies(problem)
 
 
 def parts_of_mesh(recipe: Recipe) -> list[str]:

@@ -85,6 +85,18 @@ def test_check_tries_a_rest_where_loads_are_slow(invoke, written):
     assert again.stdout.splitlines()[-1].startswith(f"{path}: use --law ")
 
 
+def test_check_finds_a_body_that_begins_inside_the_tissue(invoke, written):
+    text = pulled(written, 10.0).read_text(encoding="utf-8")
+    floor = (
+        "[bodies.floor]\nplane = { normal = [0.0, 1.0] }\non = 'bottom'\nposition = [0.0, HERE]\n"
+    )
+    for height, code in (("0.0", 0), ("5.0", 1)):
+        path = written(text + floor.replace("HERE", height))
+        done = invoke("check", path, "--only", law=SquareLaw(), code=code)
+        told = "bodies.floor.position: [0.0, 5.0]; the tissue begins 5 µm inside it"
+        assert (told in done.stderr + done.stdout) == (code == 1)
+
+
 def test_a_range_of_a_part_says_so_in_its_first_line(invoke, written):
     path = pulled(written, 400.0, "amplitude = 1.0").read_text(encoding="utf-8")
     path = path.replace('kind = "prescribed_motion"', 'kind = "traction"')

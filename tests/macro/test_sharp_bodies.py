@@ -1,11 +1,20 @@
 """Bodies that are sharper than three contact points of a side are apart press all the same."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from surrofe2 import Corner, Fixed, Plane, Problem, RigidBody
+from surrofe2.base.errors import InputError
 from surrofe2.macro import find_rest
-from surrofe2.macro.forces import FEWEST_POINTS, MOST_POINTS, contact_gap, points_per_side
+from surrofe2.macro.forces import (
+    FEWEST_POINTS,
+    MOST_POINTS,
+    check_bodies,
+    contact_gap,
+    points_per_side,
+)
 from surrofe2.problem.mesh import rectangle
 from surrofe2.workflow.run import problem_record, sharp_notes
 from tests.laws import KelvinVoigt
@@ -33,6 +42,18 @@ def test_a_blade_is_felt_wherever_it_presses(place):
     middle = find_rest(under_a_blade(60.0 + 0.5 * SIDE), KelvinVoigt(), load_steps=4)
     assert force == pytest.approx(-middle.history["force blade y"][-1], rel=0.5)
     assert force > 10.0
+
+
+def test_a_body_inside_the_tissue_is_refused_by_a_rest():
+    problem = under_a_blade(60.0)
+    (blade,) = problem.bodies
+    inside = replace(problem, bodies=(replace(blade, position=(60.0, 30.0)),))
+    told = r"bodies.blade.position: .* the tissue begins 3.64 µm inside it"
+    with pytest.raises(InputError, match=told):
+        find_rest(inside, KelvinVoigt())
+    with pytest.raises(InputError, match=told):
+        check_bodies(inside)
+    check_bodies(problem)
 
 
 def test_points_are_as_near_as_a_rounding_is_wide():
