@@ -257,8 +257,8 @@ def find_rest(
             is that of the uninterrupted way, to the bit.
 
     Raises:
-        InputError: the law has no tangents, nothing holds a part of the tissue, a body begins
-            inside it, or Newton's tolerance is below what rounding or the law allows.
+        InputError: the law has no tangents, nothing holds a part of the tissue, or Newton's
+            tolerance is below what rounding or the law allows.
         MismatchError: `resume` is of another mesh.
         SimulationError: a load step halved ten times finds no equilibrium; `partial` is the last
             `Rest`.
@@ -271,8 +271,6 @@ def find_rest(
     system = system_of(problem.proportional(), law)
     if resume is not None and resume.u.shape != (system.n_rows, 2):
         raise MismatchError("resume: the mesh is not that of the state; start the rest again")
-    for contact in system.contacts:
-        contact.check_start()
     equations = EquationsOfMotion(system, law, clock="load factor {:.6g}")
     if problem.surface is not None:
         begin_at_rest(equations, problem, settings, resume)

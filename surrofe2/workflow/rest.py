@@ -24,6 +24,7 @@ from surrofe2.law.stress_law import StressLaw, StressResponse
 from surrofe2.macro import MetRange, Rest, find_modes, find_rest
 from surrofe2.macro.answer_error import answer_error, corrected
 from surrofe2.macro.elements import make_discretisation
+from surrofe2.macro.forces import check_bodies
 from surrofe2.macro.rest import RestState
 from surrofe2.macro.settings import RestSettings
 from surrofe2.recipe.recipe import Recipe, changed
@@ -102,6 +103,8 @@ def rest_study(
     settings = changed(recipe.rest or RestSettings(), factor=factor, load_steps=load_steps)
     recipe = replace(recipe, rest=settings)
     problem = recipe.problem()
+    with recipe.named(InputError):
+        check_bodies(problem)
     of_run = law_of_run(recipe, problem, kind, folder, surrogates, tables)
     law = of_run.law
     problem = laws.with_surface(recipe, problem)

@@ -95,6 +95,9 @@ def test_check_finds_a_body_that_begins_inside_the_tissue(invoke, written):
         done = invoke("check", path, "--only", law=SquareLaw(), code=code)
         told = "bodies.floor.position: [0.0, 5.0]; the tissue begins 5 µm inside it"
         assert (told in done.stderr + done.stdout) == (code == 1)
+    refused = invoke("rest", path, "--out", path.with_name("rest"), law=SquareLaw(), code=1)
+    assert told in refused.stderr
+    assert not path.with_name("rest").exists()
 
 
 def test_a_range_of_a_part_says_so_in_its_first_line(invoke, written):

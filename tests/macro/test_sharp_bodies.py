@@ -44,13 +44,11 @@ def test_a_blade_is_felt_wherever_it_presses(place):
     assert force > 10.0
 
 
-def test_a_body_inside_the_tissue_is_refused_by_a_rest():
+def test_a_body_inside_the_tissue_is_refused():
     problem = under_a_blade(60.0)
     (blade,) = problem.bodies
     inside = replace(problem, bodies=(replace(blade, position=(60.0, 30.0)),))
     told = r"bodies.blade.position: .* the tissue begins 3.64 µm inside it"
-    with pytest.raises(InputError, match=told):
-        find_rest(inside, KelvinVoigt())
     with pytest.raises(InputError, match=told):
         check_bodies(inside)
     check_bodies(problem)
