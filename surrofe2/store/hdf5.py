@@ -1,7 +1,7 @@
 """HDF5 files with one header that are whole or absent and prove themselves.
 
-Files are made and read in memory, while an interruption waits: HDF5 calls Python, and takes one
-for an error of its own.
+Files are made and read in memory, and an interruption waits meanwhile: HDF5 calls Python, and would
+take the interruption for an error of its own.
 """
 
 from __future__ import annotations
@@ -40,20 +40,28 @@ from surrofe2.store.store import (
 
 Arrays = Mapping[str, NDArray[Any]]
 Shape = tuple[int | None, ...]
+# The first bytes of an HDF5 file.
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
+# Errors of reading damaged entries of a file; the last is h5py's for names not in UTF-8.
 _DAMAGED = (
     OSError, RuntimeError, KeyError, TypeError, ValueError, AttributeError, OverflowError,
     MemoryError, SystemError,
 )  # fmt: skip
-"""What reading damaged entries of a file raises; the last is h5py's for names not in UTF-8."""
+# Numbers for names of files in memory, see `_in_memory`.
 _numbers = count()
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """An array of a file: its shape (None: any length), type, unit, and what its codes mean.
+    """An array of a file.
 
-    All arrays whose shape begins with None have as many rows. `optional`: it may be missing.
+    Attributes:
+        shape: sizes; None stands for any length. All arrays of a file whose shape begins with None
+            have as many rows.
+        kind: type of its numbers.
+        unit: unit of its numbers.
+        meaning: what its codes mean, where it has codes.
+        optional: whether it may be missing.
     """
 
     shape: Shape = (None,)
@@ -68,13 +76,14 @@ class Kind:
     """A kind of file, from which writing, reading and checking follow.
 
     Attributes:
-        version: of its schema.
-        header: entries that are read, by name: float and int, finite numbers; str; `WORD`, a text
-            that may go into sources and names of files; dict and dataclasses, by a JSON object.
-            With `| None` an entry may be missing.
+        name: name of the kind, such as "data set".
+        version: version of its schema.
+        header: types of the entries that are read, by name: float and int, finite numbers; str;
+            `WORD`, a text that may go into sources and names of files; dict and dataclasses, by a
+            JSON object. With `| None` an entry may be missing.
         columns: its arrays by name; without them it may hold any arrays of numbers.
-        finite: whether NaN and infinity are refused in them.
-        advice: what to do about a file that cannot be read, at the end of error messages.
+        finite: whether NaN and infinity are rejected in its arrays.
+        advice: remedy for a file that cannot be read, at the end of error messages.
     """
 
     name: str
@@ -86,28 +95,40 @@ class Kind:
 
     @property
     def schema(self) -> str:
+        """The name of the schema in the header of a file."""
         return f"surrofe2-{self.name.replace(' ', '-')}"
 
     @property
     def title(self) -> str:
+        """The name of the kind in error messages."""
         return f"surrofe2 {self.name}"
 
 
 ANY = Kind("file", 0, {"seconds": float | None})
-"""Of whichever schema."""
+"""A file of whichever schema, of which only the seconds are read."""
 ORIGIN = {"cell": CellParameters, "initialisation": WORD}
-"""What is read of `origin`."""
+"""The entries of `origin` that are read."""
 
 
 def origin(cell: CellParameters, initialisation: str, **more: Any) -> dict[str, Any]:
-    """Entries of a header: of which plant cells, how initialised, the answers in a file are."""
-    of_cell = {"cell": cell.to_dict(), "cell_fingerprint": cell.fingerprint}
-    return {**more, **of_cell, "initialisation": initialisation}
+    """Return the entries of a header that say of which RVE the numbers in a file are."""
+    return {
+        **more,
+        "cell": cell.to_dict(),
+        "cell_fingerprint": cell.fingerprint,
+        "initialisation": initialisation,
+    }
 
 
 def write(path: Path, kind: Kind, header: Mapping[str, Any], arrays: Arrays) -> None:
-    """Write a file of a kind, whole or not at all: header, and arrays by name; a/b is b in the
-    group a."""
+    """Write a file of a kind, whole or not at all.
+
+    Args:
+        path: the file.
+        kind: its kind.
+        header: entries by name; those that are None are left out.
+        arrays: arrays by name; a/b is the array b in the group a.
+    """
     with writing(path, kind, header) as file:
         for name, values in arrays.items():
             store_array(file, name, values)
@@ -120,8 +141,10 @@ def write(path: Path, kind: Kind, header: Mapping[str, Any], arrays: Arrays) -> 
 
 @contextmanager
 def writing(path: Path, kind: Kind, header: Mapping[str, Any]) -> Iterator[h5py.File]:
-    """A file of a kind with its header, in memory; it is written when the block ends well. Entries
-    that are None are left out."""
+    """Make a file of a kind with its header in memory; it is written when the block ends well.
+
+    Entries of the header that are None are left out.
+    """
     with _in_memory(path.name, kind, header) as file:
         yield file
         image = _image(file)
@@ -130,24 +153,27 @@ def writing(path: Path, kind: Kind, header: Mapping[str, Any]) -> Iterator[h5py.
 
 @contextmanager
 def _in_memory(name: str, kind: Kind, header: Mapping[str, Any]) -> Iterator[h5py.File]:
-    known = {
+    """Make a file of a kind with its header in memory, which nothing else writes to the disk."""
+    entries = {
         "schema": kind.schema,
         "schema_version": kind.version,
         "package_version": version("surrofe2"),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        **header,
     }
     # A name of its own: one whose making was interrupted stays open, and HDF5 makes no second one.
     name = f"{next(_numbers)} {name}"
     with held(), h5py.File(name, "w", driver="core", backing_store=False) as file:
-        for entry, value in (known | dict(header)).items():
+        for entry, value in entries.items():
+            if value is None:
+                continue
             is_plain = isinstance(value, str | int | float | np.generic)
-            if value is not None:
-                file.attrs[entry] = value if is_plain else json.dumps(plain(value))
+            file.attrs[entry] = value if is_plain else json.dumps(plain(value))
         yield file
 
 
 def _image(file: h5py.File) -> bytes:
-    """The bytes of a file in memory, with a place for the digest."""
+    """Return the bytes of a file in memory, with a place for the digest."""
     file.attrs["sha256"] = f"{SEAL}: {NO_DIGEST}"
     file.flush()
     image: bytes = file.id.get_file_image()
@@ -155,15 +181,19 @@ def _image(file: h5py.File) -> bytes:
 
 
 class Template:
-    """A file of a kind whose arrays keep their shapes: it is made once, and for each further file
-    only its numbers are replaced, which takes a small part of the time.
+    """A file of a kind whose arrays keep their shapes.
+
+    It is made once, and for each further file only its numbers are replaced, which takes a small
+    part of the time.
 
     Args:
-        arrays: by name, not empty.
+        kind: kind of the file.
+        header: entries of the header, which all files share.
+        arrays: arrays by name; none may be empty, for an empty one has no place in the file.
     """
 
     def __init__(self, kind: Kind, header: Mapping[str, Any], arrays: Arrays) -> None:
-        self.shapes = {name: (values.shape, values.dtype) for name, values in arrays.items()}
+        self.shapes = _shapes_and_types(arrays)
         with _in_memory("template", kind, header) as file:
             for name, values in arrays.items():
                 store_array(file, name, values)
@@ -172,11 +202,11 @@ class Template:
             self._places = {name: file[name].id.get_offset() for name in arrays}
 
     def fits(self, arrays: Arrays) -> bool:
-        """Whether the arrays have the names, shapes and types of this file's."""
-        return self.shapes == {name: (each.shape, each.dtype) for name, each in arrays.items()}
+        """Return whether the arrays have the names, shapes and types of this file's."""
+        return self.shapes == _shapes_and_types(arrays)
 
     def filled(self, arrays: Arrays) -> bytearray:
-        """The whole file with these numbers, sealed."""
+        """Return the whole file with these numbers, sealed."""
         image = bytearray(self._image)
         for name, values in arrays.items():
             part = np.frombuffer(image, values.dtype, values.size, self._places[name])
@@ -185,8 +215,16 @@ class Template:
         return image
 
 
+def _shapes_and_types(arrays: Arrays) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
+    """Return shape and type of each array by name."""
+    return {name: (values.shape, values.dtype) for name, values in arrays.items()}
+
+
 def store_array(file: h5py.File, name: str, values: NDArray[Any]) -> None:
-    """As file[name] = values, in 0.05 ms instead of 0.13: a run stores a thousand of them."""
+    """Store an array like file[name] = values does, in 0.05 ms instead of 0.13.
+
+    A run stores a thousand of them.
+    """
     values = np.asarray(values)
     links = h5py.h5p.create(h5py.h5p.LINK_CREATE)
     links.set_create_intermediate_group(True)
@@ -198,14 +236,15 @@ def store_array(file: h5py.File, name: str, values: NDArray[Any]) -> None:
 
 @contextmanager
 def reading(path: Path, kind: Kind) -> Iterator[Stored]:
-    """What is in a file of a kind; the block takes from it what it needs.
+    """Open a file of a kind, of which the block reads what it needs.
 
     Raises:
-        FileError: missing, foreign, of another schema or version, or an entry is missing or wrong;
-            in the block, too.
+        FileError: the file is missing, foreign, of another schema or version, or an entry is
+            missing or wrong. An error of reading in the block becomes one, too.
     """
     advice = f"; {kind.advice}" if kind.advice else ""
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    # half of the memory: the other half is for what is made of the content
     content = read_bytes(path, memory // 2, _SIGNATURE)
     try:
         if not content.startswith(_SIGNATURE):
@@ -214,13 +253,7 @@ def reading(path: Path, kind: Kind) -> Iterator[Stored]:
         with held(), h5py.File(BytesIO(content)) as file:
             _check_own(file)
             if kind is not ANY:
-                if str(file.attrs.get("schema")) != kind.schema:
-                    raise FileError(f"{path}: an HDF5 file, but not a {kind.title}")
-                there = shortened(str(file.attrs.get("schema_version", kind.version)), 20)
-                if there != str(kind.version):
-                    raise FileError(
-                        f"{path}: {kind.name} schema {there}; this surrofe2 reads {kind.version}"
-                    )
+                _check_schema(path, file, kind)
             yield Stored(file, kind)
     except FileError as error:
         raise FileError(f"{error}{advice}") from None
@@ -229,8 +262,19 @@ def reading(path: Path, kind: Kind) -> Iterator[Stored]:
         raise FileError(f"{path}: not a whole {kind.title}: {reason}{advice}") from None
 
 
+def _check_schema(path: Path, file: h5py.File, kind: Kind) -> None:
+    """Reject a file of another kind, or of another version of its schema."""
+    if str(file.attrs.get("schema")) != kind.schema:
+        raise FileError(f"{path}: an HDF5 file, but not a {kind.title}")
+    stored_version = shortened(str(file.attrs.get("schema_version", kind.version)), 20)
+    if stored_version != str(kind.version):
+        raise FileError(
+            f"{path}: {kind.name} schema {stored_version}; this surrofe2 reads {kind.version}"
+        )
+
+
 def _check_own(file: h5py.File) -> None:
-    """Refuse links, and numbers in other files."""
+    """Reject links, and numbers in other files: a stranger's file could read any other by them."""
     links: list[tuple[str, object]] = []
     file.visititems_links(lambda *link: links.append(link))  # where an error would be lost
     for name, link in links:
@@ -242,19 +286,19 @@ def _check_own(file: h5py.File) -> None:
 
 
 def read(path: Path, kind: Kind) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Header and arrays of a file of a kind, or a FileError."""
+    """Read header and arrays of a file of a kind, or raise a FileError."""
     with reading(path, kind) as stored:
         return stored.header(), stored.arrays()
 
 
 def read_header(path: Path, kind: Kind) -> dict[str, Any]:
-    """The header of a file of a kind, or a FileError."""
+    """Read the header of a file of a kind, or raise a FileError."""
     with reading(path, kind) as stored:
         return stored.header()
 
 
 def read_seconds(path: Path) -> float | None:
-    """Seconds that the answers in a file took to make; None where it does not say."""
+    """Read the seconds that the numbers in a file took to make; None where it does not say."""
     seconds: float | None = read_header(path, ANY)["seconds"]
     return seconds
 
@@ -267,22 +311,25 @@ class Stored:
     kind: Kind
 
     def header(self) -> dict[str, Any]:
-        """The entries of its kind by name; None for one that is not there, but may be missing."""
+        """Read the entries of its kind by name; an entry that may be missing, and is, is None."""
         attributes = self.file.attrs
         entries = {
-            name: _entry(name, attributes.get(name), of) for name, of in self.kind.header.items()
+            name: _entry(name, attributes.get(name), entry_type)
+            for name, entry_type in self.kind.header.items()
         }
         if "cell" in entries and entries["cell"].fingerprint != attributes.get("cell_fingerprint"):
             raise ValueError("cell: its parameters are not those that the answers are of")
         return entries
 
     def array(self, name: str, shape: Shape, kind: type = np.float64) -> NDArray[Any]:
-        """An array as it must be; None in the shape stands for any length."""
+        """Read an array that must have this shape and type; None stands for any length."""
         entry = self.file.get(name)
         if not isinstance(entry, h5py.Dataset):
             raise ValueError(f"{name}: missing")
-        whole = len(entry.shape or ()) == len(shape) and entry.nbytes <= self.file.id.get_filesize()
-        if not whole or any(n not in (None, m) for n, m in zip(shape, entry.shape, strict=True)):
+        # a damaged shape may claim more numbers than the file has, and more than the memory
+        is_plausible = entry.nbytes <= self.file.id.get_filesize()
+        has_dimensions = len(entry.shape or ()) == len(shape)
+        if not (has_dimensions and is_plausible and _is_of_shape(entry.shape, shape)):
             raise ValueError(f"{name}: shape {entry.shape}; it must be {shape}")
         if entry.dtype != np.dtype(kind):
             raise ValueError(f"{name}: {entry.dtype}; it must be {np.dtype(kind)}")
@@ -292,15 +339,10 @@ class Stored:
         return values
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """The arrays of its kind by name, those with rows of one length; all where it has none."""
+        """Read the arrays by name: those of its kind, or all where the kind states none."""
+        if self.kind.columns:
+            return self._columns()
         arrays: dict[str, NDArray[Any]] = {}
-        rows: int | None = None
-        for name, column in self.kind.columns.items():
-            if name in self.file or not column.optional:
-                shape = (rows, *column.shape[1:]) if column.shape[0] is None else column.shape
-                arrays[name] = self.array(name, shape, column.kind)
-                check_units(name, self.file[name].attrs.get("unit"), column.unit)
-                rows = len(arrays[name]) if column.shape[0] is None else rows
 
         def collect(name: str, item: object) -> None:
             if isinstance(item, h5py.Dataset):
@@ -308,14 +350,33 @@ class Stored:
                     raise ValueError(f"{name}: {item.dtype}; it must be numbers")
                 arrays[name] = self.array(name, item.shape, item.dtype)
 
-        if not self.kind.columns:
-            self.file.visititems(collect)
+        self.file.visititems(collect)
+        return arrays
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        """Read the columns of its kind; those of any length must have as many rows as the first."""
+        arrays: dict[str, NDArray[Any]] = {}
+        rows: int | None = None
+        for name, column in self.kind.columns.items():
+            if column.optional and name not in self.file:
+                continue
+            has_rows = column.shape[0] is None
+            shape = (rows, *column.shape[1:]) if has_rows else column.shape
+            arrays[name] = self.array(name, shape, column.kind)
+            check_units(name, self.file[name].attrs.get("unit"), column.unit)
+            if has_rows:
+                rows = len(arrays[name])
         return arrays
 
 
+def _is_of_shape(sizes: tuple[int, ...], shape: Shape) -> bool:
+    """Return whether sizes are those of a shape, in which None stands for any length."""
+    return all(wanted is None or wanted == size for wanted, size in zip(shape, sizes, strict=True))
+
+
 def _entry(name: str, value: Any, kind: Any) -> Any:
-    """An entry of a header as `Kind.header` has it."""
-    if get_args(kind):  # this or None
+    """Return an entry of a header in the type that `Kind.header` states, or raise a ValueError."""
+    if get_args(kind):  # of this type, or None
         return None if value is None else _entry(name, value, get_args(kind)[0])
     if kind in (int, float):
         number = np.asarray(value)
@@ -335,7 +396,7 @@ def _entry(name: str, value: Any, kind: Any) -> Any:
 
 
 def check_units(name: str, units: Any, wanted: Any) -> None:
-    """Refuse numbers that were stored in other units."""
+    """Reject numbers that were stored in other units."""
     if units != wanted:
         raise ValueError(f"{name}: in units {quoted(units)}; they must be {quoted(wanted)}")
 
@@ -350,22 +411,31 @@ def check_same_rve(
     *,
     wall: bool = False,
 ) -> None:
-    """A MismatchError at answers of other cell parameters or another initialisation.
+    """Check that numbers in a file are those of an RVE.
 
     Args:
-        made: the message between the path and what the answers are for.
-        there: answers that were read, with their `cell` and `initialisation`.
-        advice: the message's end; "{}" stands for "these parameters" or "this initialisation".
-        wall: whether the outer wall, which is not of the RVE, counts too.
+        made: verb or noun of the message, between the path and the setting that differs.
+        advice: end of the message; "{}" stands for "these parameters" or "this initialisation".
+        path: the file.
+        there: the numbers that were read, with their `cell` and `initialisation`.
+        cell: plant cell of the RVE.
+        initialisation: initialisation of the RVE.
+        wall: whether the outer wall, which is no part of an RVE, counts too.
+
+    Raises:
+        MismatchError: naming the first setting that differs.
     """
-    known = there.cell.to_dict()
-    pairs = {
-        f"cell.{name} =": (known.get(name), value, "these parameters")
-        for name, value in cell.to_dict().items()
-        if name != "outer_wall" or wall
-    }
-    pairs["initialisation"] = (there.initialisation, initialisation, "this initialisation")
-    for name, (old, new, which) in pairs.items():
-        if old != new:
-            end = advice.format(which)
-            raise MismatchError(f"{path}: {made} for {name} {old}, not {new}; {end}")
+    stored = there.cell.to_dict()
+    for name, value in cell.to_dict().items():
+        if name == "outer_wall" and not wall:
+            continue
+        if stored.get(name) != value:
+            raise MismatchError(
+                f"{path}: {made} for cell.{name} = {stored.get(name)}, not {value}; "
+                f"{advice.format('these parameters')}"
+            )
+    if there.initialisation != initialisation:
+        raise MismatchError(
+            f"{path}: {made} for initialisation {there.initialisation}, not {initialisation}; "
+            f"{advice.format('this initialisation')}"
+        )

@@ -25,31 +25,31 @@ from surrofe2.store.mesh_reader import UNFIT, UNREADABLE
 from surrofe2.store.store import check_not_wide, read_bytes, reported
 
 UNITS = {"µm": 1.0, "um": 1.0, "mm": 1e3, "m": 1e6}
-"""µm in each unit of length that a file may have."""
+"""Length in µm of each unit that a file may have."""
 
 FORMATS = {
     ".msh": "gmsh", ".vtk": "vtk", ".vtu": "vtu", ".xdmf": "xdmf", ".xmf": "xdmf",
     ".inp": "abaqus", ".mesh": "medit", ".meshb": "medit",
 }  # fmt: skip
-"""Formats by the ends of names of files: our parsers' gmsh and abaqus, and modules of meshio."""
+"""Formats by the end of a file's name: gmsh and abaqus have our own parsers, others meshio's."""
 
+# Formats that say themselves how their letters are encoded.
 _XML = ("vtu", "xdmf")
-"""Formats that say themselves how their letters are encoded."""
-_MOST = 2**28
-"""Bytes of a file."""
+# Bytes of a mesh file; its reader may take twenty times as much memory.
+_MOST_BYTES = 2**28
+# Classes of scikit-fem by the number of an element's nodes.
 _ELEMENTS = {3: skfem.MeshTri1, 4: skfem.MeshQuad1, 6: skfem.MeshTri2}
-"""By the number of an element's nodes."""
+# The folder of the package, which need not be installed for the reader to import it.
 _PACKAGES = str(Path(__file__).parents[2])
-"""Where the package is, which need not be installed."""
 
 log = logging.getLogger(__name__)
 
 
 def load_mesh(path: str | Path, length_unit: str = "µm") -> skfem.Mesh:
-    """The mesh of a file whose lengths are in µm ("µm", "um"), mm or m.
+    """Read the mesh of a file whose lengths are in µm ("µm", "um"), mm or m.
 
     Groups, sets and labels of surfaces become subdomains; those of lines and sides, and node sets,
-    become boundaries. What was changed in reading is logged.
+    become boundaries. Changes that reading makes are logged.
 
     Raises:
         FileError: it is not there, or cannot be read.
@@ -61,35 +61,50 @@ def load_mesh(path: str | Path, length_unit: str = "µm") -> skfem.Mesh:
     kind = FORMATS.get(path.suffix.lower())
     if kind is None:
         raise FileError(f"{path}: not a mesh file: its name must end in {', '.join(FORMATS)}")
-    content = read_bytes(path, _MOST)  # of a file, and no more than that
+    content = read_bytes(path, _MOST_BYTES)
     if kind not in _XML:
         check_not_wide(path, content)
-    size = len(content)
+    archive = _archive_of(path, kind, len(content))
+    try:
+        return mesh_of(path, archive, UNITS[with_micro_sign(length_unit)])
+    except InputError as error:
+        raise InputError(f"{path.name}: {error}") from None
+
+
+def _archive_of(path: Path, kind: str, size: int) -> bytes:
+    """Let a reader's process read a mesh file of `size` bytes, and return the archive it writes.
+
+    Raises:
+        FileError: the file cannot be read within the limits, or the reader does not start.
+        InputError: the file is no mesh for us.
+    """
+    # the first part is for Python and its libraries, the second for the mesh
     memory = _limit(resource.RLIMIT_AS, 2 * 10**9 + 20 * size)
     # A process is killed at the hard limit; a second before, it ends by a signal that says why.
     seconds = max(1, _limit(resource.RLIMIT_CPU, 21 + size // 10**6) - 1)
     reader = [sys.executable, "-P", "-m", "surrofe2.store.mesh_reader"]
-    paths = [_PACKAGES, *filter(None, [os.environ.get("PYTHONPATH")])]
-    alone = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL")}
+    paths = [_PACKAGES]
+    if os.environ.get("PYTHONPATH"):
+        paths.append(os.environ["PYTHONPATH"])
+    # threads of these libraries take address space, which is limited
+    one_thread = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL")}
+    message = ""
     with reported(path, "read"):
         try:
-            done = subprocess.run(
+            ended = subprocess.run(
                 [*reader, kind, str(path.absolute()), str(memory), str(seconds)],
                 stdin=subprocess.DEVNULL,
                 capture_output=True,
-                timeout=3 * seconds,
-                env=os.environ | alone | {"PYTHONPATH": os.pathsep.join(paths)},
+                timeout=3 * seconds,  # of the clock, for a reader that waits
+                env=os.environ | one_thread | {"PYTHONPATH": os.pathsep.join(paths)},
                 check=False,
             )
-            code = done.returncode
-            message = done.stderr.decode("utf-8", "replace").strip()
+            code = ended.returncode
+            message = ended.stderr.decode("utf-8", "replace").strip()
         except subprocess.TimeoutExpired:
             code = -signal.SIGXCPU
     if code == 0:
-        try:
-            return mesh_of(path, done.stdout, UNITS[with_micro_sign(length_unit)])
-        except InputError as error:
-            raise InputError(f"{path.name}: {error}") from None
+        return ended.stdout
     if code == UNFIT:
         raise InputError(f"{path.name}: {message}")
     if code == -signal.SIGXCPU:
@@ -99,30 +114,34 @@ def load_mesh(path: str | Path, length_unit: str = "µm") -> skfem.Mesh:
     elif code == UNREADABLE:
         reason = shortened(" ".join(message.split()), 150)
     else:
-        last = message.splitlines()[-1] if message else f"exit code {code}"
+        last_line = message.splitlines()[-1] if message else f"exit code {code}"
         raise FileError(
             f"{path}: cannot be read: the program that reads meshes did not start "
-            f"({shortened(last, 150)})"
+            f"({shortened(last_line, 150)})"
         )
     raise FileError(f"{path}: not a mesh that can be read ({reason})")
 
 
 def _limit(kind: int, wanted: int) -> int:
-    """A limit of the reader, which must not be above the one that this process has."""
-    limits = resource.getrlimit(kind)
-    return min([wanted, *(limit for limit in limits if limit != resource.RLIM_INFINITY)])
+    """Return a limit for the reader, which must not be above those of this process."""
+    limits = [limit for limit in resource.getrlimit(kind) if limit != resource.RLIM_INFINITY]
+    return min([wanted, *limits])
 
 
 def mesh_of(path: Path, content: bytes, unit: float = 1.0) -> skfem.Mesh:
-    """The mesh that the reader has written, checked, in µm of a `unit` each."""
+    """Make the mesh of an archive that the reader has written, and check it.
+
+    Args:
+        path: the mesh file, which notes name.
+        content: the archive.
+        unit: length unit of the file, µm.
+    """
     with np.load(io.BytesIO(content)) as archive:
         names: dict[str, Any] = json.loads(archive["names"].tobytes())
-        points, elements = archive["points"], archive["elements"]
-        # As recipes have them, whichever mu a file has.
-        boundaries, regions = (
-            {with_micro_sign(name): archive[f"{group}.{k}"] for k, name in enumerate(names[group])}
-            for group in ("boundaries", "regions")
-        )
+        points = archive["points"]
+        elements = archive["elements"]
+        boundaries = _by_name(archive, names, "boundaries")
+        regions = _by_name(archive, names, "regions")
     for note in names["notes"]:
         _log_once(path.name, note)
     mesh = _ELEMENTS[elements.shape[1]](
@@ -132,13 +151,20 @@ def mesh_of(path: Path, content: bytes, unit: float = 1.0) -> skfem.Mesh:
     return check_mesh(type(mesh)(mesh.p, mesh.t, sides or None, regions or None))
 
 
+def _by_name(archive: Any, names: dict[str, Any], group: str) -> dict[str, Index]:
+    """Return the arrays of a group by name, spelt as recipes spell names, with the micro sign."""
+    return {with_micro_sign(name): archive[f"{group}.{k}"] for k, name in enumerate(names[group])}
+
+
 @cache  # a command reads its mesh several times
 def _log_once(name: str, note: str) -> None:
+    """Log a note on a mesh file, once in a process."""
     log.info("%s: %s", name, note)
 
 
 def _facets(mesh: skfem.Mesh, ends: Index) -> Index:
-    """(s,) facets of sides by their ends (s, 2), the lower number first."""
+    """Return the facets (s,) of sides by their ends (s, 2), the lower number first."""
+    # one number for each pair of ends, so that sides are looked up by a search
     factor = mesh.p.shape[1]
     facets = np.sort(mesh.facets, axis=0).astype(np.int64)
     keys = facets[0] * factor + facets[1]

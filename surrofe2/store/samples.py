@@ -1,8 +1,8 @@
 """Samples (F, Ḟ) → σ: data sets of a range, and harvests of runs; schema: data/README.md.
 
 A data set is continued after a kill at any moment: while samples are computed, it is written again
-every few seconds, whole, with all rows that there are. A harvest has the answers of RVEs that a run
-has paid for. The settled reference state of an RVE is kept in the cache folder.
+every few seconds, whole, with all rows that there are. A harvest has the stresses of RVEs that a
+run has computed. The settled reference state of an RVE is kept in the cache folder.
 """
 
 from __future__ import annotations
@@ -48,12 +48,14 @@ Arrays = dict[str, NDArray[Any]]
 INTERVAL = 5.0
 """Seconds between two writings of a data set, at least."""
 LEFT = "left_bifurcation"
+"""Name of the column that says whether a state is beyond a bifurcation."""
 WHY = {
     0: "asked of the RVE because the cache might not answer",
     1: "audit of the cache's answer",
     2: "neighbour of such a state",
     3: "sample of the range widened to hold such states",
 }
+"""Reasons for which a state of a harvest was computed, by the code in its column `why`."""
 _CODES = json.dumps({int(code): describe(code) for code in Status})
 _COLUMNS = {
     "F": Column((None, 2, 2)),
@@ -61,7 +63,9 @@ _COLUMNS = {
     "stress": Column((None, 2, 2), unit=STRESS),
     "status": Column(kind=np.int8, meaning=_CODES),
 }
-_MARK = Column(kind=np.int8, meaning="1: a stable state beyond a bifurcation, one of several")
+_LEFT_COLUMN = Column(
+    kind=np.int8, meaning="1: a stable state beyond a bifurcation, one of several"
+)
 _OF_TANGENTS = {
     name: Column((None, 2, 2, 2, 2), unit=unit, optional=True)
     for name, unit in zip(TANGENTS, (STRESS, VISCOSITY), strict=True)
@@ -72,7 +76,7 @@ DATA_SET = Kind(
     "data set",
     2,
     ORIGIN | _OF_MAKING | _OF_SAMPLES,
-    _COLUMNS | {LEFT: _MARK} | _OF_TANGENTS,
+    _COLUMNS | {LEFT: _LEFT_COLUMN} | _OF_TANGENTS,
 )
 HARVEST = Kind(
     "harvest", 2, ORIGIN, _COLUMNS | {"why": Column(kind=np.int8, meaning=json.dumps(WHY))}
@@ -82,10 +86,20 @@ REFERENCE = Kind("reference state", 2)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DataSetHeader:
-    """What a data set is made from; two data sets with equal headers hold equal numbers.
+    """The settings of a data set; two data sets with equal headers hold equal numbers.
 
-    `tangents`: whether it holds ∂P/∂F and ∂P/∂Ḟ as well. `is_open`: whether it may get more than
-    `count` samples later. `recipe` and `rest_length` are carried along and not compared.
+    Attributes:
+        cell: plant cell of the RVE.
+        rve: settings of the RVE, by the names of a recipe.
+        recipe: the whole recipe, for the record; it is not compared.
+        range: range of (F, Ḟ).
+        count: number of samples.
+        seed: seed of their sequence.
+        chunk: samples that are computed at once, on which warm starts depend.
+        version: version of the package that computes them.
+        rest_length: wall rest length in µm, for the record; it is not compared.
+        tangents: whether it holds ∂P/∂F and ∂P/∂Ḟ as well.
+        is_open: whether it may get more than `count` samples later.
     """
 
     cell: CellParameters
@@ -101,7 +115,7 @@ class DataSetHeader:
     is_open: bool = False
 
     def compared(self) -> dict[str, Any]:
-        """Everything the numbers depend on, by the names a recipe uses."""
+        """Return everything that the numbers depend on, by the names that a recipe uses."""
         return {
             "cell": self.cell.to_dict(),
             "rve": dict(self.rve),
@@ -117,6 +131,7 @@ class DataSetHeader:
         }
 
     def entries(self) -> dict[str, Any]:
+        """Return the entries of the file's header."""
         return {
             **origin(self.cell, str(self.rve["initialisation"]), recipe=self.recipe, rve=self.rve),
             "compared": flat(self.compared()),
@@ -128,11 +143,17 @@ class DataSetHeader:
 
 
 def rows_of(F: Array, F_dot: Array, answer: StressResponse) -> dict[str, Any]:
-    """The columns of samples: F, Ḟ (n, 2, 2) and the answer there, with its tangents if any."""
-    left = (
-        np.zeros(len(F), np.bool_) if answer.left_bifurcation is None else answer.left_bifurcation
-    )
-    rows = {"F": F, "F_dot": F_dot, "stress": answer.stress, "status": answer.status, LEFT: left}
+    """Return the columns of samples at F, Ḟ (n, 2, 2): these, the stress, and tangents if any."""
+    left_bifurcation = answer.left_bifurcation
+    if left_bifurcation is None:
+        left_bifurcation = np.zeros(len(F), np.bool_)
+    rows = {
+        "F": F,
+        "F_dot": F_dot,
+        "stress": answer.stress,
+        "status": answer.status,
+        LEFT: left_bifurcation,
+    }
     if answer.tangents is not None:
         rows |= zip(TANGENTS, (answer.tangents.P_by_F, answer.tangents.P_by_F_dot), strict=True)
     return rows
@@ -142,35 +163,45 @@ class SampleWriter:
     """A file of samples in the making: rows are taken in parts, each whole or not at all."""
 
     _stored: int | None = None
-    """Rows in the file."""
+    """Number of rows in the file; None where it must be written even without new rows."""
 
     def __init__(self, path: Path, kind: Kind, header: Mapping[str, Any]) -> None:
-        self.path, self.kind, self.header = path, kind, header
+        self.path = path
+        self.kind = kind
+        self.header = header
         self._parts: list[Arrays] = []
 
     @property
     def completed(self) -> int:
+        """Number of rows that were taken."""
         return sum(len(part["F"]) for part in self._parts)
 
     def take(self, **rows: Any) -> None:
         """Take the next rows by column."""
         columns = self.kind.columns
-        self._parts.append({name: np.array(v, columns[name].kind) for name, v in rows.items()})
+        part: Arrays = {}
+        for name, values in rows.items():
+            part[name] = np.array(values, columns[name].kind)
+        self._parts.append(part)
 
     def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Hold these rows, of `to_arrays`, and no others."""
-        arrays = {name: arrays[name] for name in self.kind.columns if name in arrays}
-        self._parts = [arrays] if len(arrays["F"]) else []
+        """Hold the rows that `to_arrays` has returned, and no others."""
+        columns = {name: arrays[name] for name in self.kind.columns if name in arrays}
+        self._parts = [columns] if len(columns["F"]) else []
 
     def to_arrays(self) -> Arrays:
-        """All rows, one array for each column; empty ones before there are any."""
+        """Return all rows, one array for each column; empty ones before there are any."""
         if not self._parts:
-            of = {name: each for name, each in self.kind.columns.items() if not each.optional}
-            return {k: np.empty((0, 2, 2)[: len(c.shape)], c.kind) for k, c in of.items()}
+            return {
+                name: np.empty((0, 2, 2)[: len(column.shape)], column.kind)
+                for name, column in self.kind.columns.items()
+                if not column.optional
+            }
         if len(self._parts) > 1:
+            # the joined rows take the place of the parts, so that they are not joined again
             names = self._parts[0]
-            whole = {name: np.concatenate([part[name] for part in self._parts]) for name in names}
-            self._parts = [whole]
+            joined = {name: np.concatenate([part[name] for part in self._parts]) for name in names}
+            self._parts = [joined]
         return self._parts[0]
 
     def write(self, **entries: Any) -> None:
@@ -181,39 +212,45 @@ class SampleWriter:
 
 
 class DataSetWriter(SampleWriter):
-    """A data set in the making: rows are appended in order, then it is finished. It begins with
-    the rows that are in the file, unless `fresh`."""
+    """A data set in the making: rows are appended in order, then it is finished.
+
+    It begins with the rows that are in the file, unless it is `fresh`.
+    """
 
     def __init__(self, path: Path, header: DataSetHeader, fresh: bool) -> None:
         super().__init__(path, DATA_SET, header.entries())
-        self.is_finished, before = False, None
+        self.is_finished = False
+        seconds_before = None
         if path.exists() and not fresh:
-            known, rows = read(path, DATA_SET)
-            check_same(path, header.compared(), known["compared"])
-            done, there, before = known["completed"], len(rows["F"]), known["seconds"]
-            if not there == done <= header.count:
+            stored, rows = read(path, DATA_SET)
+            check_same(path, header.compared(), stored["compared"])
+            completed = stored["completed"]
+            if completed != len(rows["F"]) or completed > header.count:
                 raise FileError(
-                    f"{path}: not a whole {DATA_SET.title}: completed: {done} of {there}"
+                    f"{path}: not a whole {DATA_SET.title}: completed: {completed} of "
+                    f"{len(rows['F'])}"
                 )
             self.restore(rows)
-            self._stored = done or None
-            self.is_finished = known["status"] == "finished" and done == header.count
-        self.meter, self._clock = Meter(before or 0.0), CheckpointClock(INTERVAL)
+            self._stored = completed or None  # a file without rows is written again
+            self.is_finished = stored["status"] == "finished" and completed == header.count
+            seconds_before = stored["seconds"]
+        self.meter = Meter(seconds_before or 0.0)
+        self._clock = CheckpointClock(INTERVAL)
 
     def append(self, F: Array, F_dot: Array, answer: StressResponse) -> None:
-        """Take the next n rows, F and Ḟ (n, 2, 2)."""
+        """Take the next n rows, F and Ḟ (n, 2, 2), and write the file where that is due."""
         self.take(**rows_of(F, F_dot, answer))
         if self._clock.is_due():
             self._clock.write(self.store)
 
     def store(self, status: str = "writing") -> None:
-        """Write the rows that there are, to resume from."""
+        """Write the rows that there are, from which another process may resume."""
         self.write(status=status, completed=self.completed, seconds=self.meter.seconds)
 
     def finish(self) -> StressSamples:
-        """Write all rows, none of which is missing; as read back."""
+        """Write all rows, none of which is missing, and return the data set as read back."""
         if not self.is_finished:
-            self._stored = None  # if all are, as of one that is not finished
+            self._stored = None  # all rows may be stored already, by a header that says "writing"
             self.store("finished")
             self.is_finished = True
         return read_data_set(self.path)
@@ -223,7 +260,12 @@ class DataSetWriter(SampleWriter):
 def writing_data_set(
     path: Path, header: DataSetHeader, *, fresh: bool = False
 ) -> Iterator[DataSetWriter]:
-    """A data set to fill, or to resume where it is there; the file has what the block took.
+    """Open a data set to fill, or to resume; the file has all rows that the block takes.
+
+    Args:
+        path: the file.
+        header: settings of the data set.
+        fresh: start over, whatever data set is there.
 
     Raises:
         FileError: the file is not a data set, or another process fills it.
@@ -236,7 +278,7 @@ def writing_data_set(
         yield writer
         return
     with locked_file(path):
-        writer = DataSetWriter(path, header, fresh)  # what another process added is there now
+        writer = DataSetWriter(path, header, fresh)  # again: another process may have added rows
         if not writer.completed:
             writer.store()
         try:
@@ -246,7 +288,13 @@ def writing_data_set(
 
 
 class StoredCount(NamedTuple):
-    """How many samples a data set has; whether it is finished, and may get more later."""
+    """The size of a data set in a file.
+
+    Attributes:
+        rows: number of samples.
+        is_finished: whether none of those wanted is missing.
+        is_open: whether more may be added later.
+    """
 
     rows: int
     is_finished: bool
@@ -254,14 +302,17 @@ class StoredCount(NamedTuple):
 
 
 def stored_count(path: Path) -> StoredCount:
-    """What a data set says of its samples."""
-    known = read_header(path, DATA_SET)
-    may_grow = known["compared"].get("samples.count") is None
-    return StoredCount(known["completed"], known["status"] == "finished", may_grow)
+    """Read the size of a data set from its header."""
+    header = read_header(path, DATA_SET)
+    return StoredCount(
+        rows=header["completed"],
+        is_finished=header["status"] == "finished",
+        is_open=header["compared"].get("samples.count") is None,
+    )
 
 
 def read_data_set(path: str | Path) -> StressSamples:
-    """The samples of a finished data set, failed ones (status not 0, stress NaN) included.
+    """Read the samples of a finished data set, failed ones (status not 0, stress NaN) included.
 
     Raises:
         FileError: not a data set of this schema, or damaged.
@@ -269,21 +320,30 @@ def read_data_set(path: str | Path) -> StressSamples:
     """
     path = Path(path)
     with reading(path, DATA_SET) as stored:
-        known = stored.header()
-        if known["status"] == "finished":
+        header = stored.header()
+        if header["status"] == "finished":
             rows: dict[str, Any] = stored.arrays()
             _check_codes("left_bifurcation", rows[LEFT], (0, 1))
             rows[LEFT] = rows[LEFT].astype(np.bool_)
-            of = {name: known[name] for name in (*ORIGIN, "range", "seed", "rest_length")}
-            return StressSamples(**rows, **of)
+            return StressSamples(
+                **rows,
+                cell=header["cell"],
+                initialisation=header["initialisation"],
+                range=header["range"],
+                seed=header["seed"],
+                rest_length=header["rest_length"],
+            )
     raise InputError(
-        f"{path}: unfinished, {known['completed']} of {known['count']} samples; continue it with "
+        f"{path}: unfinished, {header['completed']} of {header['count']} samples; continue it with "
         "`surrofe2 generate RECIPE`"
     )
 
 
 class Harvest(NamedTuple):
-    """A harvest read back; arrays as in `StressSamples`, and `why` (n,) as in `WHY`."""
+    """A harvest that was read from a file.
+
+    `StressSamples` describes the fields; `why` (n,) has the codes of `WHY`.
+    """
 
     F: Array
     F_dot: Array
@@ -295,7 +355,10 @@ class Harvest(NamedTuple):
 
 
 class HarvestWriter(SampleWriter):
-    """Takes answers as `CachedLaw(on_true_answer=…)` gives them; `flush` writes the file again."""
+    """The writer of a harvest, which a `CachedLaw` calls as its `on_true_answer`.
+
+    `flush` writes the file again, with all that was taken so far.
+    """
 
     def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
         super().__init__(path, HARVEST, header)
@@ -304,45 +367,48 @@ class HarvestWriter(SampleWriter):
     def __call__(
         self, F: Array, F_dot: Array, stress: Array, status: NDArray[np.int8], why: NDArray[np.int8]
     ) -> None:
-        """Take answers, (n, 2, 2) and (n,)."""
+        """Take stresses (n, 2, 2) of RVEs at F and Ḟ, with status and reason (n,)."""
         if len(F):
             self.take(F=F, F_dot=F_dot, stress=stress, status=status, why=why)
 
     def flush(self, seconds: float = 0.0) -> None:
-        """Write all answers so far, and the seconds that they took."""
+        """Write all stresses so far, and the seconds that they took."""
         self.write(seconds=seconds)
 
 
 def read_harvest(path: str | Path) -> Harvest:
-    """The answers in a harvest, each state once, also of a run that was interrupted."""
+    """Read a harvest, each state once; the run may have been interrupted."""
     with reading(Path(path), HARVEST) as stored:
-        arrays, header = stored.arrays(), stored.header()
+        arrays = stored.arrays()
+        header = stored.header()
         _check_codes("status", arrays["status"], [*Status])
         _check_codes("why", arrays["why"], [*WHY])
         if not np.isfinite(arrays["stress"][arrays["status"] == 0]).all():
             raise ValueError("stress: not finite where the status is 0")
     states = np.concatenate([arrays["F"], arrays["F_dot"]], axis=1).reshape(-1, 8)
     _, first = np.unique(states, axis=0, return_index=True)
-    first.sort()
+    first.sort()  # in the order of the run
     once: dict[str, Any] = {name: values[first] for name, values in arrays.items()}
     return Harvest(**once, **header)
 
 
 def _check_codes(name: str, codes: NDArray[np.int8], known: Sequence[int]) -> None:
-    """A ValueError at a code of a column that means nothing."""
+    """Raise a ValueError where a column has a code that means nothing."""
     others = np.setdiff1d(codes, known)
     if others.size:
         raise ValueError(f"{name}: {others[0]}; known are {', '.join(str(int(k)) for k in known)}")
 
 
 def kept_reference(cell: CellParameters) -> ReferenceState:
-    """The settled reference state of a cell; the first command puts it into the cache folder, where
-    it is kept for commands of these very sources."""
+    """Return the settled reference state of a cell, from the cache folder where it is there.
+
+    The first command settles it and keeps it for commands of these very sources.
+    """
     path = cache_folder() / "references" / f"{cell.fingerprint}.h5"
     with suppress(FileError), reading(path, REFERENCE) as stored:
-        known = ReferenceState.from_arrays(stored.arrays())
-        known.check_belongs_to(cell)
-        return known
+        reference = ReferenceState.from_arrays(stored.arrays())
+        reference.check_belongs_to(cell)
+        return reference
     settled = settle_reference(cell)
     with suppress(FileError):  # a folder that cannot be written keeps nothing
         write(path, REFERENCE, {}, settled.to_arrays())
@@ -350,4 +416,4 @@ def kept_reference(cell: CellParameters) -> ReferenceState:
 
 
 check_harvest = partial(check_same_rve, "harvested", "leave it out")
-"""Refuse a harvest of other plant cells: path, harvest, and the cell and initialisation wanted."""
+"""Reject a harvest of another RVE; arguments: path, harvest, cell and initialisation."""

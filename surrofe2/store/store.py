@@ -41,20 +41,22 @@ log = logging.getLogger(__name__)
 
 SEAL = "sha256_of_this_file"
 NO_DIGEST = "0" * 64
-"""What stands in a file before it is sealed."""
+"""The digits that stand in a file until it is sealed."""
 _WORD = SEAL.encode()
+# Bytes of a file that are searched at a time.
 _BLOCK = 2**24
-"""Bytes that are read at a time of a file of which little is wanted."""
+# A digest in JSON ("sha256_of_this_file": "…") or in an attribute of HDF5.
 _DIGEST = re.compile(rb"(?<=[\"\0])" + _WORD + rb"\W{1,12}([0-9a-f]{64})")
 
 WORD = re.compile(r"[A-Za-z0-9_.+-]{0,64}")
-"""Texts of files that may go into sources and names of files."""
+"""Pattern of texts in files that may go into sources and names of files."""
 
+# Beginnings of texts in these encodings: a byte order mark, or a letter of ASCII. UTF-32 comes
+# first, for its mark begins with that of UTF-16.
 _WIDE = {
     "UTF-32": re.compile(rb"\xff\xfe\0\0|\0\0\xfe\xff|[\t-~]\0\0\0|\0\0\0[\t-~]"),
     "UTF-16": re.compile(rb"\xff\xfe|\xfe\xff|[\t-~]\0|\0[\t-~]"),
 }
-"""How texts of these encodings begin: with a byte order mark, or with a letter of ASCII."""
 
 START_OVER = "change it back, write elsewhere or start over with --fresh"
 """The end of error messages that refuse output of other settings."""
@@ -72,16 +74,17 @@ def reported(path: Path, action: str) -> Iterator[None]:
 
 
 def leftovers(path: Path) -> list[Path]:
-    """Files in which processes that were killed were writing `path`; others still hold theirs.
+    """Return the partial files of `path` that killed processes have left behind.
 
-    Without locks there is no difference between the two, and none is listed.
+    A process that is still writing holds the lock of its own, which is not listed. On a file
+    system without locks the two cannot be told apart, and none is listed.
     """
     abandoned = []
-    for each in sorted(path.parent.glob(f".{escape(path.name)}.{'[0-9a-f]' * 8}.partial")):
+    for partial in sorted(path.parent.glob(f".{escape(path.name)}.{'[0-9a-f]' * 8}.partial")):
         # "r+b", since NFS locks only what is open for writing
-        with suppress(OSError), each.open("r+b") as file:
-            if disk.lock(file, each):
-                abandoned.append(each)
+        with suppress(OSError), partial.open("r+b") as file:
+            if disk.lock(file, partial):
+                abandoned.append(partial)
     return abandoned
 
 
@@ -90,8 +93,8 @@ def write_bytes(path: Path, content: bytes | memoryview) -> None:
     partial = path.with_name(f".{path.name}.{token_hex(4)}.partial")
     with reported(path, "written"):
         disk.make_folder(path.parent)
-        for each in leftovers(path):
-            disk.remove(each)
+        for abandoned in leftovers(path):
+            disk.remove(abandoned)
         with disk.create(partial) as file:
             try:
                 disk.write(file, content)
@@ -103,15 +106,19 @@ def write_bytes(path: Path, content: bytes | memoryview) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file whole; of names of files that are no UTF-8, the bytes as escapes."""
+    """Write a text file whole; bytes of files' names that are no UTF-8 are written as escapes."""
     write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
 
 def read_bytes(path: Path, most: int = 2**30, begin: bytes = b"") -> bytes:
-    """Read a regular file of at most `most` bytes whole, or raise a FileError.
+    """Read a regular file of at most `most` bytes whole.
 
-    Of a device, a pipe or a file that is too large nothing is read. Of one that does not begin with
-    `begin` only as many bytes are. Memory is taken for the file's own size.
+    A device, a pipe or a file that is too large is not read at all. If a file does not begin with
+    `begin`, as many of its bytes are returned and no more are read. Memory is taken for the file's
+    own size.
+
+    Raises:
+        FileError: the file is not there, not a regular one, or too large.
     """
     with reported(path, "read"), _opened(path) as file:
         size = os.fstat(file.fileno()).st_size
@@ -131,12 +138,13 @@ def read_bytes(path: Path, most: int = 2**30, begin: bytes = b"") -> bytes:
 
 
 def _too_large(path: Path, size: int, most: float) -> str:
+    """Return the message that rejects a file of `size` bytes."""
     return f"{path}: cannot be read: {size / 1e9:.3g} GB; it must have at most {most / 1e9:.3g}"
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[io.BufferedReader]:
-    """A regular file that is open for reading; a FileError at anything else."""
+    """Open a regular file for reading; a FileError at anything else."""
     try:  # a pipe without a writer would wait for one, but for O_NONBLOCK
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except ValueError:  # a name with a zero in it
@@ -148,10 +156,11 @@ def _opened(path: Path) -> Iterator[io.BufferedReader]:
 
 
 def read_text(path: Path, most: int = 2**30) -> str:
-    """As `read_bytes`, as text with newlines of one kind and without a byte order mark.
+    """Read a file as text, with newlines of one kind and without a byte order mark.
 
     Raises:
-        FileError: it cannot be read, or is not UTF-8; the message names its encoding, or the line.
+        FileError: `read_bytes` cannot read it, or it is not UTF-8; the message names its encoding,
+            or the line.
     """
     content = read_bytes(path, most)
     check_not_wide(path, content)
@@ -165,30 +174,35 @@ def read_text(path: Path, most: int = 2**30) -> str:
 
 
 def check_not_wide(path: Path, content: bytes) -> None:
-    """Refuse text of two or four bytes for each letter, by a FileError that names the encoding."""
-    for name, begins in _WIDE.items():
-        if begins.match(content):
+    """Reject text of two or four bytes for each letter, by a FileError that names the encoding."""
+    for name, beginning in _WIDE.items():
+        if beginning.match(content):
             raise FileError(f"{path}: this is {name} text; save it as UTF-8")
 
 
 def remove(path: Path) -> None:
-    """Remove a file, and what a process that was killed left of it, where they are there."""
+    """Remove a file where it is there, and partial files that killed processes have left."""
     with reported(path, "removed"):
-        for each in ([path] if path.exists() else []) + leftovers(path):
-            disk.remove(each)
+        if path.exists():
+            disk.remove(path)
+        for abandoned in leftovers(path):
+            disk.remove(abandoned)
 
 
 def remove_tree(folder: Path) -> None:
-    """Remove a folder and all that is in it."""
+    """Remove a folder and all that is in it; links are removed and not followed."""
     with reported(folder, "removed"):
+        # in reverse, what is in a folder comes before the folder
         for path in sorted(folder.rglob("*"), reverse=True):
-            is_folder = path.is_dir() and not path.is_symlink()
-            (disk.remove_folder if is_folder else disk.remove)(path)
+            if path.is_dir() and not path.is_symlink():
+                disk.remove_folder(path)
+            else:
+                disk.remove(path)
         disk.remove_folder(folder)
 
 
 def sealed(content: bytes) -> bytes:
-    """`content` with its digest instead of `NO_DIGEST`, which stands in it once."""
+    """Return content with its digest in the place of `NO_DIGEST`, which it must have once."""
     begin, end = _place(content)
     if content[begin:end] != NO_DIGEST.encode():
         raise ValueError("no place for the digest")
@@ -197,7 +211,7 @@ def sealed(content: bytes) -> bytes:
 
 
 def seal(content: bytearray) -> None:
-    """As `sealed`, in place: of large content there is no room for copies."""
+    """Put its digest into content, like `sealed` but in place: large content is not copied."""
     begin, end = _place(content)
     if content[begin:end] != NO_DIGEST.encode():
         raise ValueError("no place for the digest")
@@ -205,7 +219,11 @@ def seal(content: bytearray) -> None:
 
 
 def check_seal(path: Path, content: bytes) -> None:
-    """A FileError at content that has no digest, or that of other content."""
+    """Check the digest that content has of itself.
+
+    Raises:
+        FileError: there is none, or it is that of other content.
+    """
     try:
         begin, end = _place(content)
     except ValueError:
@@ -219,19 +237,24 @@ def check_seal(path: Path, content: bytes) -> None:
 
 
 def _place(content: bytes | bytearray) -> tuple[int, int]:
-    """Where the digest stands."""
-    found, at = [], content.find(_WORD)  # 50 times as fast as to let the pattern search
-    while at >= 0:
-        match = _DIGEST.match(content, at)
-        found += [match.span(1)] if match else []
-        at = content.find(_WORD, at + 1)
-    if len(found) != 1:
-        raise ValueError(f"{len(found)} digests instead of one")
-    return found[0]
+    """Return where the digest begins and ends; a ValueError where there is not just one."""
+    places = []
+    position = content.find(_WORD)  # 50 times as fast as to let the pattern search
+    while position >= 0:
+        match = _DIGEST.match(content, position)
+        if match is not None:
+            places.append(match.span(1))
+        position = content.find(_WORD, position + 1)
+    if len(places) != 1:
+        raise ValueError(f"{len(places)} digests instead of one")
+    return places[0]
 
 
 def digest(path: Path, most: float = math.inf) -> str:
-    """SHA-256 of a file of at most `most` bytes; its first 16 digits are its fingerprint."""
+    """Compute the SHA-256 of a file of at most `most` bytes, in hexadecimal digits.
+
+    Its first 16 digits are the file's fingerprint.
+    """
     with reported(path, "read"), _opened(path) as file:
         size = os.fstat(file.fileno()).st_size
         if size > most:
@@ -240,7 +263,7 @@ def digest(path: Path, most: float = math.inf) -> str:
 
 
 def plain(value: Any) -> Any:
-    """`value` as strict JSON can hold it: dataclasses and arrays opened, "inf" for infinity."""
+    """Return a value as strict JSON can hold it: dataclasses and arrays opened, "inf" as text."""
     if is_dataclass(value) and not isinstance(value, type):
         value = asdict(value)
     if isinstance(value, Mapping):
@@ -264,7 +287,11 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """What `write_json` wrote, or a FileError."""
+    """Read the entries of a sealed JSON object.
+
+    Raises:
+        FileError: `write_json` has not written it, or it was changed since.
+    """
     content = read_bytes(path)
     try:
         value = json.loads(content)
@@ -290,7 +317,7 @@ def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
 
 
 def read_columns(path: Path) -> dict[str, np.ndarray]:
-    """Columns (m,) by their headings; a FileError where it is no such table."""
+    """Read the columns (m,) of a CSV file by their headings; a FileError where it is no table."""
     names: list[str] = []
     try:
         names, *rows = csv.reader(read_text(path).splitlines() or [""])
@@ -302,31 +329,52 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
 
 
 def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Plain entries by their dotted names."""
+    """Return the entries of nested tables by their dotted names, as `plain` values."""
     entries: dict[str, Any] = {}
     for name, value in settings.items():
-        nested = isinstance(value, Mapping)
-        entries |= flat(value, f"{prefix}{name}.") if nested else {f"{prefix}{name}": plain(value)}
+        if isinstance(value, Mapping):
+            entries |= flat(value, f"{prefix}{name}.")
+        else:
+            entries[f"{prefix}{name}"] = plain(value)
     return entries
 
 
 def check_same(
     place: Path, here: Mapping[str, Any], there: Mapping[str, Any], advice: str = START_OVER
 ) -> None:
-    """A MismatchError that names the first setting `here`, nested by section, that differs from
-    those `there`, by which `place` was made; what only `there` has is ignored."""
-    known = flat(there)
+    """Check that output was made by the settings of this call.
+
+    Args:
+        place: the output.
+        here: settings of this call, nested by section.
+        there: settings by which the output was made; those that only it has are ignored.
+        advice: end of the error message.
+
+    Raises:
+        MismatchError: naming the first setting that differs.
+    """
+    stored = flat(there)
     for name, value in flat(here).items():
-        if known.get(name) != value:
-            mine, theirs = ("nothing" if v is None else v for v in (value, known.get(name)))
+        before = stored.get(name)
+        if before != value:
+            mine = "nothing" if value is None else value
+            theirs = "nothing" if before is None else before
             raise MismatchError(
                 f"{place}: {name}: this call has {mine}, what is there {theirs}; {advice}"
             )
 
 
 def check_replaceable(path: Path, kind: str, *marks: str) -> None:
-    """A FileError, before starting over, at a file that is not of this kind or lacks one of these
-    texts."""
+    """Check, before starting over, that a file is of the kind that is written there.
+
+    Args:
+        path: the file; one that is missing or empty may be written.
+        kind: name of the kind, for the error message.
+        marks: texts that every file of this kind has.
+
+    Raises:
+        FileError: it lacks one of these texts, so it may be somebody's own.
+    """
     if path.exists() and path.stat().st_size and _missing(path, marks):
         raise FileError(
             f"{path}: not a {kind}, so --fresh does not replace it; write elsewhere or remove it "
@@ -338,12 +386,15 @@ def _missing(path: Path, texts: Iterable[str]) -> set[bytes]:
     """Return those of some texts that are not in a file, which is read block by block."""
     missing = {text.encode() for text in texts}
     overlap = max(map(len, missing), default=0)  # a text may lie across two blocks
-    end = b""
+    end_of_last = b""
     with reported(path, "read"), _opened(path) as file:
-        while missing and (block := file.read(_BLOCK)):
-            content = end + block
+        while missing:
+            block = file.read(_BLOCK)
+            if not block:
+                break
+            content = end_of_last + block
             missing = {text for text in missing if text not in content}
-            end = content[-overlap:]
+            end_of_last = content[-overlap:]
     return missing
 
 
@@ -354,53 +405,57 @@ def keep(
     *,
     fresh: bool = False,
 ) -> tuple[dict[str, Any], bool]:
-    """A JSON file of these settings: read where it is there, else made and written.
+    """Read a JSON file of these settings where it is there; else make and write it.
 
     Args:
+        path: the file.
         identity: the settings, which are entries of the file.
-        make: gives the other entries, after it has written what belongs to them.
+        make: returns the other entries, after it has written the files that belong to them.
         fresh: make it, whatever of this kind is there.
 
     Returns:
-        Its entries, and whether it was there.
+        The entries of the file, and whether it was there.
 
     Raises:
         MismatchError: it is there, by other settings, and not `fresh`.
-        FileError: it is damaged or foreign, or another process makes it.
+        FileError: it is damaged or foreign, or another process is making it.
     """
     if fresh:
         check_replaceable(path, f"file of {', '.join(identity)}", SEAL, *identity)
 
     def stored() -> dict[str, Any] | None:
+        """Return the entries of the file; None where it is to be made."""
         if fresh or not path.exists():
             return None
         entries = read_json(path)
         check_same(path, identity, entries)
         return entries
 
-    there = None if file_lock(path).exists() else stored()
-    if there is None:
-        with locked_file(path):
-            there = stored()
-            if there is None:
-                entries = {**identity, **make()}
-                write_json(path, entries)
-                return entries, False
-    return there, True
+    # without a writer, a file that is there can be read without the lock
+    entries = None if file_lock(path).exists() else stored()
+    if entries is not None:
+        return entries, True
+    with locked_file(path):
+        entries = stored()  # another process may have made it meanwhile
+        if entries is not None:
+            return entries, True
+        entries = {**identity, **make()}
+        write_json(path, entries)
+        return entries, False
 
 
 def folder_lock(folder: Path) -> Path:
-    """The lock of what a folder holds."""
+    """Return the path of the lock for the content of a folder."""
     return folder / ".lock"
 
 
 def file_lock(path: Path) -> Path:
-    """The lock of a file."""
+    """Return the path of the lock of a file."""
     return path.with_name(f".{path.name}.lock")
 
 
 def locked_folder(folder: Path) -> AbstractContextManager[None]:
-    """Only this call writes into a folder, which is made where it is missing.
+    """Let only this call write into a folder, which is made where it is missing.
 
     Raises:
         FileError: another call does, which the message names, or the folder is not writable.
@@ -409,12 +464,13 @@ def locked_folder(folder: Path) -> AbstractContextManager[None]:
 
 
 def locked_file(path: Path) -> AbstractContextManager[None]:
-    """As `locked_folder`, of one file."""
+    """Let only this call write a file; see `locked_folder`."""
     return _locked(file_lock(path), path)
 
 
 @contextmanager
 def _locked(lock: Path, output: Path) -> Iterator[None]:
+    """Hold a lock while a block runs; `output` is what it guards, for messages."""
     with reported(output, "written"), held():
         disk.make_folder(lock.parent)
         file = None
@@ -431,7 +487,7 @@ def _locked(lock: Path, output: Path) -> Iterator[None]:
 
 
 def _taken(lock: Path, output: Path) -> io.FileIO | None:
-    """The open lock file, held and signed; None where its holder removed it meanwhile."""
+    """Open, lock and sign a lock file; None where its holder removed it meanwhile."""
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
     with ExitStack() as closing:
         file = closing.enter_context(io.FileIO(os.open(lock, flags, 0o666), "r+b"))
@@ -439,20 +495,23 @@ def _taken(lock: Path, output: Path) -> io.FileIO | None:
             is_locked = disk.lock(file, lock)
         except BlockingIOError:
             holder = _signature(file)
-            is_me = holder.startswith(_this_process())
-            who = "another call of this process" if is_me else f"{holder}; wait for it or end it"
-            raise FileError(f"{output}: in use by {who}") from None
-        here = os.fstat(file.fileno())
-        if not (lock.exists() and os.path.samestat(here, lock.stat())):
+            if holder.startswith(_this_process()):
+                user = "another call of this process"
+            else:
+                user = f"{holder}; wait for it or end it"
+            raise FileError(f"{output}: in use by {user}") from None
+        opened = os.fstat(file.fileno())
+        is_still_there = lock.exists() and os.path.samestat(opened, lock.stat())
+        if not is_still_there:
             return None
-        if here.st_size:
+        if opened.st_size:  # signed, and not removed: its process did not end well
             state = "was killed" if is_locked else "was killed or is still at work"
             log.warning("%s: %s %s; this process resumes", output, _signature(file), state)
         now = datetime.now().astimezone().isoformat(timespec="seconds")
         command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])[:100]
-        me = f"{_this_process()}since {now} ({command})"
+        signature = f"{_this_process()}since {now} ({command})"
         try:
-            disk.write(file, me.encode("utf-8", "backslashreplace"))
+            disk.write(file, signature.encode("utf-8", "backslashreplace"))
         except OSError:
             with suppress(OSError):
                 disk.remove(lock)
@@ -462,12 +521,14 @@ def _taken(lock: Path, output: Path) -> io.FileIO | None:
 
 
 def _this_process() -> str:
+    """Return the beginning of this process's signature."""
     return f"process {os.getpid()} on {platform.node()} "
 
 
 def _signature(file: io.FileIO) -> str:
-    """Who signed a lock; its content is damaged or empty at times."""
+    """Read who signed a lock; its content may be damaged or empty."""
     file.seek(0)
-    who = " ".join(file.read(10_000).decode("utf-8", "replace").split())[:200]
-    is_one = who.startswith("process ") and who.isprintable()
-    return who if is_one else "a process that did not say its name"
+    signature = " ".join(file.read(10_000).decode("utf-8", "replace").split())[:200]
+    if signature.startswith("process ") and signature.isprintable():
+        return signature
+    return "a process that did not say its name"

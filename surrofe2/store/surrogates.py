@@ -18,11 +18,11 @@ from surrofe2.surrogate.features import NetworkParameters
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
 
+# Entries of the header that are attributes of the law.
 _OF_LAW: dict[str, Any] = {
     "version": WORD, "data_fingerprint": WORD, "range": SamplingRange, "settings": TrainingSettings,
     "errors": dict, "seconds": dict, "rest_length": float | None,
 }  # fmt: skip
-"""Entries of the header that are attributes of the law."""
 SURROGATE = Kind(
     "surrogate",
     7,
@@ -34,9 +34,11 @@ SURROGATE = Kind(
 )
 TRAINING = Kind("unfinished training", 6, {"identity": dict, "iterations": int, "seconds": float})
 """An interrupted training; its arrays are those of `surrogate.training.TrainingState`."""
+# Entries of the header on which no stress depends.
 _OF_MAKING = ("sha256", "created", "package_version", "seconds")
-"""Entries of the header on which no answer depends."""
+# Components and figures that the errors of a surrogate have; see `SurrogateLaw.score`.
 _STRESSES = ("xx", "xy", "yx", "yy")
+_FIGURES = ("spread", "rms", "worst")
 _UNITS = {"stress": units.STRESS, "rate": units.RATE, "rest_length": units.LENGTH}
 
 
@@ -51,11 +53,13 @@ def write_surrogate(law: SurrogateLaw, path: str | Path) -> None:
     arrays = {f"network/{name}": values for name, values in law.network.tensors.items()}
     if law.domain is not None:
         header["domain"] = {"square": law.domain.square}
-        arrays |= {"domain/scale": law.domain.scale, "domain/boundary": law.domain.boundary}
+        arrays["domain/scale"] = law.domain.scale
+        arrays["domain/boundary"] = law.domain.boundary
     if law.calibration is not None:
-        bound = asdict(law.calibration)
-        arrays |= {f"calibration/{name}": bound.pop(name) for name in ("scale", "near")}
-        header["calibration"] = bound
+        calibration = asdict(law.calibration)
+        arrays["calibration/scale"] = calibration.pop("scale")
+        arrays["calibration/near"] = calibration.pop("near")
+        header["calibration"] = calibration
     write(Path(path), SURROGATE, header, arrays)
 
 
@@ -67,32 +71,43 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
     """
     with reading(Path(path), SURROGATE) as stored:
         header = stored.header()
-        parts: dict[str, Any] = {"network": {}, "domain": {}, "calibration": {}}
-        for name, values in stored.arrays().items():
-            part, _, name = name.partition("/")
-            parts[part][name] = values
-        network, domain, bound = (header.pop(part) for part in parts)
+        arrays: dict[str, Any] = {"network": {}, "domain": {}, "calibration": {}}
+        for path_of_array, values in stored.arrays().items():
+            part, _, name = path_of_array.partition("/")
+            arrays[part][name] = values
         check_units("stress, rate, rest_length", header.pop("units"), _UNITS)
-        errors = header["errors"]  # figures by component; none of one without training
-        for figure in ("spread", "rms", "worst") if errors else ():
-            for component in _STRESSES:
-                if not isinstance(errors[figure][component], int | float):
-                    raise TypeError(f"errors.{figure}.{component}")
-        header["seconds"] = {name: float(each) for name, each in header["seconds"].items()}
-        if bound is not None:
-            for each in (bound, *bound["kinds"].values()):  # "inf" where there is no bound
-                each["quantile"] = float(each["quantile"])
-            bound = Calibration(**bound, **parts["calibration"])
-        return SurrogateLaw(
-            network=NetworkParameters(**network, tensors=parts["network"]),
-            domain=None if domain is None else Domain(**domain, **parts["domain"]),
-            calibration=bound,
-            **header,
-        )
+        _check_errors(header["errors"])
+        header["seconds"] = {name: float(value) for name, value in header["seconds"].items()}
+        network = NetworkParameters(**header.pop("network"), tensors=arrays["network"])
+        domain_entries = header.pop("domain")
+        domain = None
+        if domain_entries is not None:
+            domain = Domain(**domain_entries, **arrays["domain"])
+        calibration_entries = header.pop("calibration")
+        calibration = None
+        if calibration_entries is not None:
+            # a quantile is the text "inf" in JSON where there is no bound
+            for entries in (calibration_entries, *calibration_entries["kinds"].values()):
+                entries["quantile"] = float(entries["quantile"])
+            calibration = Calibration(**calibration_entries, **arrays["calibration"])
+        return SurrogateLaw(network=network, domain=domain, calibration=calibration, **header)
+
+
+def _check_errors(errors: dict[str, Any]) -> None:
+    """Raise a TypeError or KeyError where a figure of a component is no number.
+
+    A surrogate without training has no errors.
+    """
+    if not errors:
+        return
+    for figure in _FIGURES:
+        for component in _STRESSES:
+            if not isinstance(errors[figure][component], int | float):
+                raise TypeError(f"errors.{figure}.{component}")
 
 
 def content_fingerprint(path: Path) -> str:
-    """16 hexadecimal digits of all in a file that its answers depend on."""
+    """Return 16 hexadecimal digits of all in a file on which its stresses depend."""
     with reading(path, SURROGATE) as stored:
         header = {k: str(v) for k, v in stored.file.attrs.items() if k not in _OF_MAKING}
         content = hashlib.sha256(json.dumps(header, sort_keys=True).encode())
@@ -102,4 +117,4 @@ def content_fingerprint(path: Path) -> str:
 
 
 check_surrogate = partial(check_same_rve, "trained", "train a surrogate for {}", wall=True)
-"""Refuse one of other plant cells: path, surrogate, and the cell and initialisation wanted."""
+"""Reject a surrogate of another RVE; arguments: path, surrogate, cell and initialisation."""

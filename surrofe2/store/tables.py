@@ -1,4 +1,4 @@
-"""Tables in HDF5, whole or absent: of RVE answers with their ellipsoids, and of surface laws."""
+"""Tables in HDF5, whole or absent: RVE stresses with their ellipsoids, and surface laws."""
 
 from __future__ import annotations
 
@@ -31,6 +31,7 @@ TABLE = Kind(
     },
     finite=True,
 )
+# Numbers of a surface law that stand in the header, by their names in `TabulatedSurface`.
 _NUMBERS = ("rate", "mass", "depth", "width", "error", "spread")
 SURFACE = Kind(
     "surface table",
@@ -43,7 +44,7 @@ SURFACE = Kind(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredTable:
-    """A table read back, as `StressTable` has it."""
+    """A table that was read from a file; `StressTable` describes its fields."""
 
     records: Records
     cell: CellParameters
@@ -61,7 +62,11 @@ def write_table(
 ) -> None:
     """Write a table, whole or not at all.
 
-    recipe: of the run that wrote it. seconds: of all runs that it learnt from.
+    Args:
+        path: the file.
+        table: the table.
+        recipe: recipe of the run that writes it.
+        seconds: time of all runs that it learnt from.
     """
     header = {
         **origin(table.cell, table.initialisation, recipe=recipe),
@@ -75,7 +80,7 @@ def write_table(
 
 
 def read_table(path: str | Path) -> StoredTable:
-    """Read a table; a FileError where it is none of this schema, or damaged."""
+    """Read a table; a FileError where the file is no table of this schema, or damaged."""
     with reading(Path(path), TABLE) as stored:
         table = StoredTable(records=Records(**stored.arrays()), **stored.header())
         if not (table.tolerance > 0.0 and table.stress_spread > 0.0):
@@ -84,7 +89,7 @@ def read_table(path: str | Path) -> StoredTable:
 
 
 def write_surface(path: Path, table: TabulatedSurface, recipe: Mapping[str, Any]) -> None:
-    """Write the table of a surface law, whole or not at all; `recipe`: of the run that made it."""
+    """Write the table of a surface law, whole or not at all, with the recipe of its run."""
     header = {
         **origin(table.cell, table.initialisation, recipe=recipe),
         **{name: getattr(table, name) for name in _NUMBERS},
@@ -95,16 +100,19 @@ def write_surface(path: Path, table: TabulatedSurface, recipe: Mapping[str, Any]
 
 
 def read_surface(path: str | Path) -> TabulatedSurface:
-    """Read the table of a surface law; a FileError where it is none of this schema, or damaged."""
+    """Read the table of a surface law; a FileError where the file is no such table, or damaged."""
     with reading(Path(path), SURFACE) as stored:
-        header, (coefficients, stretch) = stored.header(), stored.arrays().values()
-        low, high = stretch.tolist()
-        if min(coefficients.shape) < 2 or not (0.0 < low < high and header["rate"] > 0.0):
+        header = stored.header()
+        arrays = stored.arrays()
+        coefficients = arrays["coefficients"]
+        low, high = arrays["stretch"].tolist()
+        is_range = 0.0 < low < high and header["rate"] > 0.0
+        if min(coefficients.shape) < 2 or not is_range:
             raise ValueError("coefficients, stretch and rate: no table over a range")
         return TabulatedSurface(coefficients=coefficients, stretch=(low, high), **header)
 
 
 check_table = partial(check_same_rve, "a table", "start an empty one or use one of {}")
-"""Refuse a table of other plant cells: path, table, and the cell and initialisation wanted."""
+"""Reject a table of another RVE; arguments: path, table, cell and initialisation."""
 check_surface = partial(check_same_rve, "a surface table", "tabulate the surface of {}", wall=True)
-"""The same of the table of a surface law, on which the outer wall counts."""
+"""Reject the table of another surface law, for which the outer wall counts; arguments as above."""
