@@ -9,13 +9,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.units import NONE
 from surrofe2.recipe.entries import text_of
 from surrofe2.recipe.recipe import SECTIONS
 from surrofe2.report.chosen import Chosen, peaks_of
 from surrofe2.report.comparison import BUCKLED, compared_run
 from surrofe2.report.tables import Quantity, Table, percent
-from surrofe2.run.charts import Curve, Panel, draw_panels, encoded
+from surrofe2.run.charts import Curve, Panel, draw_panels, encoded, in_words
 from surrofe2.store.run_folder import StoredRun, caches_of
 from surrofe2.store.store import write_bytes
 
@@ -242,6 +243,52 @@ def write_grid_plot(path: Path, grid: Grid) -> None:
     of = ", ".join(f"{name} {span}" for name, span in zip(grid.values, ends, strict=True))
     figure = draw_panels(panels, 2, title=f"{grid.recipe}: {of}")
     write_bytes(path, encoded(figure, "png"))
+
+
+def map_of(grid: Grid) -> tuple[str, Array] | None:
+    """What a map over two entries shows, and its values (n, m), NaN where a run failed; None where
+    not exactly two entries change, or there are runs by several laws."""
+    changing = [name for name, values in grid.values.items() if len(values) > 1]
+    if len(changing) != 2 or grid.has_laws:
+        return None
+    first, second = changing
+    name = next(iter(grid.asked), "largest displacement")
+    unit = grid.asked.get(name, "µm")
+    places = [{text_of(each): k for k, each in enumerate(grid.values[entry])} for entry in changing]
+    found = np.full((len(places[0]), len(places[1])), np.nan)
+    for facts, _ in grid.rows:
+        value = facts.get(name)
+        if value is not None:
+            found[places[0][text_of(facts[first])], places[1][text_of(facts[second])]] = value
+    return (f"{name} ({unit})" if unit else name), found
+
+
+def write_grid_map(path: Path, grid: Grid) -> bool:
+    """Draw a quantity over the two entries that change, a field for each run; whether there are two
+    such entries and it was drawn."""
+    from matplotlib.figure import Figure
+
+    shown = map_of(grid)
+    if shown is None:
+        return False
+    label, values = shown
+    first, second = [name for name, each in grid.values.items() if len(each) > 1]
+    figure = Figure(figsize=(2.4 + 0.9 * values.shape[1], 2.2 + 0.5 * values.shape[0]))
+    figure.set_layout_engine("constrained")
+    axes = figure.subplots()
+    image = axes.imshow(values, origin="lower", aspect="auto")
+    for (i, j), value in np.ndenumerate(values):
+        if np.isfinite(value):
+            red, green, blue, _ = image.to_rgba(np.array(value))
+            is_dark = 0.3 * red + 0.6 * green + 0.1 * blue < 0.5
+            colour = "white" if is_dark else "black"
+            axes.text(j, i, f"{value:.3g}", ha="center", va="center", fontsize=8, color=colour)
+    for axis, name in ((axes.yaxis, first), (axes.xaxis, second)):
+        axis.set_ticks(range(len(grid.values[name])), [text_of(each) for each in grid.values[name]])
+        axis.set_label_text(in_words(_of_entry(name, grid.values).heading))
+    figure.colorbar(image, label=in_words(label))
+    write_bytes(path, encoded(figure, "png"))
+    return True
 
 
 def _is_prescribed(groups: Mapping[str, list[Facts]]) -> bool:

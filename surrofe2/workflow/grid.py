@@ -16,16 +16,18 @@ from surrofe2.base.settings import unknown
 from surrofe2.recipe.entries import name_of_values
 from surrofe2.recipe.recipe import PROBLEM_SECTIONS, Recipe, load_recipe
 from surrofe2.report.chosen import Chosen
-from surrofe2.report.grid import Grid, grid_row, write_grid_plot
+from surrofe2.report.grid import Grid, grid_row, write_grid_map, write_grid_plot
 from surrofe2.run.loop import Stage, no_stage
 from surrofe2.store.run_folder import read_run
-from surrofe2.store.store import locked_folder, write_json, write_text
+from surrofe2.store.store import locked_folder, remove, write_json, write_text
 from surrofe2.workflow.laws import use_threads
 from surrofe2.workflow.rest import extent_of, study_by_method
 from surrofe2.workflow.train import is_trained, learn
 from surrofe2.workflow.workers import Processes, prepare, result_of
 
 GRID_FILES = ("grid.csv", "grid.json", "grid.png")
+GRID_MAP = "grid-map.png"
+"""Of a quantity over two entries, where two change."""
 LAWS = ("rve", "cached", "table", "surrogate")
 MOST_RUNS = 10_000
 _LEARNT = ("cell", "cells", "rve", "range", "samples", "training", "calibration")
@@ -123,6 +125,8 @@ def run_grid(
         write_text(out / GRID_FILES[0], grid.table.to_csv())
         write_json(out / GRID_FILES[1], grid.to_dict())
         write_grid_plot(out / GRID_FILES[2], grid)
+        if not write_grid_map(out / GRID_MAP, grid):
+            remove(out / GRID_MAP)
     return grid
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from surrofe2.base.errors import InputError
 from surrofe2.report.chosen import Chosen, peaks_of
-from surrofe2.report.grid import Grid, grid_row
+from surrofe2.report.grid import Grid, grid_row, map_of, write_grid_map
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.store.run_folder import StoredRun
 from tests.run_records import finished_record
@@ -71,3 +71,26 @@ def test_where_nobody_chose_a_study_shows_the_peaks_of_forces(run):
     first, second = grid.table.to_records()
     assert first["maximum_of_force_grip_y"] == pytest.approx(-70.0)
     assert second["maximum_of_force_grip_y"] is None
+
+
+def test_a_map_over_two_entries_has_a_field_for_each_run(run, tmp_path):
+    values = {"cell.viscosity": (0.1, 0.2), "load.duration": (1.0, 2.0, 3.0)}
+    rows = []
+    for i, viscosity in enumerate(values["cell.viscosity"]):
+        for j, duration in enumerate(values["load.duration"]):
+            facts = {"cell.viscosity": viscosity, "load.duration": duration}
+            there = None if (i, j) == (1, 2) else run
+            row = grid_row(facts, "rve", f"{i}{j}", there, None, None)
+            if there is not None:
+                row.facts["maximum of force grip y"] = 10.0 * i + j
+            rows.append(row)
+    grid = Grid("recipe", values, tuple(rows))
+    label, found = map_of(grid)
+    assert label == "maximum of force grip y (µN)"
+    np.testing.assert_array_equal(found, [[0.0, 1.0, 2.0], [10.0, 11.0, np.nan]])
+    assert write_grid_map(tmp_path / "map.png", grid)
+    assert (tmp_path / "map.png").stat().st_size > 10_000
+    one = Grid("recipe", {"cell.viscosity": (0.1, 0.2)}, tuple(rows[:2]))
+    assert map_of(one) is None
+    assert not write_grid_map(tmp_path / "none.png", one)
+    assert not (tmp_path / "none.png").exists()
