@@ -6,9 +6,10 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
+from multiprocessing import get_context
 
 import pytest
 
@@ -131,6 +132,12 @@ def test_a_pool_that_forks_after_kernels_have_run_is_refused(when, message):
     last = python("-c", FORKS, when, code=1, cwd=ROOT).stderr.splitlines()[-1]
     assert message in last
     assert 'mp_context=multiprocessing.get_context("spawn")' in last
+
+
+def test_a_pool_that_does_not_say_how_it_starts_its_processes_is_taken():
+    with ProcessPoolExecutor(1, get_context("spawn")) as executor:
+        del executor._mp_context  # private, so a later Python may have none
+        workers.prepare(executor)
 
 
 GUARDLESS = """

@@ -11,11 +11,11 @@ from surrofe2.base.errors import InputError
 from surrofe2.cli import console
 from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.store.c_source import write_c
+from surrofe2.store.run_folder import of_cell
 from surrofe2.store.surrogates import read_surrogate
 from surrofe2.workflow.generate import data_summary, generate_data_set, wanted_count
 from surrofe2.workflow.laws import open_study, recipe_notes
 from surrofe2.workflow.refine import QUANTITIES, SURROGATE, Round, refine_surrogate
-from surrofe2.workflow.run import of_cell
 from surrofe2.workflow.train import (
     STRESSES,
     large_errors,

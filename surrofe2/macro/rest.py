@@ -50,6 +50,7 @@ from surrofe2.run.journal import (
     FRAME_TIMES,
     Journal,
     RunState,
+    check_frames,
     curves_of,
     frame_series,
     history_of,
@@ -259,7 +260,7 @@ def find_rest(
     Raises:
         InputError: the law has no tangents, nothing holds a part of the tissue, or Newton's
             tolerance is below what rounding or the law allows.
-        MismatchError: `resume` is of another mesh.
+        MismatchError: `resume` is of another mesh, or as of `simulate`.
         SimulationError: a load step halved ten times finds no equilibrium; `partial` is the last
             `Rest`.
     """
@@ -269,8 +270,10 @@ def find_rest(
     if load_steps < 1:
         raise InputError(f"load_steps: {load_steps}; it must be at least 1")
     system = system_of(problem.proportional(), law)
-    if resume is not None and resume.u.shape != (system.n_rows, 2):
-        raise MismatchError("resume: the mesh is not that of the state; start the rest again")
+    if resume is not None:
+        if resume.u.shape != (system.n_rows, 2):
+            raise MismatchError("resume: the mesh is not that of the state; start the rest again")
+        check_frames(resume.journal, are_taken=keep_frame is not None)
     equations = EquationsOfMotion(system, law, clock="load factor {:.6g}")
     if problem.surface is not None:
         begin_at_rest(equations, problem, settings, resume)

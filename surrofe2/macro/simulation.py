@@ -34,7 +34,7 @@ from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.system import System, system_of
 from surrofe2.macro.time_stepping import DormandPrince, Method, Stepper
 from surrofe2.problem.problem import Problem
-from surrofe2.run.journal import curves_of, history_of, named_columns
+from surrofe2.run.journal import check_frames, curves_of, history_of, named_columns
 from surrofe2.run.loop import Progress, carry_out
 from surrofe2.run.views import Facts, ViewedRun, course
 
@@ -190,7 +190,8 @@ def simulate(
         SimulationError: ten halvings in a row found no acceptable step, or the error asks for
             steps below rounding; `partial` is the `MacroRun` up to there (None if the law fails
             already where the run starts).
-        MismatchError: `resume` is of another run.
+        MismatchError: `resume` is of another run, or of one that gave its fields to `keep_frame`,
+            and there is none now.
     """
     given = problem, law, settings
     system = system or system_of(problem, law)
@@ -198,6 +199,7 @@ def simulate(
         contact.check_start()
     if resume is not None:
         _check_same_run(resume, system, settings)
+        check_frames(resume.journal, are_taken=keep_frame is not None)
     begin = clock()
     equations = EquationsOfMotion(system, law, t=0.0 if resume is None else resume.t)
     if problem.surface is not None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.arrays import Array
-from surrofe2.base.errors import InputError
+from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.run.displacement_curve import DisplacementCurve
 
 BEYOND = "beyond bifurcation"
@@ -138,6 +138,21 @@ def _value(array: NDArray) -> Any:
 
 FRAME_TIMES = ("frames.t", "frames.point_t")
 """Series that a journal has of whole fields in any case."""
+
+
+def check_frames(journal: Journal, *, are_taken: bool) -> None:
+    """Refuse to continue a journal that lacks the whole fields at the times of its frames, where
+    nobody takes those that follow: they would stand beside the times of others.
+
+    Args:
+        are_taken: whether the continued run gives its fields away, too.
+    """
+    lacking = journal.lengths.get("frames.t", 0) - journal.lengths.get("frames.displacement", 0)
+    if lacking and not are_taken:
+        raise MismatchError(
+            f"resume: keep_frame took the whole fields of {lacking} frames of the state; give "
+            "keep_frame again, or start over"
+        )
 
 
 def frame_series(frames: Any, *, times_alone: bool = False) -> dict[str, Array]:

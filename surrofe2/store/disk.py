@@ -45,22 +45,23 @@ def lock(file: IOBase, path: Path) -> bool:
     """
     reason = locks.lock(file)
     if reason:
-        _warn_once(reason, path.parent)
+        _warn_once(_NO_LOCKS, path.parent, reason)
     return not reason
 
 
-_folders_without_locks = list[Path]()
+_warnings = set[str]()
+"""Those that this process has printed; each is of the first folder that it meets."""
+_NO_LOCKS = "%s: its file system keeps no locks (%s); let one process at a time write there"
+_NO_SYNC = (
+    "%s: its file system cannot bring names of files to the disk (%s), which may be a fault of the "
+    "disk: after a power failure the last files may be missing; look at the system's log"
+)
 
 
-def _warn_once(reason: str, folder: Path) -> None:
-    """Warn of the first folder without locks that this process meets."""
-    if not _folders_without_locks:
-        _folders_without_locks.append(folder)
-        log.warning(
-            "%s: its file system keeps no locks (%s); let one process at a time write there",
-            folder,
-            reason,
-        )
+def _warn_once(warning: str, folder: Path, reason: str) -> None:
+    if warning not in _warnings:
+        _warnings.add(warning)
+        log.warning(warning, folder, reason)
 
 
 def write(file: FileIO, content: bytes | memoryview) -> None:
@@ -75,7 +76,8 @@ def write(file: FileIO, content: bytes | memoryview) -> None:
 def sync(path: Path) -> None:
     """Wait until a file, or the names in a folder, are on the disk.
 
-    A folder that cannot be synchronised is left as it is.
+    A folder that cannot be synchronised is left as it is; with one warning where that may be a
+    fault of the disk.
     """
     is_folder = path.is_dir()
     try:
@@ -87,6 +89,8 @@ def sync(path: Path) -> None:
     except OSError as error:
         if not (is_folder and error.errno in _NOT_SYNCED):
             raise
+        if error.errno == errno.EIO:
+            _warn_once(_NO_SYNC, path, str(error.strerror))
 
 
 def move(source: Path, target: Path) -> None:

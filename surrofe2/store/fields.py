@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import FileError
+from surrofe2.run.loop import CheckpointClock
 from surrofe2.store.hdf5 import Kind, Stored, Template, read, reading, write
 from surrofe2.store.store import read_text, remove, write_bytes, write_text
 
@@ -183,7 +184,8 @@ class FrameWriter:
 
     A frame that is written again replaces those behind it, as where a run goes back. A checkpoint
     may still count these: they are no longer named, but stay until `remove_surplus`. Small frames
-    wait for each other; `flush` leaves none waiting.
+    wait for each other; `flush` leaves none waiting. XDMF is written whole, so that of many frames
+    it is seldom written: that takes at most `loop.SHARE` of the time, but for `flush` and the end.
 
     Args:
         points: (n, 2) µm. cells: (e, k) points of each cell.
@@ -204,6 +206,8 @@ class FrameWriter:
         self._times: list[float] = []
         self._waiting: dict[int, bytearray] = {}
         self._flushed = monotonic()
+        self._naming = CheckpointClock(_LONGEST_WAIT)
+        self._are_named = True
         self._has_surplus = False
         self._template: Template | None = None
         self._entries: list[Entry] = []
@@ -263,17 +267,25 @@ class FrameWriter:
         self._times.append(t)
         size = sum(map(len, self._waiting.values()))
         if size > _MOST_WAITING or monotonic() - self._flushed > _LONGEST_WAIT:
-            self.flush()
+            self._write_waiting()
+            if self._naming.is_due():
+                self._naming.write(self._write_names)
 
     def flush(self) -> None:
-        """Write what waits, and name it."""
+        """Write what waits, and name all."""
+        self._write_waiting()
+        if not self._are_named:
+            self._write_names()
+
+    def _write_waiting(self) -> None:
+        """Write the frames that wait."""
         if self._waiting:
             if not self._has_mesh():
                 write(self._folder / f"{self._name}.h5", FIELDS_FILE, {}, self._mesh)
             for number, content in self._waiting.items():
                 write_bytes(self._path(number), memoryview(content))
             self._waiting = {}
-            self._write_names()
+            self._are_named = False
         self._flushed = monotonic()
 
     def remove_surplus(self) -> None:
@@ -318,6 +330,7 @@ class FrameWriter:
         write_text(self._folder / f"{self._name}.xdmf", names.series(frames))
         if frames:
             write_text(self._folder / f"{self._name}-last.xdmf", names.single(frames[-1][0]))
+        self._are_named = True
 
 
 def _frame_file(name: str, number: int) -> str:

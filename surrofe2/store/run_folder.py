@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
@@ -66,7 +67,11 @@ FILES = (
     "fields-last.xdmf", "points.xdmf", "points.h5", "points-last.xdmf", CHECKPOINT, "table.h5",
     "harvest.h5", EVENTS,
 )  # fmt: skip
-_SERIES = ("harvest-*.h5", "table-*.h5", frame_files(FIELDS), frame_files(POINTS))
+HARVEST, TABLE = "harvest.h5", "table.h5"
+"""What a cached run has learnt, and a run by a table; of several cells see `of_cell`."""
+_LEARNT = re.compile(r"(harvest|table)(-[^/]+)?\.h5")
+_FRAMES = (frame_files(FIELDS), frame_files(POINTS))
+_SERIES = ("harvest-*.h5", "table-*.h5", *_FRAMES)
 """Patterns of files of which a run may have several."""
 _NAMED_ENTRIES = ("cells", "conditions", "bodies", "watch")
 """Sections of a recipe in which users name what there is."""
@@ -108,6 +113,7 @@ class RunRecord:
         ranks: of a run on several: how many and of how many threads each, how many exchanges,
             seconds of the law on the slowest rank and of messages, since the run last resumed.
         files: SHA-256 of each CSV file and the event log, as they were when this was written.
+        replaces: files of the folder's former run that are still to be removed.
     """
 
     status: str
@@ -131,6 +137,7 @@ class RunRecord:
     platform: Mapping[str, str] = field(default_factory=dict)
     ranks: Mapping[str, Any] | None = None
     files: Mapping[str, str] = field(default_factory=dict)
+    replaces: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=UNITS.copy)
 
     @property
@@ -292,15 +299,19 @@ class RunFolder:
         with nullcontext() if is_whole else locked_folder(folder):
             if not (is_whole or fresh):
                 earlier = earlier_run(folder, record)  # another process may have ended meanwhile
+            with interruptible():
+                if earlier is not None and earlier.status == "finished":
+                    run.record = earlier
+                    run.is_finished = True
+                    remove(state)
+                    log.info("%s: finished before; --fresh starts over", folder)
+                else:
+                    run.resumes = earlier is not None and state.exists()
+                    # An error in here ends no run: the folder has the former one, or one that
+                    # began and was left, as by a kill.
+                    run._begin()
             try:
                 with interruptible():
-                    if earlier is not None and earlier.status == "finished":
-                        run.record, run.is_finished = earlier, True
-                        remove(state)
-                        log.info("%s: finished before; --fresh starts over", folder)
-                    else:
-                        run.resumes = earlier is not None and state.exists()
-                        run._begin()
                     yield run
             except BaseException as error:
                 if not run.is_finished:
@@ -309,14 +320,26 @@ class RunFolder:
 
     def _begin(self) -> None:
         """Record that the run is running; at its beginning it finds nothing of another one, which
-        is removed afterwards, so that a kill in between leaves one run or the other."""
-        if not self.resumes:
-            remove(self.folder / CHECKPOINT)
-        write_record(self.folder, self.record)
-        others = (*FILES[1:], *_SERIES)
-        for each in () if self.resumes else others:
-            for path in self.folder.glob(each):
+        is removed afterwards, so that a kill in between leaves one run or the other.
+
+        Harvests and tables have names that users give to files of their own, such as table-2.h5:
+        those that the former run's record implies are removed, and a kill in between leaves their
+        list in the new one.
+        """
+        if self.resumes:
+            write_record(self.folder, self.record)
+            return
+        replaced = _learnt_files(self.folder)
+        remove(self.folder / CHECKPOINT)
+        write_record(self.folder, replace(self.record, replaces=replaced))
+        others = [name for name in FILES[1:] if name not in (HARVEST, TABLE)]
+        for pattern in (*others, *_FRAMES):
+            for path in self.folder.glob(pattern):
                 remove(path)
+        for name in replaced:
+            remove(self.folder / name)
+        if replaced:
+            write_record(self.folder, self.record)
 
     def restored(self, restore: Callable[[dict[str, np.ndarray]], State]) -> State | None:
         """What `restore` makes of the last checkpoint, whose fault it is if that fails; None where
@@ -393,6 +416,28 @@ class RunFolder:
     @property
     def _kind(self) -> str:
         return f"a {self.record.law} run"
+
+
+def of_cell(file: str, cell: str) -> str:
+    """The file's name with that of the cell, "" of the only one: harvest-skin.h5."""
+    name, dot, kind = file.rpartition(".")
+    return f"{name}-{cell}{dot}{kind}" if cell else file
+
+
+def _learnt_files(folder: Path) -> tuple[str, ...]:
+    """Names of the harvests and tables that the run recorded in a folder may have left there."""
+    try:
+        stored = read_json(folder / "run.json")
+    except FileError:  # no run, or nobody knows which
+        return ()
+    recipe = stored.get("recipe")
+    cells = recipe.get("cells") if isinstance(recipe, dict) else None
+    names = [*cells] if cells and isinstance(cells, dict) else [""]
+    law = stored.get("law")
+    harvests = [of_cell(HARVEST, name) for name in names if law in ("cached", "table")]
+    tables = [of_cell(TABLE, name) for name in names if law == "table"]
+    former = [str(each) for each in stored.get("replaces", ())]
+    return tuple(name for name in (*harvests, *tables, *former) if _LEARNT.fullmatch(name))
 
 
 def describe_origin() -> dict[str, Any]:

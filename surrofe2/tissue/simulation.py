@@ -32,6 +32,7 @@ from surrofe2.problem.rigid_bodies import check_outside
 from surrofe2.run.journal import (
     Journal,
     RunState,
+    check_frames,
     curves_of,
     frame_series,
     history_of,
@@ -380,7 +381,8 @@ def simulate_tissue(
             is longer than the tissue bears.
         SimulationError: the tissue collapses, or the step is too long for it; `partial` is the
             `TissueRun` up to there (None before the loaded run begins).
-        MismatchError: `resume` is of another run, `reference` of another cell.
+        MismatchError: `resume` is of another run, or of one that gave its fields to `keep_frame`,
+            and there is none now; `reference` is of another cell.
     """
     conditions = make_conditions(problem, cell, reference, kind)
     settings = with_step(settings, conditions)
@@ -395,6 +397,7 @@ def simulate_tissue(
         meet_bodies(dynamics, conditions, relax(dynamics, settings.residual))
         recorder.begin()
     elif np.array_equal(resume.identity, recorder.identity):
+        check_frames(resume.journal, are_taken=keep_frame is not None)
         meet_bodies(dynamics, conditions, resume.relaxed)
         recorder.restore(resume)
     else:

@@ -23,7 +23,7 @@ from surrofe2.recipe.recipe import Recipe
 from surrofe2.report.tables import NONE, Quantity, percent
 from surrofe2.run.loop import Stage, no_stage
 from surrofe2.store.hdf5 import read_seconds
-from surrofe2.store.run_folder import caches_of
+from surrofe2.store.run_folder import HARVEST, caches_of, of_cell
 from surrofe2.store.samples import Harvest, HarvestWriter, read_harvest, stored_count
 from surrofe2.store.store import (
     check_same,
@@ -37,7 +37,7 @@ from surrofe2.store.store import (
 )
 from surrofe2.workflow import laws
 from surrofe2.workflow.generate import CHUNK
-from surrofe2.workflow.run import HARVEST, of_cell, origin_of, run_study
+from surrofe2.workflow.run import origin_of, run_study
 from surrofe2.workflow.train import STRESSES, Trained, learn, train_surrogate
 
 ROUNDS, SURROGATE = "refine.json", "surrogate.h5"

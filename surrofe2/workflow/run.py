@@ -57,11 +57,14 @@ from surrofe2.store import fields
 from surrofe2.store.hdf5 import origin, read_seconds
 from surrofe2.store.run_folder import (
     CHECKPOINT_INTERVAL,
+    HARVEST,
+    TABLE,
     RunFolder,
     RunRecord,
     caches_of,
     describe_origin,
     earlier_run,
+    of_cell,
     write_curves,
     write_events,
 )
@@ -71,7 +74,6 @@ from surrofe2.store.tables import write_table
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow import laws
 
-HARVEST = "harvest.h5"
 MANY_UNTRUSTED = 0.1
 """Points that are not trusted, for each hit, from which on a run says what to change."""
 MOST_IMPLICIT_STEPS = 3000
@@ -195,7 +197,7 @@ class LawOfRun:
         for writer in self.harvests.values():
             writer.flush(total)
         for name, table in self.tables.items():
-            path = self.folder / of_cell("table.h5", name)
+            path = self.folder / of_cell(TABLE, name)
             write_table(path, table, self.recipe.to_dict(), total)
 
     def to_arrays(self, law_state: Any) -> dict[str, NDArray]:
@@ -240,12 +242,6 @@ def law_of_run(
         tables={name: each.table for name, each in chosen.items() if each.table is not None},
         earlier=sum(read_seconds(each) or 0.0 for each in tables),
     )
-
-
-def of_cell(file: str, cell: str) -> str:
-    """The file's name with that of the cell, "" of the only one: harvest-skin.h5."""
-    name, dot, kind = file.rpartition(".")
-    return f"{name}-{cell}{dot}{kind}" if cell else file
 
 
 def cache_report(law: StressLaw) -> dict[str, Any] | None:

@@ -248,8 +248,10 @@ def prepare(executor: Any) -> None:
     """
     if not isinstance(executor, ProcessPoolExecutor):
         return
+    # Python has no public way to learn how a pool starts its processes. Where this one is gone, a
+    # pool that cannot run kernels ends as `result_of` says.
     context: Any = getattr(executor, "_mp_context", None)
-    if context.get_start_method() != "fork":
+    if context is None or context.get_start_method() != "fork":
         return
     if getattr(executor, "_processes", None):
         return

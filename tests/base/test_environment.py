@@ -1,5 +1,6 @@
 """What importing the package and computing change of a process: nothing; and what it may use."""
 
+import json
 import os
 
 import numba
@@ -101,29 +102,49 @@ def test_numba_looks_for_blas_unless_the_process_is_ours(is_taken):
 
 
 COMMAND = """
-import os, sys
+import ctypes, json, os, sys
 from surrofe2.base import environment
-environment.keep_memory = lambda: print("keeps memory")
+
+calls = []
+load = ctypes.CDLL
+
+class Library:
+    def mallopt(self, *words):
+        loaded = [name for name in ("numba", "torch") if name in sys.modules]
+        calls.append([words, environment.is_taken, os.environ.get("GOMP_SPINCOUNT"), loaded])
+
+ctypes.CDLL = lambda name, *words, **more: Library() if name is None else load(name, *words, **more)
 from surrofe2 import cli
-sys.argv = ["surrofe2", *sys.argv[1:], "--help"]
+before = environment.is_taken, len(calls), os.environ.get("GOMP_SPINCOUNT")
+sys.argv = ["surrofe2", *sys.argv[1:]]
 try:
     cli.main()
 finally:
-    print(os.environ.get("GOMP_SPINCOUNT"), "numba" in sys.modules, flush=True)
+    sys.stderr.write(json.dumps([before, calls]))
 """
 
 
 @pytest.mark.parametrize(
-    ("command", "before", "spin"),
-    [("run", None, "2000"), ("tissue", None, "20000"), ("run", "7", "7")],
+    ("words", "before", "spin"),
+    [
+        (("run", "--help"), None, "2000"),
+        (("tissue", "--help"), None, "20000"),
+        (("run", "--help"), "7", "7"),
+        (("--help",), None, None),
+    ],
+    ids=["run", "tissue", "as the user has set it", "no command"],
 )
-def test_the_command_line_sets_its_process(command, before, spin):
-    host = os.environ | {"GOMP_SPINCOUNT": before or ""}
-    if before is None:
-        del host["GOMP_SPINCOUNT"]
-    lines = python("-c", COMMAND, command, env=host).stdout.splitlines()
-    assert lines[0] == "keeps memory"
-    assert lines[-1].split()[0] == spin
+def test_the_command_line_sets_its_process(words, before, spin):
+    """By the calls of the C library themselves, while libraries can still read what is set, and
+    only once it is known which command is called."""
+    host = {name: value for name, value in os.environ.items() if name != "GOMP_SPINCOUNT"}
+    if before is not None:
+        host["GOMP_SPINCOUNT"] = before
+    printed = python("-c", COMMAND, *words, env=host).stderr
+    at_first, calls = json.loads(printed.splitlines()[-1])
+    assert at_first == [False, 0, before]
+    settings = [] if spin is None else [[-3, 32 << 20], [-1, 64 << 20]]
+    assert calls == [[each, True, spin, []] for each in settings]
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import eigh
 
 from surrofe2 import LoadCase
-from surrofe2.base.errors import InputError, SimulationError
+from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.law.stress_law import Status, describe
 from surrofe2.macro import MacroSettings, Rest, find_modes, find_rest, modes, simulate
 from surrofe2.macro.rest import STEP_ADVICE, RestState
@@ -145,6 +145,9 @@ def test_friction_at_rest_goes_on_from_where_it_was():
     state = RestState.from_arrays(reached[2].to_arrays())
     assert abs(state.drags["plate"]).max() > 0.1
     _, resumed = dragged(1.0, 0.2, resume=state)
+    frames = {"frames.displacement": state.journal["frames.displacement"][:0]}
+    with pytest.raises(MismatchError, match="resume: keep_frame took the whole fields of"):
+        dragged(1.0, 0.2, resume=RestState.from_arrays(state.to_arrays() | frames))
     for name, works in whole.energies.items():
         np.testing.assert_array_equal(resumed.energies[name], works, err_msg=name)
     np.testing.assert_array_equal(resumed.u, whole.u)

@@ -101,6 +101,9 @@ def test_frames_that_somebody_keeps_are_those_of_a_run_that_keeps_them_itself():
     for each in (run.frames, states[-1].frames):
         for name, values in asdict(each).items():
             assert len(values) == (0 if name not in ("t", "point_t") else len(getattr(whole, name)))
+    # without somebody who keeps the others, fields would stand beside the times of earlier ones
+    with pytest.raises(MismatchError, match=r"resume: keep_frame took .* of \d+ frames"):
+        simulate(LOAD_CASE, KelvinVoigt(), SETTINGS, resume=states[-2])
 
 
 def test_points_of_frames_have_the_mean_that_their_elements_have():

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from surrofe2.base.errors import FileError
+from surrofe2.store import fields
 from surrofe2.store.fields import (
     DISPLACEMENT_NAME,
     F_DOT_NAME,
@@ -183,6 +184,29 @@ def test_a_series_under_way_is_read_by_whoever_looks(tmp_path):
     writer.close()
     assert open_fields(tmp_path).t.tolist() == [0.0, 0.5, 1.0, 1.5]
     assert writer.count == 4
+
+
+def test_many_frames_are_named_now_and_then(tmp_path, monkeypatch):
+    """The file that names all frames is written whole: at each frame that would be a square."""
+    monkeypatch.setattr(fields, "_MOST_WAITING", 0.0)
+    naming = []
+    write_text = fields.write_text
+
+    def counted(path, text):
+        naming.append(path.name)
+        write_text(path, text)
+
+    monkeypatch.setattr(fields, "write_text", counted)
+    with FrameWriter(tmp_path, NODES, QUADS) as writer:
+        for k in range(40):
+            write_frame(writer, k, 0.5 * k)
+        assert (tmp_path / FRAME.format(39)).exists()
+        writer.flush()
+        assert [*series_of(tmp_path)] == [0.5 * k for k in range(40)]
+        writer._naming._due = 0.0
+        write_frame(writer, 40, 20.0)
+        assert len(series_of(tmp_path)) == 41
+    assert naming.count("fields.xdmf") < 6
 
 
 def test_a_run_that_goes_back_replaces_what_it_wrote(tmp_path):

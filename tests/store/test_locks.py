@@ -5,6 +5,7 @@ import fcntl
 import os
 import platform
 import signal
+import stat
 import subprocess
 import sys
 import time
@@ -140,7 +141,7 @@ def test_a_stopped_process_keeps_its_lock(tmp_path, holder):
 @pytest.fixture
 def unlockable(monkeypatch):
     """unlockable(number): every lock is refused by this error from now on."""
-    monkeypatch.setattr(disk, "_folders_without_locks", [])
+    monkeypatch.setattr(disk, "_warnings", set())
 
     def refuse(number):
         def flock(*_):
@@ -180,6 +181,29 @@ def test_without_locks_nothing_of_another_process_is_removed(tmp_path, unlockabl
         write_text(out / "a.txt", "text")
     assert partial.exists()
     assert "was killed or is still at work; this process resumes" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("number", "warnings"), [(errno.EIO, 1), (errno.EINVAL, 0)], ids=["EIO", "EINVAL"]
+)
+def test_a_folder_that_cannot_be_synchronised_takes_files(
+    tmp_path, monkeypatch, caplog, number, warnings
+):
+    """A disk that fails may do so: one warning. Some file systems never synchronise folders."""
+    monkeypatch.setattr(disk, "_warnings", set())
+    synchronise = os.fsync
+
+    def fsync(descriptor):
+        if stat.S_ISDIR(os.fstat(descriptor).st_mode):
+            raise OSError(number, os.strerror(number))
+        synchronise(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    for name in ("a.txt", "b.txt"):
+        write_text(tmp_path / name, "text")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt", "b.txt"]
+    begin = f"{tmp_path}: its file system cannot bring names of files to the disk (Input/output"
+    assert [each.getMessage().startswith(begin) for each in caplog.records] == [True] * warnings
 
 
 def test_a_lock_that_fails_otherwise_leaves_no_partial_file(tmp_path, unlockable):

@@ -7,6 +7,7 @@ import pytest
 
 from surrofe2.base.errors import FileError, InputError, MismatchError, SimulationError
 from surrofe2.run.displacement_curve import DisplacementCurve
+from surrofe2.store import run_folder
 from surrofe2.store.hdf5 import write
 from surrofe2.store.run_folder import (
     STATE,
@@ -85,6 +86,81 @@ def test_fresh_replaces_the_run_and_nothing_else(tmp_path, record, curve):
     assert there == ["frames/movie-01.h5", "notes.txt", "run.json"]
 
 
+def of_cells(record, law, *names):
+    """The record of a run by this law, of plant cells of these names."""
+    recipe = {**record.recipe, "cells": {name: {} for name in names}}
+    return replace(record, law=law, recipe=recipe)
+
+
+USERS = ("harvest-old.h5", "table-2.h5", "table-skin.h5", "harvest-skin.h5", "table.h5")
+
+
+@pytest.mark.parametrize(
+    ("law", "cells", "lost"),
+    [
+        ("rve", (), set()),
+        ("table", (), {"table.h5"}),
+        ("cached", ("skin", "flesh"), {"harvest-skin.h5"}),
+        ("table", ("skin", "flesh"), {"harvest-skin.h5", "table-skin.h5"}),
+        ("table", ("../skin",), set()),
+    ],
+)
+def test_fresh_removes_harvests_and_tables_of_the_former_run_alone(
+    tmp_path, record, law, cells, lost
+):
+    """Users give such names to files of their own, too."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    for name in USERS:
+        (folder / name).write_text("mine")
+    write_record(folder, of_cells(record, law, *cells))
+    opened(folder, replace(record, status="running"), fresh=True)
+    assert {path.name for path in folder.iterdir()} == {*USERS, "run.json"} - lost
+    assert not read_record(folder).replaces
+
+
+def test_what_a_kill_kept_from_being_removed_is_removed_by_the_next_start(
+    tmp_path, record, monkeypatch
+):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "table-skin.h5").touch()
+    write_record(folder, of_cells(record, "table", "skin"))
+
+    def killed(path):
+        if path.name == "table-skin.h5":
+            raise KeyboardInterrupt
+        run_folder_remove(path)
+
+    run_folder_remove = run_folder.remove
+    running = replace(record, status="running")
+    with monkeypatch.context() as patched:
+        patched.setattr(run_folder, "remove", killed)
+        with pytest.raises(KeyboardInterrupt):
+            opened(folder, running, fresh=True)
+    assert (folder / "table-skin.h5").exists()
+    assert read_record(folder).status == "running"
+    opened(folder, running)
+    assert [path.name for path in folder.iterdir()] == ["run.json"]
+
+
+def test_a_run_that_cannot_begin_leaves_the_former_one(tmp_path, record, curve, monkeypatch):
+    """Neither a record of its own nor a part of it: it has computed nothing."""
+    folder = tmp_path / "run"
+    write_tip(folder, curve)
+    write_record(folder, record)
+    (folder / "checkpoint.h5").touch()
+    before = (folder / "run.json").read_bytes()
+
+    def fail(path):
+        raise FileError(f"{path}: cannot be removed: Operation not permitted")
+
+    monkeypatch.setattr(run_folder, "remove", fail)
+    with pytest.raises(FileError, match="cannot be removed"):
+        opened(folder, replace(record, status="running"), fresh=True)
+    assert (folder / "run.json").read_bytes() == before
+
+
 def test_fresh_keeps_what_lies_in_a_folder_without_a_run(tmp_path, record):
     path = tmp_path / "frames" / "movie-01.h5"
     path.parent.mkdir()
@@ -115,9 +191,10 @@ def test_a_run_without_a_checkpoint_starts_with_nothing_of_another(tmp_path, rec
     folder = tmp_path / "run"
     write_tip(folder, curve)
     write_record(folder, replace(record, status="interrupted"))
-    (folder / "harvest-skin.h5").touch()
+    (folder / "frames").mkdir()
+    (folder / "frames" / "fields-0000.h5").touch()
     assert not opened(folder, replace(record, status="running")).resumes
-    assert [path.name for path in folder.iterdir()] == ["run.json"]
+    assert [path.name for path in folder.rglob("*.*")] == ["run.json"]
     assert read_record(folder).status == "running"
 
 

@@ -257,6 +257,9 @@ def test_checkpoint_of_another_run_is_refused(checkpointed, run_tissue):
     with pytest.raises(MismatchError, match=r"resume: .* are not those of the checkpoint"):
         run_tissue(other, "printed", skin=0.4, frames=5, resume=state)
     arrays = state.to_arrays()
+    taken = TissueState.from_arrays(arrays | {"frames.displacement": np.empty((0, 1, 2))})
+    with pytest.raises(MismatchError, match="resume: keep_frame took the whole fields of"):
+        run_tissue(RAMPED, "printed", skin=0.4, frames=5, resume=taken)
     del arrays["relaxed"]
     with pytest.raises(InputError, match="relaxed"):
         TissueState.from_arrays(arrays)
