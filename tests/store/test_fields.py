@@ -47,6 +47,7 @@ def frames():
         source=np.array([[0.0], [3.0], [6.0]]),
         risk=np.array([[0.1], [0.0], [0.0]]),
         dissipated=np.array([[0.0], [0.2], [0.3]]),
+        beyond=np.array([[0.0], [0.0], [1.0]]),
     )
 
 
