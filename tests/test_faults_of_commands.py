@@ -13,6 +13,7 @@ from surrofe2.base.errors import MismatchError
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store import run_folder
 from surrofe2.store.run_folder import read_record
+from surrofe2.store.store import read_json, write_json
 from surrofe2.workflow.run import run_study
 from tests import commands
 from tests.faults import KINDS, each_fault
@@ -84,7 +85,12 @@ def test_starting_over_leaves_the_former_run_or_the_new_one(kind, tmp_path, lear
         commands.prepare("surrogate", folder, learnt)
         set_duration(folder, duration)
         commands.execute("surrogate", folder)
+    # as a cached run of a cell called skin leaves it
     shutil.copy(new / "out" / "fields.h5", former / "out" / "harvest-skin.h5")
+    record = read_json(former / "out" / "run.json")
+    cells = {"cells": {"skin": {}}}
+    changed = {"law": "cached", "recipe": record["recipe"] | cells}
+    write_json(former / "out" / "run.json", record | changed)
     wanted, before = numbers(new / "out"), numbers(former / "out")
 
     def start_over(folder):
