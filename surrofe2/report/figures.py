@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib import colormaps
@@ -22,31 +22,42 @@ from surrofe2.store.fields import StoredFields
 
 MARGIN = 0.08
 """Room about a tissue with bodies, as a fraction of its size."""
+# Colours span at least this fraction of the largest value: smaller differences are noise, and are
+# to look like it.
 _LEAST_SPAN = 0.02
-"""Of colours, relative to the largest value: smaller differences are noise and look like it."""
+# Colours diverge from 0 where values of the other sign are beyond this fraction of the largest.
 _BOTH_SIGNS = 0.05
-"""Of the largest value: from there on a value of the other sign makes colours diverge."""
-_SIDES = 5000
-"""Elements from which on their sides are not drawn."""
+# Elements from which on their sides are not drawn, for they would cover the colours.
+_MOST_WITH_SIDES = 5000
+# Sides of a drawn circle.
 _ARC = 48
-"""Sides of a drawn circle."""
+# A node that moves less than this fraction of the largest displacement is held.
 _STILL = 1e-6
-"""Of the largest displacement: what moves less is held."""
+# Times at which plant cells are drawn.
 _PANELS = 6
-"""Times at which plant cells are drawn."""
 
 
 def rounded_up(value: float) -> float:
-    """The next of 1, 2, 2.5, 5 or 10 times a power of ten."""
+    """Return the next of 1, 2, 2.5, 5 or 10 times a power of ten; 1 for values that are ≤ 0."""
     if value <= 0.0:
         return 1.0
     power = 10.0 ** np.floor(np.log10(value))
-    return float(next(k for k in (1.0, 2.0, 2.5, 5.0, 10.0) if k * power >= value * 0.9999) * power)
+    for factor in (1.0, 2.0, 2.5, 5.0):
+        if factor * power >= value * 0.9999:  # a round value stays, whatever its rounding
+            return float(factor * power)
+    return float(10.0 * power)
 
 
 @dataclass(frozen=True, slots=True)
 class Colours:
-    """What values look like: a colour map between round limits, and words with the unit."""
+    """A colour map between round limits, and words for the values.
+
+    Attributes:
+        label: words for the values, with their unit.
+        low: value at the lower end of the map.
+        high: value at its upper end.
+        name: name of the map in matplotlib.
+    """
 
     label: str
     low: float
@@ -55,26 +66,29 @@ class Colours:
 
     @classmethod
     def of(cls, label: str, values: Array, name: str = "viridis") -> Colours:
-        """For these values; a map that diverges from 0 where they have both signs."""
+        """Choose colours for values; where these have both signs, a map that diverges from 0."""
         known = values[np.isfinite(values)]
-        low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+        low = float(known.min()) if known.size else 0.0
+        high = float(known.max()) if known.size else 1.0
         largest = max(abs(low), abs(high)) or 1.0
         if min(-low, high) > _BOTH_SIGNS * largest:
             end = rounded_up(largest)
             return cls(label, -end, end, "RdBu_r")
-        lacking = 0.5 * max(_LEAST_SPAN * largest - (high - low), 0.0)
+        lacking = 0.5 * max(_LEAST_SPAN * largest - (high - low), 0.0)  # at each end
         step = rounded_up(0.2 * (high - low + 2.0 * lacking))
-        ends = np.floor((low - lacking) / step + 1e-6), np.ceil((high + lacking) / step - 1e-6)
-        return cls(label, float(ends[0] * step), float(ends[1] * step), name)
+        # 1e-6: an end that is a multiple of the step, but for rounding, stays
+        lower_end = np.floor((low - lacking) / step + 1e-6) * step
+        upper_end = np.ceil((high + lacking) / step - 1e-6) * step
+        return cls(label, float(lower_end), float(upper_end), name)
 
     def paint(self, drawn: Collection, values: Array) -> Any:
-        """Colour a collection by values, grey where they are unknown."""
+        """Colour a collection by values, grey where they are unknown, and return it."""
         colours = colormaps[self.name].with_extremes(bad="0.6")
         drawn.set(array=values, cmap=colours, clim=(self.low, self.high))
         return drawn
 
     def bar(self, places: Axes | Sequence[Axes], drawn: Any, location: str = "right") -> None:
-        """The colour bar beside one or more axes, or at their "bottom"."""
+        """Draw the colour bar beside one or more axes, or at their "bottom"."""
         places = [places] if isinstance(places, Axes) else [*places]
         figure = places[0].get_figure()
         assert figure is not None
@@ -87,8 +101,9 @@ class Colours:
 
 
 def draw_scale_bar(axes: Axes, low: Array, high: Array) -> None:
-    """A bar of round length below a box of two corners, and room for it."""
-    width, room = float(high[0] - low[0]), 0.07 * float(max(high - low))
+    """Draw a bar of round length below a box of two corners (2,), and make room for it."""
+    width = float(high[0] - low[0])
+    room = 0.07 * float(max(high - low))
     length = rounded_up(0.12 * width)
     y = low[1] - room
     axes.plot([low[0], low[0] + length], [y, y], color="black", linewidth=2.5, clip_on=False)
@@ -106,61 +121,84 @@ class DrawnBody:
     """A body at the times of the fields.
 
     Attributes:
-        outline: (n, 2) where it began, a plane's and a corner's cut off far from the tissue, µm.
-        moved: (m, 2) how far it is from there, µm.
+        outline: (n, 2) outline where the body began, µm; that of a plane and of a corner is cut off
+            far from the tissue.
+        moved: (m, 2) displacement of the body from there, µm.
     """
 
     outline: Array
     moved: Array
 
     def at(self, k: int, factor: float) -> Array:
-        """(n, 2) outline at time k, its displacement multiplied as the tissue's is."""
+        """Return the outline (n, 2) at time k, with `factor` times its displacement."""
         return self.outline + factor * self.moved[k]
 
 
 def drawn_bodies(
     bodies: Iterable[RigidBody], t: Array, history: Mapping[str, Array], fields: StoredFields
 ) -> list[DrawnBody]:
-    """Rigid bodies at the times of the fields; history: of a run, at its times t."""
-    far, drawn = 4.0 * float(np.ptp(fields.points, axis=0).max()), []
+    """Return rigid bodies at the times of the fields.
+
+    Args:
+        bodies: the bodies.
+        t: (n,) times of the history, µs.
+        history: columns of a run's history by name.
+        fields: the fields.
+    """
+    far = 4.0 * float(np.ptp(fields.points, axis=0).max())
+    drawn = []
     for body in bodies:
         moved = np.zeros((len(fields.t), 2))
         if f"position {body.name} x" in history:  # counted from where the body began
-            position = [history[f"position {body.name} {axis}"] for axis in "xy"]
-            moved = np.stack([np.interp(fields.t, t, each) for each in position], axis=1)
+            x = np.interp(fields.t, t, history[f"position {body.name} x"])
+            y = np.interp(fields.t, t, history[f"position {body.name} y"])
+            moved = np.stack([x, y], axis=1)
         drawn.append(DrawnBody(np.array(body.position) + outline(body.shape, far), moved))
     return drawn
 
 
 def outline(shape: Shape, far: float) -> Array:
-    """(n, 2) closed line of a shape about its position, cut off at a distance of some `far`, µm."""
+    """Return the closed line (n, 2) of a shape about its position, µm.
+
+    A plane and a corner are cut off at a distance of some `far`, µm.
+    """
     if isinstance(shape, Plane):
         x, y = np.array(shape.normal) / np.linalg.norm(shape.normal)
-        along, inward = far * np.array([-y, x]), -far * np.array([x, y])
+        along = far * np.array([-y, x])
+        inward = -far * np.array([x, y])
         return np.stack([along, -along, inward - along, inward + along])
     if isinstance(shape, Circle):
         turn = 2.0 * np.pi * np.arange(_ARC) / _ARC
         return shape.radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     assert isinstance(shape, Corner)
     x, y, cosine, sine, radius, _ = shape.outline
-    axis, across = np.array([x, y]), np.array([-y, x])
+    axis = np.array([x, y])
+    across = np.array([-y, x])
     half = np.arctan2(sine, cosine)
     turn = np.linspace(half + 0.5 * np.pi, 1.5 * np.pi - half, _ARC)[:, None]
     arc = radius * (axis + np.cos(turn) * axis + np.sin(turn) * across)
-    ends = [arc[k] + far * (cosine * axis + side * sine * across) for k, side in ((0, 1), (-1, -1))]
-    return np.vstack([ends[0], arc, ends[1]])
+    # both flanks go on from the ends of the arc
+    first_flank = arc[0] + far * (cosine * axis + sine * across)
+    last_flank = arc[-1] + far * (cosine * axis - sine * across)
+    return np.vstack([first_flank, arc, last_flank])
 
 
 def rim(fields: StoredFields) -> list[int]:
-    """Order of an element's nodes along its sides."""
-    corners = fields.cells.shape[1]
-    return [0, 3, 1, 4, 2, 5] if corners == 6 else [*range(corners)]
+    """Return the order of an element's nodes along its sides."""
+    nodes = fields.cells.shape[1]
+    if nodes == 6:  # stored as corners, then middles of sides
+        return [0, 3, 1, 4, 2, 5]
+    return [*range(nodes)]
 
 
 def box(at: Array, bodies: Sequence[DrawnBody]) -> tuple[Array, Array]:
-    """Lower left and upper right corner of what is shown of positions (…, 2); bodies need room."""
+    """Return the lower left and upper right corner of what is shown of positions (…, 2).
+
+    Bodies need room about the tissue.
+    """
     points = at.reshape(-1, 2)
-    low, high = points.min(axis=0), points.max(axis=0)
+    low = points.min(axis=0)
+    high = points.max(axis=0)
     room = MARGIN * float((high - low).max()) if bodies else 0.0
     return low - room, high + room
 
@@ -175,40 +213,51 @@ def draw_tissue(
     factor: float = 1.0,
     bodies: Sequence[DrawnBody] = (),
 ) -> Any:
-    """The tissue at time k with supports, rigid bodies and a scale bar; what a colour bar takes.
+    """Draw the tissue at time k with supports, rigid bodies and a scale bar.
 
-    A half with a line of symmetry at its end is drawn whole. `values` (e,) are of the elements;
-    displacements are drawn `factor` times as large."""
-    at, order = fields.points + factor * fields.displacement[k], rim(fields)
+    A half with a line of symmetry at its end is drawn whole.
+
+    Args:
+        axes: where it is drawn.
+        fields: fields of a run.
+        k: number of the time.
+        values: (e,) values of the elements, by which they are coloured.
+        colours: colours of the values.
+        factor: displacements are drawn so many times as large.
+        bodies: rigid bodies.
+
+    Returns:
+        The collection from which a colour bar is made.
+    """
+    position = fields.points + factor * fields.displacement[k]
     sides = _held_sides(fields)
-    copies = [at]
-    for axis, x in enumerate(fields.points.T):
-        lines = {x[a] for a, *_, still in sides if still == axis}
-        if len(lines) == 1 and lines <= {x.min(), x.max()}:
-            mirror = 2.0 * lines.pop()
-            copies += [np.where(np.arange(2) == axis, mirror - each, each) for each in copies]
+    copies = _with_mirror_images(fields, sides, position)
     low, high = box(np.concatenate(copies), bodies)
     for body in bodies:
         axes.fill(*body.at(k, factor).T, facecolor="0.85", edgecolor="0.4", linewidth=1.0)
-    for each in copies:
-        corners = [*each[fields.cells[:, order]]]
-        width = 0.3 * (len(corners) < _SIDES)
+    order = rim(fields)
+    for copy in copies:
+        corners = [*copy[fields.cells[:, order]]]
+        width = 0.3 if len(corners) < _MOST_WITH_SIDES else 0.0
         drawn: Collection = PolyCollection(corners, edgecolors="0.4", linewidths=width)
         if fields.cells.shape[1] == 2:  # the springs of a full tissue
             drawn = LineCollection(corners, linewidths=0.8)
         axes.add_collection(colours.paint(drawn, values))
     depth = 0.035 * float(max(high - low))
-    for a, b, inside, still in sides:
-        for each in copies:
-            ends = each[[a, b]]
-            if still == _BOTH:
-                along, across = ends[1] - ends[0], ends[0] - each[inside]
+    for side in sides:
+        for copy in copies:
+            ends = copy[[side.a, side.b]]
+            if side.motion == _FIXED:
+                # a hatched band outside of the tissue
+                along = ends[1] - ends[0]
+                outward = ends[0] - copy[side.inside]
                 normal = np.array([along[1], -along[0]]) / np.linalg.norm(along)
-                out = depth * np.sign(normal @ across) * normal
+                out = depth * np.sign(normal @ outward) * normal
                 band = np.vstack([ends, ends[::-1] + out])
                 axes.fill(*band.T, facecolor="none", edgecolor="0.4", hatch="/////", linewidth=0.0)
-                low, high = np.minimum(low, band.min(axis=0)), np.maximum(high, band.max(axis=0))
-            if still in (_BOTH, _RIGID):
+                low = np.minimum(low, band.min(axis=0))
+                high = np.maximum(high, band.max(axis=0))
+            if side.motion in (_FIXED, _RIGID):
                 axes.plot(*ends.T, color="0.15", linewidth=2.5, solid_capstyle="butt")
             else:  # a line of symmetry
                 axes.plot(*ends.T, color="0.15", linewidth=0.8, dashes=(8, 2, 2, 2))
@@ -216,31 +265,69 @@ def draw_tissue(
     return drawn
 
 
-_BOTH, _RIGID = 2, 3
+# How a side on the boundary moves; 0 and 1: along a line of symmetry, with this component held.
+_FIXED = 2
+_RIGID = 3  # both of its nodes move alike, as in a grip
 
 
-def _held_sides(fields: StoredFields) -> list[tuple[int, int, int, int]]:
-    """Sides on the boundary that supports or grips hold, by how they move in all of the fields:
-    their nodes, a node inside across each, and the component that is still, or _BOTH, or _RIGID."""
+class _HeldSide(NamedTuple):
+    """A side on the boundary that a support or a grip holds.
+
+    Attributes:
+        a: number of the node at one end.
+        b: number of the node at the other end.
+        inside: number of a node of its element that is not on it.
+        motion: the component that is held, or `_FIXED`, or `_RIGID`.
+    """
+
+    a: int
+    b: int
+    inside: int
+    motion: int
+
+
+def _with_mirror_images(
+    fields: StoredFields, sides: Sequence[_HeldSide], position: Array
+) -> list[Array]:
+    """Return positions (n, 2) of the nodes, and of their images in lines of symmetry.
+
+    A line counts where it is straight and at an end of the undeformed tissue.
+    """
+    copies = [position]
+    for axis, x in enumerate(fields.points.T):
+        lines = {x[side.a] for side in sides if side.motion == axis}
+        if len(lines) == 1 and lines <= {x.min(), x.max()}:
+            mirror = 2.0 * lines.pop()
+            is_axis = np.arange(2) == axis
+            copies += [np.where(is_axis, mirror - copy, copy) for copy in copies]
+    return copies
+
+
+def _held_sides(fields: StoredFields) -> list[_HeldSide]:
+    """Find the sides on the boundary that supports or grips hold, by their motion in all fields."""
     corners = {3: 3, 4: 4, 6: 3}.get(fields.cells.shape[1], 0)
     u = fields.displacement
     still = _STILL * float(abs(u).max())
     if not corners or not still:
         return []
     cells = fields.cells[:, :corners]
+    # (a, b, inside): three corners that follow each other
     sides = np.stack([np.roll(cells, -k, axis=1) for k in range(3)], axis=-1).reshape(-1, 3)
     ends = np.sort(sides[:, :2], axis=1)
-    _, first, owners = np.unique(ends, axis=0, return_index=True, return_counts=True)
+    _, first, elements = np.unique(ends, axis=0, return_index=True, return_counts=True)
+    on_boundary = first[elements == 1]
     held = []
-    for a, b, inside in sides[first[owners == 1]].tolist():
+    for a, b, inside in sides[on_boundary].tolist():
         along = abs(fields.points[b] - fields.points[a])
-        fixed = abs(u[:, [a, b]]).max(axis=(0, 1)) <= still
-        if fixed.all():
-            held.append((a, b, inside, _BOTH))
+        is_fixed = abs(u[:, [a, b]]).max(axis=(0, 1)) <= still
+        component = int(is_fixed.argmax())
+        is_across = along[component] < 1e-6 * along.sum()  # the component that is held
+        if is_fixed.all():
+            held.append(_HeldSide(a, b, inside, _FIXED))
         elif abs(u[:, a] - u[:, b]).max() <= still:
-            held.append((a, b, inside, _RIGID))
-        elif fixed.any() and along[fixed.argmax()] < 1e-6 * along.sum():
-            held.append((a, b, inside, int(fixed.argmax())))
+            held.append(_HeldSide(a, b, inside, _RIGID))
+        elif is_fixed.any() and is_across:
+            held.append(_HeldSide(a, b, inside, component))
     return held
 
 
@@ -250,22 +337,35 @@ def _held_sides(fields: StoredFields) -> list[tuple[int, int, int, int]]:
 def draw_cells(
     axes: Axes, seen: Particles, k: int, half: float = 0.0
 ) -> tuple[tuple[Colours, Any], tuple[Colours, Any]]:
-    """RVE k with its neighbours: walls by stretch, fluid by turgor (dots, or areas if uniform); for
-    the two colour bars their colours, the same for all RVEs, and what is drawn in them.
+    """Draw RVE k with its neighbours: walls by stretch, fluid by turgor.
 
-    half: of the width of the window about its centre, µm; 0: the RVE and a little more.
+    Fluid particles are dots; a uniform fluid fills areas.
+
+    Args:
+        axes: where it is drawn.
+        seen: RVEs at several times or points.
+        k: number of the RVE.
+        half: half of the width of the window about its centre, µm; 0: the RVE and a little more.
+
+    Returns:
+        For the colour bars of walls and of fluid: the colours, which are the same for all RVEs, and
+        the collection that is drawn in them.
     """
     walls = Colours.of("wall length / rest length", seen.stretch)
     fluid = Colours.of("turgor (µN/µm)", seen.pressure, "Blues")
     lattice = seen.F[k] @ seen.lattice
-    x, n_walls = seen.position[k], int(seen.is_wall.sum())
-    half = half or 0.75 * float(abs(lattice).sum(axis=0).max())
+    x = seen.position[k]
+    n_walls = int(seen.is_wall.sum())
+    if not half:
+        half = 0.75 * float(abs(lattice).sum(axis=0).max())
+    # copies of the RVE that reach into the window, of many enough in each direction
     many = 1 + int(np.ceil(2.0 * half * abs(np.linalg.inv(lattice)).max()))
     shifts = np.arange(-many, many + 1)
     copies = np.stack(np.meshgrid(shifts, shifts), axis=-1).reshape(-1, 2) @ lattice.T
     copies = copies[(abs(copies) < half + 2.0 * abs(lattice).sum(axis=1)).all(axis=1)]
-    first, second = x[seen.bonds[:, 0]], x[seen.bonds[:, 1]] + seen.bond_shift @ lattice.T
-    segments = (np.stack([first, second], axis=1)[None] + copies[:, None, None]).reshape(-1, 2, 2)
+    begin = x[seen.bonds[:, 0]]
+    end = x[seen.bonds[:, 1]] + seen.bond_shift @ lattice.T
+    segments = (np.stack([begin, end], axis=1)[None] + copies[:, None, None]).reshape(-1, 2, 2)
     if seen.is_wall.all():
         rims = [x[rim[:, 0]] + rim[:, 1:] @ lattice.T for rim in seen.rims]
         inside: Any = PolyCollection([rim + shift for shift in copies for rim in rims])
@@ -282,8 +382,8 @@ def draw_cells(
     centre = x[:n_walls].mean(axis=0) + 0.25 * lattice.sum(axis=1)
     draw_scale_bar(axes, centre - half, centre + half)
     window = Rectangle(centre - half, 2.0 * half, 2.0 * half, transform=axes.transData)
-    for each in (drawn, inside):
-        each.set_clip_path(window)
+    drawn.set_clip_path(window)
+    inside.set_clip_path(window)
     return (walls, drawn), (fluid, inside)
 
 
@@ -295,11 +395,18 @@ def cell_figure(
     point: Sequence[float],
     is_rest: bool = False,
 ) -> Figure:
-    """A look into the plant cells at a point: where it is, wall stretch over time, six times.
+    """Draw the plant cells at a point: where it is, wall stretch over time, six times.
 
-    `seen` is the RVE of an element at the times of the fields, of a rest the factors of its load,
-    and `point` in the undeformed tissue, µm."""
-    t, clock = fields.t, "load factor {:.4g}" if is_rest else "t = {:.4g} µs"
+    Args:
+        title: title of the figure.
+        seen: the RVE of the element at the times of the fields.
+        fields: fields of the run.
+        element: number of the element.
+        point: position in the undeformed tissue, µm.
+        is_rest: whether the times are factors of the load of a rest.
+    """
+    t = fields.t
+    clock = "load factor {:.4g}" if is_rest else "t = {:.4g} µs"
     chosen = np.unique(np.linspace(0, len(t) - 1, min(_PANELS, len(t))).round().astype(int))
     columns = min(3, len(chosen))
     rows = -(-len(chosen) // columns)
