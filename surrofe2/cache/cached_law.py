@@ -31,7 +31,7 @@ from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate, check_pa
 from surrofe2.cache.settings import CacheSettings
 from surrofe2.cache.table.stress_table import StressTable
 from surrofe2.cache.trust import AUDITS, Trust, Window, audits_of
-from surrofe2.law.bifurcation import BranchingLaw, beyond_bifurcation
+from surrofe2.law.bifurcation import beyond_bifurcation, is_branching
 from surrofe2.law.stress_law import (
     SURROGATE,
     TABLE,
@@ -292,7 +292,7 @@ class CachedLaw(Viewed):
 
     def beyond_bifurcation(self, state: CachedState) -> Flags | None:
         """(n,) as of the fallback at the points that it answers; none of the others is."""
-        if not isinstance(self.fallback, BranchingLaw):
+        if not is_branching(self.fallback):
             return None
         known = state.on_fallback
         flags = np.zeros(state.count, dtype=np.bool_)

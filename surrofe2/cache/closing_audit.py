@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from surrofe2.base.arrays import Array, Index
 from surrofe2.cache.audit import (
-    BATCH,
     NO_QUESTION,
     ErrorRecord,
     Question,
@@ -37,6 +36,8 @@ from surrofe2.cache.trust import CONFIDENCE, wrong_at_most
 from surrofe2.law.stress_law import StressResponse
 from surrofe2.run.journal import part_of, within
 
+BATCH = 64
+"""Answers that RVEs solve at once: each starts from the nearest of the batch before."""
 SAMPLE = 320
 """n, of whole batches of RVEs: without a wrong answer among them at most 0.93 % of all are wrong
 (0.95 % would take 313)."""

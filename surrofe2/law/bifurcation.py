@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, cast
 
 from surrofe2.base.arrays import Flags
 from surrofe2.law.stress_law import StressLaw
 
 
-@runtime_checkable
 class BranchingLaw(StressLaw, Protocol):
     """A law that knows which of its points are beyond a bifurcation."""
 
@@ -20,9 +19,15 @@ class BranchingLaw(StressLaw, Protocol):
 
 def beyond_bifurcation(law: StressLaw, state: Any) -> Flags | None:
     """As of `BranchingLaw`; None of other laws, and where nothing was committed yet."""
-    if state is None or not isinstance(law, BranchingLaw):
+    if state is None or not is_branching(law):
         return None
-    return law.beyond_bifurcation(state)
+    return cast(BranchingLaw, law).beyond_bifurcation(state)
+
+
+def is_branching(law: StressLaw) -> bool:
+    """Whether it is a `BranchingLaw`; isinstance would compute all that such a law has, as the
+    density of its plant cell, which takes as long as a step."""
+    return hasattr(law, "beyond_bifurcation")
 
 
 def count_beyond(law: StressLaw, state: Any) -> float:

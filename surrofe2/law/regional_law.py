@@ -55,6 +55,7 @@ class RegionalLaw(Viewed):
         self.laws = {name: laws[name] for name in points}
         self.points = dict(points)
         self._audited = [law for law in self.laws.values() if isinstance(law, AuditedLaw)]
+        self._learning = [isinstance(law, LearningLaw) for law in self.laws.values()]
         self._parts = [(law, self.points[name]) for name, law in self.laws.items()]
         self.density = np.empty(everyone.size)
         for law, own in self._parts:
@@ -92,13 +93,15 @@ class RegionalLaw(Viewed):
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         parts = self._parts_of(response)
         checked = [
-            (law.check if isinstance(law, LearningLaw) else law.accept)(F[own], F_dot[own], part)
-            for (law, own), part in zip(self._parts, parts, strict=True)
+            (cast(LearningLaw, law).check if learns else law.accept)(F[own], F_dot[own], part)
+            for (law, own), learns, part in zip(self._parts, self._learning, parts, strict=True)
         ]
         if not any(each.status.any() for each in checked):
             checked = [
-                law.commit(F[own], F_dot[own], each) if isinstance(law, LearningLaw) else each
-                for (law, own), each in zip(self._parts, checked, strict=True)
+                cast(LearningLaw, law).commit(F[own], F_dot[own], each) if learns else each
+                for (law, own), learns, each in zip(
+                    self._parts, self._learning, checked, strict=True
+                )
             ]
         return self._together(response, checked, parts)
 

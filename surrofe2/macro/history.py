@@ -12,6 +12,7 @@ import numpy as np
 from surrofe2.base.arrays import Array, Flags
 from surrofe2.base.clock import clock, cpu_clock
 from surrofe2.base.compilation import kernel
+from surrofe2.base.simd import TILE, load, root, store, where_less
 from surrofe2.law.bifurcation import beyond_bifurcation, count_beyond
 from surrofe2.law.stress_law import Sources
 from surrofe2.macro.audits import Report, RunAudits
@@ -75,25 +76,34 @@ class MetRange:
 def widen_extremes(extremes: Any, F: Any, F_dot: Any) -> None:
     """Widen (2, 4, 2, 2) lowest and highest values by F, Ḟ, U = RᵀF and RᵀḞ of all points.
 
-    R is the rotation of the polar decomposition, cos θ : sin θ = F₁₁ + F₂₂ : F₂₁ − F₁₂.
+    R is the rotation of the polar decomposition, cos θ : sin θ = F₁₁ + F₂₂ : F₂₁ − F₁₂. Eight
+    points are taken at once; behind the last one it is repeated.
     """
-    values = np.empty((4, 2, 2))
-    for p in range(F.shape[0]):
-        c, s = F[p, 0, 0] + F[p, 1, 1], F[p, 1, 0] - F[p, 0, 1]
-        norm = np.sqrt(c * c + s * s)
+    values, low, high = np.empty((16, TILE)), np.empty((16, TILE)), np.empty((16, TILE))
+    for k in range(16):
+        low[k, :] = extremes[0, k // 4, k // 2 % 2, k % 2]
+        high[k, :] = extremes[1, k // 4, k // 2 % 2, k % 2]
+    for start in range(0, F.shape[0], TILE):
+        for lane in range(TILE):
+            p = np.uint64(min(start + lane, F.shape[0] - 1))
+            for k in range(4):
+                values[k, lane] = F[p, k // 2, k % 2]
+                values[4 + k, lane] = F_dot[p, k // 2, k % 2]
+        c, s = load(values, 0) + load(values, 3), load(values, 2) - load(values, 1)
+        norm = root(c * c + s * s)
         c, s = c / norm, s / norm
-        for j in range(2):
-            for i in range(2):
-                values[0, i, j] = F[p, i, j]
-                values[1, i, j] = F_dot[p, i, j]
-            for k in range(2):
-                values[2 + k, 0, j] = c * values[k, 0, j] + s * values[k, 1, j]
-                values[2 + k, 1, j] = c * values[k, 1, j] - s * values[k, 0, j]
-        for k in range(4):
-            for i in range(2):
-                for j in range(2):
-                    extremes[0, k, i, j] = min(extremes[0, k, i, j], values[k, i, j])
-                    extremes[1, k, i, j] = max(extremes[1, k, i, j], values[k, i, j])
+        for k in range(0, 8, 4):
+            for j in range(2):
+                x, y = load(values, k + j), load(values, k + 2 + j)
+                store(c * x + s * y, values, 8 + k + j)
+                store(c * y - s * x, values, 10 + k + j)
+        for k in range(16):
+            value, lowest, highest = load(values, k), load(low, k), load(high, k)
+            store(where_less(value, lowest, value, lowest), low, k)
+            store(where_less(highest, value, value, highest), high, k)
+    for k in range(16):
+        extremes[0, k // 4, k // 2 % 2, k % 2] = low[k].min()
+        extremes[1, k // 4, k // 2 % 2, k % 2] = high[k].max()
 
 
 NOTHING: Array = np.empty(0)
@@ -437,7 +447,7 @@ class Recorder:
             journal = journal.written(frame_series(frame, times_alone=times_alone))
         extremes = state.extremes.copy()
         widen_extremes(extremes, now.F, now.F_dot)
-        largest = float(np.linalg.norm(now.u, axis=1).max())
+        largest = float(np.sqrt((now.u**2).sum(axis=1).max()))
         return {
             "journal": journal,
             "dissipated": np.stack([energy, before]),
