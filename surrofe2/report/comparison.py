@@ -1,4 +1,4 @@
-"""How far displacement curves of one load case are apart, what each run cost, and its picture."""
+"""Comparison of runs of one load case: differences of their curves, their cost, and a picture."""
 
 from __future__ import annotations
 
@@ -23,17 +23,20 @@ COMPARISON_FILES = ("comparison.json", "comparison.png")
 
 
 BUCKLED = "beyond_bifurcation"
-"""Entry of a record's `met`: how many `points`, `of` how many, are beyond a bifurcation, `from`
-which time or load factor on."""
+"""Entry of a record's `met` on points beyond a bifurcation.
+
+It has their number, `points`, the number of all points, `of`, and the time or load factor from
+which on there were any, `from`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Balance:
-    """A run through a cache against one by RVEs, with what the cache took to make; s.
+    """The cost of a run through a cache against one by RVEs, with that of making the cache.
 
     Attributes:
-        made: of data set, training and calibration; None where that is not known.
-        run, true: of the two runs.
+        made: seconds of data set, training and calibration; None where they are not known.
+        run: seconds of the run through the cache.
+        true: seconds of the run by RVEs.
     """
 
     made: float | None
@@ -42,8 +45,10 @@ class Balance:
 
     @property
     def gain(self) -> float | None:
-        """How many times faster than the full run with everything counted."""
-        return None if self.made is None else self.true / (self.made + self.run)
+        """Speed-up over the run by RVEs with everything counted; None where it is not known."""
+        if self.made is None:
+            return None
+        return self.true / (self.made + self.run)
 
     @property
     def pays_from(self) -> int | None:
@@ -54,12 +59,14 @@ class Balance:
 
     @property
     def sentence(self) -> str:
-        """What it comes to."""
+        """The gain, and from when on the cache pays off, in words."""
         if self.made is None or self.gain is None:
             return "the time to make its surrogate is not known; train again to have it counted"
-        ratio, what = (self.gain, "faster") if self.gain >= 1.0 else (1.0 / self.gain, "slower")
-        text = f"{number(ratio, 2)} times {what} than full FE²"
-        text = f"including data and training ({number(self.made)} s), {text}"
+        if self.gain >= 1.0:
+            speed = f"{number(self.gain, 2)} times faster"
+        else:
+            speed = f"{number(1.0 / self.gain, 2)} times slower"
+        text = f"including data and training ({number(self.made)} s), {speed} than full FE²"
         if self.pays_from is None:
             return f"{text}; it never pays off, since full FE² is faster"
         if self.pays_from == 1:
@@ -70,12 +77,16 @@ class Balance:
 
 
 def made_for(record: RunRecord) -> float | None:
-    """Seconds of what was made for a run, a surrogate or a table to begin with; None: not known."""
+    """Return the seconds that the surrogate or table of a run took to make; None: not known."""
     if record.surrogate is None:
-        return None if record.law in ("cached", "surrogate") else 0.0
+        needs_one = record.law in ("cached", "surrogate")
+        return None if needs_one else 0.0
     seconds = record.surrogate.get("seconds", {})
-    is_known = record.law == "table" or any(name.startswith("data") for name in seconds)
-    return float(sum(seconds.values())) if seconds and is_known else None
+    # without those of its data set, the seconds of a surrogate are not all
+    is_whole = record.law == "table" or any(name.startswith("data") for name in seconds)
+    if not seconds or not is_whole:
+        return None
+    return float(sum(seconds.values()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,13 +94,16 @@ class ComparedRun:
     """One run, named by its folder, against the reference.
 
     Attributes:
-        difference: of the watched displacement, relative to the reference's largest.
-        wall_time: seconds of law and macro together; compilation is not in it.
+        name: name of the run's folder.
+        law: law of the run.
+        difference: difference of the watched displacement, relative to the reference's largest.
+        wall_time: seconds of law and macro together, without compilation.
+        counts: numbers of stresses and solves by name.
         speed_up: ratios reference / this run, by what is counted; None where either needed none.
-        cache: of a cached run, what its law reported: tolerance, audit, trust; else empty.
-        forces: by name, of every force resultant that both runs have.
-        buckled: points beyond a bifurcation at most.
-        balance: of a run through a cache, with what that cost to make; None where there is none.
+        cache: report of the law of a cached run (tolerance, audit, trust); else empty.
+        forces: difference of every force resultant that both runs have, by name.
+        balance: cost of a run through a cache, with that of making it; None for other runs.
+        buckled: largest number of points beyond a bifurcation.
     """
 
     name: str
@@ -137,30 +151,32 @@ class Comparison:
 
     @property
     def table(self) -> Table[ComparedRun]:
-        """What people read of it."""
+        """The runs in a table, the reference first."""
         return Table(QUANTITIES, (self.reference_run, *self.runs))
 
     @property
     def force_table(self) -> Table[Mapping[str, Any]]:
-        """Of the forces of supports, surface loads and rigid bodies on the tissue."""
+        """The forces of supports, surface loads and rigid bodies on the tissue, in a table."""
         rows = []
         for run in self.runs:
             for name, force in run.forces.items():
-                row = {"run": run.name, "force": name, "largest": force.scale}
-                relative = {"largest difference": force.largest, "of largest": force.of_largest}
-                rows.append(row | relative if force.scale else row)
+                row: dict[str, Any] = {"run": run.name, "force": name, "largest": force.scale}
+                if force.scale:  # a difference is relative to it
+                    row["largest difference"] = force.largest
+                    row["of largest"] = force.of_largest
+                rows.append(row)
         return Table(FORCE_QUANTITIES, rows)
 
 
 def order_runs(runs: Sequence[StoredRun]) -> list[StoredRun]:
-    """The reference first: the first full tissue, else by RVEs, else the first of all."""
+    """Put the reference first: the first full tissue, else by RVEs, else the first of all."""
     ranks = {"tissue": 0, "rve": 1}
     reference = min(runs, key=lambda run: ranks.get(run.record.law, 2))
     return [reference, *(run for run in runs if run is not reference)]
 
 
 def compare(runs: Sequence[StoredRun]) -> Comparison:
-    """Difference and speed-up of every run against the reference (see `order_runs`).
+    """Compute difference and speed-up of every run against the reference (see `order_runs`).
 
     Raises:
         MismatchError: the runs are of different load cases or problems; meshes may differ.
@@ -169,72 +185,88 @@ def compare(runs: Sequence[StoredRun]) -> Comparison:
     if len(runs) < 2:
         raise InputError(f"compare: {len(runs)} run folder; give at least two")
     runs = order_runs(runs)
-    reference, load = runs[0], _load_of(runs[0])
+    reference = runs[0]
+    load = _load_of(reference)
     for run in runs[1:]:
-        here = _load_of(run)
-        for key in {**load, **here}:
-            if here.get(key) != load.get(key):
+        load_of_run = _load_of(run)
+        for key in {**load, **load_of_run}:
+            if load_of_run.get(key) != load.get(key):
                 raise MismatchError(
-                    f"{run.folder}: {key} is {here.get(key)}, in {reference.folder} "
+                    f"{run.folder}: {key} is {load_of_run.get(key)}, in {reference.folder} "
                     f"{load.get(key)}; compare runs of one load case"
                 )
-    first, *others = (compared_run(run, reference) for run in runs)
-    return Comparison(reference.name, load, first, tuple(others))
+    reference_run, *others = (compared_run(run, reference) for run in runs)
+    return Comparison(reference.name, load, reference_run, tuple(others))
 
 
 def compare_runs(
     folders: Sequence[str | Path], out: str | Path, *, fresh: bool = False
 ) -> Comparison:
     """Compare the runs in these folders; comparison.json and comparison.png go into `out`."""
-    out, runs = Path(out), [read_run(folder) for folder in folders]
-    of = {run.name: digest(run.folder / "run.json")[:16] for run in runs}
-    result, runs = compare(runs), order_runs(runs)
+    out = Path(out)
+    stored_runs = [read_run(folder) for folder in folders]
+    fingerprints = {run.name: digest(run.folder / "run.json")[:16] for run in stored_runs}
+    comparison = compare(stored_runs)
+    runs = order_runs(stored_runs)
 
     def make() -> dict[str, Any]:
+        """Draw the picture, and return the entries of comparison.json."""
         panels = [*displacement_panels(runs), difference_panel(runs), *audit_panels(runs)]
         figure = draw_panels(panels, title=comparison_title(runs))
         write_bytes(out / COMPARISON_FILES[1], encoded(figure, "png"))
-        return asdict(result)
+        return asdict(comparison)
 
-    keep(out / COMPARISON_FILES[0], {"of": of}, make, fresh=fresh)
-    return result
+    keep(out / COMPARISON_FILES[0], {"of": fingerprints}, make, fresh=fresh)
+    return comparison
 
 
 def _load_of(run: StoredRun) -> dict[str, Any]:
-    """All that a run's problem states, by dotted names, but the mesh it is computed on."""
-    recipe, of = run.record.recipe, ("conditions", "bodies", "watch", "time")
-    if run.is_rest:
-        of = ("conditions", "bodies", "watch", "rest")
-    stated = flat({name: recipe[name] for name in of if name in recipe})
+    """Return all that a run's problem states, by dotted names, without the mesh.
+
+    Settings that change nothing of the problem are left out.
+    """
+    recipe = run.record.recipe
+    last_section = "rest" if run.is_rest else "time"
+    sections = ("conditions", "bodies", "watch", last_section)
+    stated = flat({name: recipe[name] for name in sections if name in recipe})
     stated.pop("rest.load_steps", None)
     stated.pop("time.frames", None)
     return stated
 
 
 def force_curves(run: StoredRun) -> dict[str, DisplacementCurve]:
-    """Force resultants on the tissue over time by name, µN; not what holds rigid bodies."""
-    held = {f"force {body} position" for body in run.record.recipe.get("bodies", {})}
-    names = [name.removesuffix(" x") for name in run.history if name.endswith(" x")]
-    return {
-        name.removeprefix("force "): DisplacementCurve(
-            run.curve.t, np.stack([run.history[f"{name} {axis}"] for axis in "xy"], axis=1)
-        )
-        for name in names
-        if name.startswith("force ") and name not in held
-    }
+    """Return force resultants on the tissue over time by name, µN.
+
+    Forces that hold rigid bodies are left out.
+    """
+    on_bodies = {f"force {body} position" for body in run.record.recipe.get("bodies", {})}
+    curves = {}
+    for column in run.history:
+        name = column.removesuffix(" x")
+        if name == column or not name.startswith("force ") or name in on_bodies:
+            continue
+        force = np.stack([run.history[f"{name} x"], run.history[f"{name} y"]], axis=1)
+        curves[name.removeprefix("force ")] = DisplacementCurve(run.curve.t, force)
+    return curves
 
 
 def compared_run(run: StoredRun, reference: StoredRun) -> ComparedRun:
-    """Difference and speed-up of a run against another of its load case."""
-    there, apart = force_curves(reference), difference(run.curve, reference.curve)
+    """Compute difference and speed-up of a run against another of its load case.
+
+    Raises:
+        InputError: the watched point of the reference does not move.
+    """
+    apart = difference(run.curve, reference.curve)
     if not apart.scale:
         raise InputError(f"{reference.folder}: the watched point does not move; nothing to compare")
-    record, full = run.record, reference.record
-    seconds, full_seconds = record.wall_time["total"], full.wall_time["total"]
-    solves, full_solves = (each.spent.get("rve_solves", 0) for each in (record, full))
+    record = run.record
+    full = reference.record
+    seconds = record.wall_time["total"]
+    full_seconds = full.wall_time["total"]
     balance = None
     if record.law in ("cached", "table", "surrogate") and full.law in ("rve", "tissue"):
         balance = Balance(made=made_for(record), run=seconds, true=full_seconds)
+    reference_forces = force_curves(reference)
     return ComparedRun(
         name=run.name,
         law=record.law,
@@ -242,23 +274,33 @@ def compared_run(run: StoredRun, reference: StoredRun) -> ComparedRun:
         wall_time=seconds,
         counts=record.spent,
         speed_up={
-            "wall_time": full_seconds / seconds if seconds and full_seconds else None,
-            "rve_solves": full_solves / solves if solves and full_solves else None,
+            "wall_time": _ratio(full_seconds, seconds),
+            "rve_solves": _ratio(
+                full.spent.get("rve_solves", 0), record.spent.get("rve_solves", 0)
+            ),
         },
         cache=record.cache or {},
         forces={
-            name: difference(force, there[name])
+            name: difference(force, reference_forces[name])
             for name, force in force_curves(run).items()
-            if name in there
+            if name in reference_forces
         },
         balance=balance,
         buckled=record.met.get(BUCKLED, {}).get("points", 0),
     )
 
 
+def _ratio(of_reference: float, of_run: float) -> float | None:
+    """Return how much more the reference needed; None where either needed nothing."""
+    if not of_reference or not of_run:
+        return None
+    return of_reference / of_run
+
+
 def audit_sentence(cache: Mapping[str, Any]) -> str:
-    """How many answers were audited and how wrong they were."""
-    audit, allowed = cache["audit"], float(cache["tolerance"]["absolute"])
+    """Say how many stresses of a cache were audited, and how wrong they were."""
+    audit = cache["audit"]
+    allowed = float(cache["tolerance"]["absolute"])
     if not audit["audited"]:
         return "none of the cache's answers"
     text = f"{audit['audited']:,} of {cache['accepted']['hits']:,} accepted answers{_since(cache)}"
@@ -273,18 +315,22 @@ def audit_sentence(cache: Mapping[str, Any]) -> str:
 
 
 def closing_sentence(cache: Mapping[str, Any]) -> str:
-    """What the closing audit of a run guarantees, by which formula and at which confidence; empty
-    where there was none, or it is not complete."""
+    """Say what the closing audit of a run guarantees, by which formula and at which confidence.
+
+    The sentence is empty where there was no audit, or it is not complete.
+    """
     audit = cache.get("closing_audit", {})  # which runs of earlier versions have not
     bound = audit.get("wrong_at_most")
     if bound is None:
         return ""
-    sampled, answers, wrong = audit["sampled"], audit["answers"], audit["violations"]
+    sampled = audit["sampled"]
+    answers = audit["answers"]
+    wrong = audit["violations"]
     above = f"wrong by more than the tolerance of {number(audit['tolerance'], 2)} µN/µm"
     since = _since(cache)
     stand = f"{answers:,} answers that stand{since}"
     whole = "these" if since else "all"
-    if sampled == answers:
+    if sampled == answers:  # every answer was audited, so the fraction is exact
         return f"all {stand}; {wrong:,} {above}, {percent(2)(bound)} of {whole}"
     formula = "Clopper–Pearson"
     if not wrong:
@@ -296,7 +342,7 @@ def closing_sentence(cache: Mapping[str, Any]) -> str:
 
 
 def _since(cache: Mapping[str, Any]) -> str:
-    """From when on a cache has counted and audited; empty where that is the whole run."""
+    """Say from when on a cache has counted and audited; empty where that is the whole run."""
     since = cache.get("since", 0.0)  # which runs of earlier versions have not
     if not since:
         return ""
@@ -304,12 +350,12 @@ def _since(cache: Mapping[str, Any]) -> str:
 
 
 def buckling_sentence(record: RunRecord) -> str:
-    """From when on how many points left a bifurcation; empty where none did."""
+    """Say from when on how many points were beyond a bifurcation; empty where none were."""
     beyond = record.met.get(BUCKLED)
     if not beyond or not beyond["points"]:
         return ""
-    begin = f"{beyond['from']:.3g}"
-    begin = f"load factor {begin}" if is_rest(record) else f"{begin} µs"
+    value = f"{beyond['from']:.3g}"
+    begin = f"load factor {value}" if is_rest(record) else f"{value} µs"
     return (
         f"from {begin} on, {beyond['points']} of {beyond['of']} points left a bifurcation: walls "
         "buckled, see what to trust"
@@ -317,88 +363,113 @@ def buckling_sentence(record: RunRecord) -> str:
 
 
 def fallback_reasons(counts: Mapping[str, int]) -> str:
-    """How many fallbacks there were for which reason, in brackets; empty where there were none."""
-    reasons = [
-        f"{n:,} {name.removeprefix('fallbacks_').replace('_', ' ')}"
-        for name, n in counts.items()
-        if name.startswith("fallbacks_") and n
-    ]
+    """Say in brackets how many fallbacks had which reason; empty where there were none."""
+    reasons = []
+    for name, count in counts.items():
+        if name.startswith("fallbacks_") and count:
+            reason = name.removeprefix("fallbacks_").replace("_", " ")
+            reasons.append(f"{count:,} {reason}")
     return f" ({', '.join(reasons)})" if reasons else ""
 
 
 # The picture, of runs of which the reference is the first.
 
+# A component of the displacement has a panel from this fraction of the largest displacement on.
 _SEEN = 0.02
-"""Relative to the largest displacement: from there on a component has a panel."""
+# Curves that are closer, relative to the largest displacement, are drawn as one line.
 _TOGETHER = 0.003
-"""Relative to the largest displacement: curves that are closer are drawn as one line."""
+# Constants of a plant cell that are named in a title; of more, the number alone.
 _MOST_NAMED = 3
 
 
 def displacement_panels(runs: Sequence[StoredRun]) -> list[Panel]:
-    """The watched point's displacement by all runs, each component that counts in a panel.
+    """Draw the watched point's displacement by all runs, each component that counts in a panel.
 
     Runs that nobody could tell from the reference are named at its line.
     """
     reference, *others = runs
     largest = abs(reference.curve.displacement).max(axis=0)
-    apart = {k: difference(run.curve, reference.curve).largest for k, run in enumerate(others)}
-    close = [k for k in apart if apart[k] < _TOGETHER]
-    label = ", ".join(_label(run, reference) for run in (reference, *(others[k] for k in close)))
+    distances = [difference(run.curve, reference.curve).largest for run in others]
+    close = [k for k, distance in enumerate(distances) if distance < _TOGETHER]
+    labels = [_label(reference, reference), *(_label(others[k], reference) for k in close)]
+    label = ", ".join(labels)
     if close:
-        label += f" (at most {percent(2)(max(apart[k] for k in close))} apart)"
-    lines = [("reference" if len(close) < len(others) else "", label, 0, reference.curve)]
-    lines += [
-        ("", _label(run, reference), k, run.curve) for k, run in enumerate(others) if k not in close
-    ]
+        label += f" (at most {percent(2)(max(distances[k] for k in close))} apart)"
+    has_other_lines = len(close) < len(others)
     panels: list[Panel] = []
     for axis in np.argsort(-largest).tolist():
         if panels and largest[axis] < _SEEN * largest.max():
             continue
-        curves = tuple(
-            Curve(name, curve.t, curve.displacement[:, axis], what, markers=False, colour=k)
-            for name, what, k, curve in lines
-        )
+        curves = [
+            Curve(
+                "reference" if has_other_lines else "",
+                reference.curve.t,
+                reference.curve.displacement[:, axis],
+                label,
+                markers=False,
+                colour=0,
+            )
+        ]
+        for k, run in enumerate(others):
+            if k in close:
+                continue
+            u = run.curve.displacement[:, axis]
+            name = _label(run, reference)
+            curves.append(Curve("", run.curve.t, u, name, markers=False, colour=k))
         y_label = f"displacement $u_{'xy'[axis]}$ (µm)"
         title = "" if panels or len(curves) > 1 else in_words(label)
         height = 0.55 if panels else 1.0
-        panels.append(Panel(reference.clock, y_label, curves, title, height=height))
+        panels.append(Panel(reference.clock, y_label, tuple(curves), title, height=height))
     return panels
 
 
 def difference_panel(runs: Sequence[StoredRun]) -> Panel:
-    """How far each run's displacement is from the reference's, relative to the largest."""
+    """Draw how far each run's displacement is from the reference's, relative to the largest."""
     reference, *others = runs
-    t, there = reference.curve.t, reference.curve.displacement
-    scale = np.linalg.norm(there, axis=1).max() or 1.0
-    differences = []
+    t = reference.curve.t
+    reference_u = reference.curve.displacement
+    scale = np.linalg.norm(reference_u, axis=1).max() or 1.0
+    curves = []
     for k, run in enumerate(others):
         u = run.curve.displacement
-        apart = [u[:, i] - np.interp(run.curve.t, t, there[:, i]) for i in range(2)]
+        apart = [u[:, i] - np.interp(run.curve.t, t, reference_u[:, i]) for i in range(2)]
         relative = 100.0 * np.linalg.norm(apart, axis=0) / scale
         label = _label(run, reference)
-        differences.append(Curve("", run.curve.t, relative, label, markers=False, colour=k))
-    names = f"{differences[0].label} and " if len(differences) == 1 else "each run and "
-    title = f"Difference of {names}{reference.name}, relative to the largest displacement"
-    what = tuple(differences)
-    return Panel(reference.clock, "difference (%)", what, in_words(title), height=0.6)
+        curves.append(Curve("", run.curve.t, relative, label, markers=False, colour=k))
+    names = curves[0].label if len(curves) == 1 else "each run"
+    title = f"Difference of {names} and {reference.name}, relative to the largest displacement"
+    return Panel(reference.clock, "difference (%)", tuple(curves), in_words(title), height=0.6)
 
 
 def audit_panels(runs: Sequence[StoredRun]) -> list[Panel]:
-    """How many audited answers of the caches have at most which error; none without audits."""
+    """Draw which fraction of audited stresses has at most which error; none without audits."""
     curves: list[Curve] = []
     for k, run in enumerate(runs[1:] or runs):
-        for of, cache in run.caches.items():
+        for name, cache in run.caches.items():
             if cache["audit"]["quantiles"]:
-                curves += audit_curves(cache["audit"], k, of)
-    title = "Errors of the cache's stress found by audits"
-    labels = "error of the stress (µN/µm)", "answers with at\nmost this error (%)"
-    panel = Panel(*labels, tuple(curves), title, log_x=True, zero=True, height=0.6)
-    return [panel] if curves else []
+                curves += audit_curves(cache["audit"], k, name)
+    if not curves:
+        return []
+    panel = Panel(
+        "error of the stress (µN/µm)",
+        "answers with at\nmost this error (%)",
+        tuple(curves),
+        "Errors of the cache's stress found by audits",
+        log_x=True,
+        zero=True,
+        height=0.6,
+    )
+    return [panel]
 
 
 def audit_curves(audit: Mapping[str, Any], k: int, of: str) -> list[Curve]:
-    """Audited answers of run k with at most an error over that error, and the tolerance."""
+    """Return the distribution of audited errors, and a line at the tolerance.
+
+    Args:
+        audit: audit of a cache, as its report has it.
+        k: number of the run, by which curves are coloured.
+        of: name of the cache.
+    """
     histogram = audit["histogram"]
     first, *others = histogram["bins"]
     bins = np.array([first - 1, first, *others])
@@ -407,54 +478,71 @@ def audit_curves(audit: Mapping[str, Any], k: int, of: str) -> list[Curve]:
     counts = np.cumsum([0.0, *histogram["counts"]])
     below = 100.0 * (counts / counts[-1])
     curves = [Curve("", errors, below, f"{of}: audited errors", False, k, "-")]
-    if np.isfinite(tolerance := float(audit["tolerance"])):
+    tolerance = float(audit["tolerance"])
+    if np.isfinite(tolerance):
         label = f"tolerance: {audit['violations']} of {audit['audited']:,} above"
-        line = np.full(2, tolerance), np.array([0.0, 100.0])
-        curves.append(Curve("", *line, label, False, k, "--"))
+        ends = np.array([0.0, 100.0])
+        curves.append(Curve("", np.full(2, tolerance), ends, label, False, k, "--"))
     return curves
 
 
 def comparison_title(runs: Sequence[StoredRun]) -> str:
-    """Watched point, problem, plant cell, and the initialisation that the runs have in common."""
+    """Name the watched point, the problem, the plant cell and the reference's initialisation."""
     record = runs[0].record
-    recipe, point = record.recipe, "Watched point"
+    recipe = record.recipe
     watched = record.problem.get("watched") or recipe.get("watch", {})
-    for name, at in [(name, at) for name, at in watched.items() if at][:1]:
-        label = "" if name == "point" else f" “{name}”"
-        point = f"Watched point{label} ({at[0]:g}, {at[1]:g}) µm"
-    details = ", ".join(filter(None, [_cells_of(recipe), _words(record.initialisation)]))
-    return "\n".join(filter(None, [point, _problem_of(recipe), details]))
+    details = [_cells_of(recipe), _words(record.initialisation)]
+    lines = [
+        _watched_point(watched),
+        _problem_of(recipe),
+        ", ".join(detail for detail in details if detail),
+    ]
+    return "\n".join(line for line in lines if line)
+
+
+def _watched_point(watched: Mapping[str, Any]) -> str:
+    """Name the first watched point whose position is known; it is that of the curve."""
+    for name, position in watched.items():
+        if position:
+            label = "" if name == "point" else f" “{name}”"
+            return f"Watched point{label} ({position[0]:g}, {position[1]:g}) µm"
+    return "Watched point"
 
 
 def _problem_of(recipe: Mapping[str, Any]) -> str:
-    """What a run computes, in a line: the bar, or the mesh and all that acts on it."""
-    mesh, conditions, bodies = recipe["mesh"], recipe["conditions"], recipe["bodies"]
-    acting = [*conditions, *bodies]
+    """Describe a problem in a line: the bar, or the mesh and all that acts on it."""
+    mesh = recipe["mesh"]
+    conditions = recipe["conditions"]
+    acting = [*conditions, *recipe["bodies"]]
     if mesh.get("file"):
         return f"{mesh['file']}: {', '.join(acting)}"
-    sizes = mesh["elements"]  # one number where the mesh was made in Python
-    sizes = [sizes] if isinstance(sizes, int) else sizes
-    elements = f"{' × '.join(map(_words, sizes))} elements"
-    of = f"{_words(mesh['width'])} × {_words(mesh['height'])} µm"
+    counts = mesh["elements"]
+    if isinstance(counts, int):  # the mesh was made in Python
+        counts = [counts]
+    elements = f"{' × '.join(map(_words, counts))} elements"
+    size = f"{_words(mesh['width'])} × {_words(mesh['height'])} µm"
     if acting == ["clamp", "load"] and "acceleration" in conditions["load"]:
         g_x, g_y = (f"{g:g}".replace("-", "−") for g in conditions["load"]["acceleration"])
-        return f"{of} tissue, body force ({g_x}, {g_y}) µm/µs², {elements}"
-    return f"{of}, {elements}: {', '.join(acting)}"
+        return f"{size} tissue, body force ({g_x}, {g_y}) µm/µs², {elements}"
+    return f"{size}, {elements}: {', '.join(acting)}"
 
 
 def _cells_of(recipe: Mapping[str, Any]) -> str:
-    """The preset of each cell, with the constants that are not the preset's."""
+    """Name the preset of each cell, with the constants that are not the preset's."""
     cells = {"": recipe["cell"]} if "cell" in recipe else recipe.get("cells", {})
     titles = []
     for name, cell in cells.items():
         preset = str(cell.get("preset", "none"))
-        known = PRESETS[preset].to_dict() if preset in PRESETS else {}
-        other = {key: cell[key] for key in known if cell.get(key, known[key]) != known[key]}
-        changed = [f"{_words(key)} {_words(value)}" for key, value in other.items()]
+        of_preset = PRESETS[preset].to_dict() if preset in PRESETS else {}
+        changed = []
+        for key, value in of_preset.items():
+            if cell.get(key, value) != value:
+                changed.append(f"{_words(key)} {_words(cell[key])}")
         if len(changed) > _MOST_NAMED:
             changed = [*changed[:_MOST_NAMED], f"{len(changed) - _MOST_NAMED} more constants"]
-        but = f" with {', '.join(changed)}" if changed else ""
-        titles.append(f"cell {name and name + ' '}by preset “{preset}”{but}")
+        constants = f" with {', '.join(changed)}" if changed else ""
+        which = f"cell {name}" if name else "cell"
+        titles.append(f"{which} by preset “{preset}”{constants}")
     return ", ".join(titles)
 
 
@@ -462,16 +550,19 @@ _NAMES = {"none": "", "rve": "RVEs", "cauchy-born": "Cauchy–Born", "tissue": "
 
 
 def _words(entry: Any) -> str:
-    """An entry of a record as people write it: "constrained runs", "5,000"."""
+    """Write an entry of a record as people do: "constrained runs", "5,000"."""
     if isinstance(entry, str):
         return _NAMES.get(entry, entry.translate(str.maketrans("-_", "  ")))
     return f"{entry:,}" if isinstance(entry, int) else f"{entry:,.6g}"
 
 
 def _label(run: StoredRun, reference: StoredRun) -> str:
-    """The folder, and what differs from the title's cell and initialisation."""
-    record, usual = run.record, reference.record
-    notes = [] if run.name == record.law else [_words(record.law)]
+    """Name a run by its folder, with a cell or initialisation that is not the reference's."""
+    record = run.record
+    usual = reference.record
+    notes = []
+    if run.name != record.law:
+        notes.append(_words(record.law))
     if _cells_of(record.recipe) != _cells_of(usual.recipe):
         notes.append(_cells_of(record.recipe))
     if record.initialisation not in ("none", usual.initialisation):
