@@ -8,7 +8,7 @@ import pytest
 
 from surrofe2.cli import console
 from surrofe2.macro import find_modes, find_rest
-from surrofe2.questions import stability
+from surrofe2.questions import cell_image, stability
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.store.fields import read_fields
@@ -224,7 +224,9 @@ def test_wilting_is_written(tmp_path):
     assert (tmp_path / "wilting-apple.png").stat().st_size > 10_000
 
 
-def test_cells_of_an_image_become_a_recipe(tmp_path):
+def test_cells_of_an_image_become_a_recipe(tmp_path, monkeypatch):
+    monkeypatch.setattr(cell_image, "_ENOUGH", 1)
+    monkeypatch.setattr(cell_image, "_CORRECTIONS", 0)
     draw = pytest.importorskip("skimage.draw")
     labels = np.zeros((80, 320), dtype=np.int64)
     for k, half in enumerate((30.0, 24.0, 34.0, 27.0)):

@@ -171,7 +171,9 @@ def test_an_image_without_whole_cells_is_refused():
         measure_cells(squares(), 0.0)
 
 
-def test_an_rve_is_like_the_cells_of_an_image():
+def test_an_rve_is_like_the_cells_of_an_image(monkeypatch):
+    monkeypatch.setattr(cell_image, "_ENOUGH", 1)
+    monkeypatch.setattr(cell_image, "_CORRECTIONS", 1)
     original = living_cell("apple", arrangement="voronoi", cells=6, cell_size=15.0)
     cells = measure_cells(tissue_image(original), 0.25)
     like = rve_like(cells, number=6)
