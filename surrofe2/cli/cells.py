@@ -219,7 +219,7 @@ def zoom(
 
     RVEs, of cached runs too, are solved at the mean F and Ḟ of the element at the point, at the
     times of the run's fields. DIR receives zoom.png, zoom.csv (stretch and tension of walls,
-    turgor, area, contact pressure over time) and fields.xdmf for ParaView.
+    fluid pressure, area, contact pressure over time) and fields.xdmf for ParaView.
 
     Example: surrofe2 zoom out/cached --point 200,12.5
     """
@@ -237,6 +237,7 @@ def zoom(
     console.done(
         folder,
         f"element {look.element} at {len(look.t)} times; at the last wall stretch up "
-        f"to {last['largest_wall_stretch']:.4g}, turgor {last['lowest_turgor_uN_per_um']:.3g} to "
-        f"{last['highest_turgor_uN_per_um']:.3g} µN/µm",
+        f"to {last['largest_wall_stretch']:.4g}, fluid pressure "
+        f"{last['lowest_fluid_pressure_uN_per_um']:.3g} to "
+        f"{last['highest_fluid_pressure_uN_per_um']:.3g} µN/µm",
     )

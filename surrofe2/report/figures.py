@@ -337,7 +337,7 @@ def _held_sides(fields: StoredFields) -> list[_HeldSide]:
 def draw_cells(
     axes: Axes, seen: Particles, k: int, half: float = 0.0
 ) -> tuple[tuple[Colours, Any], tuple[Colours, Any]]:
-    """Draw RVE k with its neighbours: walls by stretch, fluid by turgor.
+    """Draw RVE k with its neighbours: walls by stretch, fluid by pressure.
 
     Fluid particles are dots; a uniform fluid fills areas.
 
@@ -352,7 +352,7 @@ def draw_cells(
         the collection that is drawn in them.
     """
     walls = Colours.of("wall length / rest length", seen.stretch)
-    fluid = Colours.of("turgor (µN/µm)", seen.pressure, "Blues")
+    fluid = Colours.of("fluid pressure (µN/µm)", seen.pressure, "Blues")
     lattice = seen.F[k] @ seen.lattice
     x = seen.position[k]
     n_walls = int(seen.is_wall.sum())

@@ -331,7 +331,7 @@ def _plant_cells(runs: Sequence[StoredRun]) -> Iterator[str]:
             yield _figure(
                 read_bytes(path),
                 "particles of a plant cell at six times",
-                f"{of}, walls by stretch and fluid by turgor",
+                f"{of}, walls by stretch and fluid by pressure",
             )
 
 

@@ -69,9 +69,9 @@ class Particles:
         return {
             "largest_wall_stretch": self.stretch.max(axis=1),
             "largest_wall_tension_uN": self.tension.max(axis=1),
-            "mean_turgor_uN_per_um": self.pressure.mean(axis=1),
-            "lowest_turgor_uN_per_um": self.pressure.min(axis=1),
-            "highest_turgor_uN_per_um": self.pressure.max(axis=1),
+            "mean_fluid_pressure_uN_per_um": self.pressure.mean(axis=1),
+            "lowest_fluid_pressure_uN_per_um": self.pressure.min(axis=1),
+            "highest_fluid_pressure_uN_per_um": self.pressure.max(axis=1),
             "smallest_cell_area_ratio": self.area_ratio.min(axis=1),
             "largest_cell_area_ratio": self.area_ratio.max(axis=1),
             "largest_contact_pressure_uN_per_um": self.contact_pressure.max(axis=1),

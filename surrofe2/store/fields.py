@@ -48,7 +48,7 @@ FRAMES = "frames"
 """The folder of the frames of all of them."""
 _MOST_WAITING, _LONGEST_WAIT = 4e6, 2.0
 """Bytes and seconds of frames that wait to be written together: small ones come quickly."""
-TURGOR_NAME = "turgor_uN_per_um"
+PRESSURE_NAME = "fluid_pressure_uN_per_um"
 _TIME = "<Time Value="
 """How the time of a frame begins in XDMF."""
 _KINDS = {1: "Polyvertex", 2: "Polyline", 3: "Triangle", 4: "Quadrilateral", 6: "Triangle_6"}
@@ -617,23 +617,23 @@ def write_rve_fields(folder: Path, seen: Particles, t: Array) -> None:
         return of_points
 
     now = moved(seen.position, seen.F @ seen.lattice)
-    turgor, contact = np.zeros((2, len(t), particles))
+    pressure, contact = np.zeros((2, len(t), particles))
     contact[:, :walls] = seen.contact_pressure
     if not is_uniform:
-        turgor[:, walls:] = seen.pressure
+        pressure[:, walls:] = seen.pressure
     of_particles = np.stack([seen.is_wall[owner], (shift != 0).any(axis=1)])
     wall, image = np.broadcast_to(of_particles[:, None], (2, len(t), len(owner)))
     at_points = {
         "displacement_um": now - now[0],
         "velocity_um_per_us": moved(seen.velocity, seen.F_dot @ seen.lattice),
         "force_uN": seen.force[:, owner],
-        TURGOR_NAME: turgor[:, owner],
+        PRESSURE_NAME: pressure[:, owner],
         "contact_pressure_uN_per_um": contact[:, owner],
         "wall": wall.astype(np.float64),
         "image": image.astype(np.float64),
     }
     if is_uniform:
-        del at_points[TURGOR_NAME]
+        del at_points[PRESSURE_NAME]
         _write_plant_cells(folder, seen, t)
     of_springs = {"wall_stretch": seen.stretch, "wall_tension_uN": seen.tension}
     write_series(folder, now[0], springs, t, at_points, of_springs)
@@ -653,6 +653,6 @@ def _write_plant_cells(folder: Path, seen: Particles, t: Array) -> None:
         cell_of.append(np.full(len(rim), k))
         first += len(rim) + 1
     now, of = np.concatenate(points, axis=1), np.concatenate(cell_of)
-    in_cells = {TURGOR_NAME: seen.pressure[:, of], "cell_area_ratio": seen.area_ratio[:, of]}
+    in_cells = {PRESSURE_NAME: seen.pressure[:, of], "cell_area_ratio": seen.area_ratio[:, of]}
     motion = {DISPLACEMENT_NAME: now - now[0]}
     write_series(folder, now[0], np.concatenate(triangles), t, motion, in_cells, PLANT_CELLS)

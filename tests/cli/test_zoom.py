@@ -214,7 +214,7 @@ def test_a_uniform_fluid_fills_its_plant_cells(tmp_path):
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
     assert area.sum() == pytest.approx(2500.0 * np.linalg.det(F[1]), rel=1e-12)
-    pressure = np.ravel(in_cells["turgor_uN_per_um"])
+    pressure = np.ravel(in_cells["fluid_pressure_uN_per_um"])
     assert np.unique(pressure).size == 4
     assert (pressure * area).sum() == pytest.approx((seen.pressure[1] * areas_of(seen, 1)).sum())
     bars = draw_cells(Figure().add_subplot(), seen, 1)

@@ -130,7 +130,7 @@ def test_a_look_into_an_rve_agrees_with_the_kernels(name):
     assert abs(seen.force).max() < 1e-6
     assert seen.pressure.shape == seen.density.shape == seen.area_ratio.shape
     assert (seen.contact_pressure > 0.0).all()
-    assert seen.extremes()["highest_turgor_uN_per_um"].shape == (8,)
+    assert seen.extremes()["highest_fluid_pressure_uN_per_um"].shape == (8,)
 
 
 def test_constitutive_law_of_the_sap():

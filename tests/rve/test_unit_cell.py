@@ -159,7 +159,7 @@ def test_fluid_pushes_on_the_walls_with_what_their_tension_carries():
     assert seen.area_ratio == pytest.approx(1.0, rel=1e-9)
     pushes = seen.contact_pressure[0, 1:]  # without the corner, which four plant cells push
     assert pushes.mean() == pytest.approx(seen.tension.mean() / law.cell.cell_side, rel=0.15)
-    assert seen.extremes()["highest_turgor_uN_per_um"] >= seen.pressure.mean()
+    assert seen.extremes()["highest_fluid_pressure_uN_per_um"] >= seen.pressure.mean()
 
 
 def test_a_point_without_stress_is_named():
