@@ -147,6 +147,9 @@ def cells(
         Path, typer.Argument(metavar="IMAGE", help="Labels of cells: TIFF, PNG or NPY, 0 between.")
     ],
     pixel: Annotated[float, typer.Option(metavar="µm", help="Side of a pixel.")],
+    line: Annotated[
+        int, typer.Option(metavar="N", help="Most pixels across a line between cells.")
+    ] = image_of.LINE,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -170,7 +173,8 @@ def cells(
 
     Reports number, area, variation of areas, aspect ratio, direction and neighbours of the cells
     that lie whole within the image. Cells at its border, specks, pieces, holes and places where
-    four cells meet are named. Lines of up to three pixels between cells are divided among them.
+    four cells meet are named. Lines of up to --line pixels between cells are divided among them;
+    what is wider is a hole.
     --out corrects area_variation and elongation until the cells of the RVE at rest are like those
     of the image, and reports how near they come.
 
@@ -178,7 +182,7 @@ def cells(
 
     Next: surrofe2 moduli --cell tissue.toml
     """
-    of_image = image_of.measure_cells(read_labels(image), pixel)
+    of_image = image_of.measure_cells(read_labels(image), pixel, line)
     console.show_table(f"{image.name}, {pixel:g} µm per pixel", image_of.shapes_table(of_image))
     for remark in of_image.remarks():
         console.print_line(remark)

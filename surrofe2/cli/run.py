@@ -48,8 +48,8 @@ def run(
         bool,
         typer.Option(
             "--cell-fields",
-            help="Write wall stretch and tension, pressure of fluid and contacts, area too, by an RVE "
-            "for each element and frame.",
+            help="Write wall stretch, pressures of fluid and contacts, and area too, by an RVE for "
+            "each element and frame.",
         ),
     ] = False,
     initialisation: console.Initialisation = None,

@@ -36,7 +36,8 @@ if TYPE_CHECKING:
 MARK = "# Like "
 """How the recipe of such an RVE begins."""
 LINE = 3
-"""Pixels between cells, in the narrowest direction, up to which they are a line and no hole."""
+"""Pixels between cells, in the narrowest direction, up to which they are a line and no hole, where
+it is not stated."""
 FEWEST_PIXELS = 9
 """Pixels of a cell below which it has no shape."""
 FEWEST_CELLS = 3
@@ -140,24 +141,28 @@ def alignment_of(aspect: Array, direction: Array) -> tuple[float, float]:
     return float(abs(mean)), float(np.rad2deg(np.angle(mean)) / 2.0)
 
 
-def measure_cells(labels: Labels, pixel: float) -> ImagedCells:
+def measure_cells(labels: Labels, pixel: float, line: int = LINE) -> ImagedCells:
     """Measure the cells of a labelled image.
 
     Args:
         labels: (rows, columns), the first row at the top; 0 between cells.
         pixel: side of a pixel, µm.
+        line: most pixels across a line between cells; what is wider is a hole.
 
     Raises:
-        InputError: the pixel has no size, or fewer than `FEWEST_CELLS` cells are whole.
+        InputError: the pixel has no size, the line fewer than 0 pixels, or fewer than
+            `FEWEST_CELLS` cells are whole.
     """
     if not 0.0 < pixel < np.inf:
         raise InputError(f"--pixel: {pixel}; it must be positive (µm)")
+    if line < 0:
+        raise InputError(f"--line: {line}; it must be at least 0 (pixels)")
     whole, pieces = _largest_pieces(labels)
     count = np.bincount(whole.ravel())
     count[0] = 0
     few = (count > 0) & (count < FEWEST_PIXELS)
     whole[few[whole]] = 0
-    filled = _without_lines(whole)
+    filled = _without_lines(whole, line)
     at_border = np.zeros(len(count), dtype=np.bool_)
     for side in (filled[0], filled[-1], filled[:, 0], filled[:, -1]):
         at_border[side] = True
@@ -213,15 +218,16 @@ def _largest_pieces(labels: Labels) -> tuple[Labels, int]:
     return numbered, several
 
 
-def _without_lines(labels: Labels) -> Labels:
-    """Labels whose lines of at most `LINE` pixels between cells belong to the nearest cell."""
+def _without_lines(labels: Labels, line: int) -> Labels:
+    """Labels whose lines of at most so many pixels between cells belong to the nearest cell."""
     empty = labels == 0
     if not empty.any():
         return labels
     # what holds a square of more pixels is no line; beyond the image there may be more of it
-    square = np.ones((LINE + 1, LINE + 1), dtype=np.bool_)
-    room = np.pad(empty, LINE + 1, constant_values=True)
-    wide = scipy.ndimage.binary_opening(room, square)[LINE + 1 : -LINE - 1, LINE + 1 : -LINE - 1]
+    wider = line + 1
+    square = np.ones((wider, wider), dtype=np.bool_)
+    room = np.pad(empty, wider, constant_values=True)
+    wide = scipy.ndimage.binary_opening(room, square)[wider:-wider, wider:-wider]
     nearest = scipy.ndimage.distance_transform_edt(
         empty, return_distances=False, return_indices=True
     )

@@ -145,6 +145,18 @@ def test_a_hole_is_no_cell_and_cells_beside_it_have_no_number_of_neighbours():
     assert any("1 holes are 2 % of the area" in remark for remark in cells.remarks())
 
 
+def test_how_wide_a_line_may_be_is_stated():
+    image = squares(line=5)
+    wide = measure_cells(image, 1.0)
+    assert wide.area.mean() == pytest.approx(225.0)
+    assert (wide.neighbours == -1).all()
+    lines = measure_cells(image, 1.0, line=5)
+    assert lines.area.mean() == pytest.approx(400.0)
+    np.testing.assert_array_equal(lines.neighbours, 4)
+    with pytest.raises(InputError, match="--line: -1; it must be at least 0"):
+        measure_cells(image, 1.0, line=-1)
+
+
 def test_specks_and_pieces_are_named():
     image = squares()
     image[30, 30] = 99  # one pixel within cell 7
