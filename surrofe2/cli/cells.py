@@ -182,20 +182,21 @@ def cells(
 
     Next: surrofe2 moduli --cell tissue.toml
     """
+    if out is not None:
+        if out.suffix != ".toml":
+            raise InputError(f"--out: {quoted(out.name)}; it must end in .toml")
+        if preset not in LIVING:
+            raise unknown(f"--preset: {quoted(preset)}", preset, "preset of living cells", LIVING)
+        check_replaceable(out, "recipe that `cells` wrote", image_of.MARK)
+        if out.exists() and not fresh:
+            raise InputError(f"{out}: it is there; --fresh writes this one in its place")
+        picture = picture or out.with_suffix(".png")
     of_image = image_of.measure_cells(read_labels(image), pixel, line)
     console.show_table(f"{image.name}, {pixel:g} µm per pixel", image_of.shapes_table(of_image))
     for remark in of_image.remarks():
         console.print_line(remark)
     like = None
     if out is not None:
-        if out.suffix != ".toml":
-            raise InputError(f"--out: {quoted(out.name)}; it must end in .toml")
-        picture = picture or out.with_suffix(".png")
-        if preset not in LIVING:
-            raise unknown(f"--preset: {quoted(preset)}", preset, "preset of living cells", LIVING)
-        check_replaceable(out, "recipe that `cells` wrote", image_of.MARK)
-        if out.exists() and not fresh:
-            raise InputError(f"{out}: it is there; --fresh writes this one in its place")
         with console.working("RVE", 1.0, "parts", "nothing was changed") as report:
             like = image_of.rve_like(of_image, preset, number, progress=lambda x: report(x, ""))
         wanted = image_of.Shapes.of_image(of_image)

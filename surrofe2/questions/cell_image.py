@@ -114,21 +114,16 @@ class ImagedCells:
     def remarks(self) -> Iterator[str]:
         """A sentence on each thing of the image that is no whole cell among cells."""
         if self.cut:
-            yield f"{self.cut} cells are cut by the border of the image and left out"
+            yield f"cells that the border of the image cuts, left out: {self.cut}"
         if self.small:
-            yield f"{self.small} cells of fewer than {FEWEST_PIXELS} pixels are left out"
+            yield f"cells of fewer than {FEWEST_PIXELS} pixels, left out: {self.small}"
         if self.pieces:
-            yield f"{self.pieces} cells are in pieces; the largest of each is taken"
+            yield f"cells in pieces, of which the largest is taken: {self.pieces}"
         if self.holes:
-            yield (
-                f"{self.holes} holes are {100.0 * self.hole_fraction:.2g} % of the area; an RVE "
-                "has no air spaces"
-            )
+            percent = 100.0 * self.hole_fraction
+            yield f"holes: {self.holes}, {percent:.2g} % of the area; an RVE has no air spaces"
         if self.corners:
-            yield (
-                f"four cells meet at {self.corners} places; those across are not counted as "
-                "neighbours"
-            )
+            yield f"places where four cells meet, no neighbours across: {self.corners}"
 
 
 def alignment_of(aspect: Array, direction: Array) -> tuple[float, float]:

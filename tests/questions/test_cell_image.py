@@ -131,7 +131,7 @@ def test_cells_at_the_border_are_neighbours_alone_and_lines_belong_to_cells(line
     # four meet at a corner: those across are no neighbours
     assert cells.corners == 16
     np.testing.assert_array_equal(cells.neighbours, 4)
-    assert any("four cells meet at" in remark for remark in cells.remarks())
+    assert any("four cells meet" in remark for remark in cells.remarks())
     assert list(cells.label) == [7, 8, 9, 12, 13, 14, 17, 18, 19]
 
 
@@ -142,7 +142,7 @@ def test_a_hole_is_no_cell_and_cells_beside_it_have_no_number_of_neighbours():
     assert (len(cells.area), cells.holes) == (24, 1)
     assert cells.hole_fraction == pytest.approx(1 / 49)
     assert (cells.neighbours == -1).sum() == 4
-    assert any("1 holes are 2 % of the area" in remark for remark in cells.remarks())
+    assert any("holes: 1, 2 % of the area" in remark for remark in cells.remarks())
 
 
 def test_how_wide_a_line_may_be_is_stated():
@@ -165,8 +165,8 @@ def test_specks_and_pieces_are_named():
     assert (cells.small, cells.pieces, cells.holes) == (1, 1, 0)
     np.testing.assert_allclose(cells.area, 400.0)
     remarks = " ".join(cells.remarks())
-    assert "1 cells of fewer than 9 pixels" in remarks
-    assert "1 cells are in pieces" in remarks
+    assert "fewer than 9 pixels, left out: 1" in remarks
+    assert "the largest is taken: 1" in remarks
 
 
 def test_labels_may_be_any_numbers():
