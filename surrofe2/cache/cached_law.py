@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from surrofe2.base.arrays import Array, Flags
 from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import QUANTITIES, farthest_out
+from surrofe2.base.simd import TILE
 from surrofe2.base.tensors import to_inputs
 from surrofe2.cache.audit import Audit
 from surrofe2.cache.branches import (
@@ -24,6 +25,7 @@ from surrofe2.cache.branches import (
     PointSet,
     are_unique,
     choose_branches,
+    look_up,
     look_up_free,
 )
 from surrofe2.cache.closing_audit import ClosingAudit, Solved
@@ -506,13 +508,43 @@ class CachedLaw(Viewed):
         state = replace(state, on_fallback=state.on_fallback.and_also(new))
         return replace(response, stress=stress, status=status, state=state)
 
+    def learn_ahead(self, F: Array, F_dot: Array, switched: NDArray[np.int8]) -> NDArray[np.int8]:
+        """As of `ForesightLaw`: the table learns from RVEs at points that lie apart, a tile at a
+        time, as long as that answers further points."""
+        table, limit, reach = self.table, self._trust.limit, np.array(self._trust.reach)
+        left = switched.copy()
+        if table is None or limit < 0.0:
+            return left
+        hopeless = np.zeros(len(left), dtype=np.bool_)
+        while table.size < table.most_records:
+            points = np.flatnonzero((left != 0) & ~hopeless)
+            if not len(points):
+                break
+            chosen = points[table.apart(F[points], F_dot[points])[:TILE]]
+            at = F[chosen], F_dot[chosen]
+            answer = self.fallback.accept(*at, self.fallback.respond(*at))
+            table.counts["table_rve_solves"] += len(chosen)
+            learnt = (are_unique(answer.state, len(chosen)) & (answer.status == 0)).nonzero()[0]
+            hopeless[chosen] = True  # each is asked once, whatever comes of it
+            if len(learnt):
+                state = None if answer.state is None else answer.state.take(learnt)
+                table.learn(at[0][learnt], at[1][learnt], answer.stress[learnt], state)
+            open_points = np.flatnonzero(left)
+            of_open = F[open_points], F_dot[open_points]
+            status = look_up(self.surrogate, *of_open, limit, reach)[1]
+            left[open_points[status == 0]] = 0
+        return left
+
     def _choose_branches(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         """Choose the branches of the next step, looking ahead to where it will end."""
         state: CachedState = response.state
         limit, reach = self._trust.limit, np.array(self._trust.reach)
         known, stress = state.on_fallback, response.stress
+        # At rest a table learns within the step, where it is needed; elsewhere it looks ahead.
+        is_learning = self.table is not None and not F_dot.any()
+        seen = replace(state, before=None) if is_learning else state
         leaving, of_surrogate, status, returning = choose_branches(
-            self.surrogate, F, F_dot, state, limit, reach
+            self.surrogate, F, F_dot, seen, limit, reach
         )
         self._counts["in_domain"] += int((status != Status.OUT_OF_RANGE).sum())
         if returning.any():

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import InputError
+from surrofe2.law.ahead import ForesightLaw
 from surrofe2.law.bifurcation import beyond_bifurcation
 from surrofe2.law.stress_law import (
     AuditedLaw,
@@ -117,6 +118,14 @@ class RegionalLaw(Viewed):
             for (law, own), part in zip(self._parts, parts, strict=True)
         ]
         return self._together(response, answers, parts)
+
+    def learn_ahead(self, F: Array, F_dot: Array, switched: NDArray[np.int8]) -> NDArray[np.int8]:
+        """As of `ForesightLaw`, of the laws that can."""
+        left = switched.copy()
+        for law, own in self._parts:
+            if switched[own].any() and isinstance(law, ForesightLaw):
+                left[own] = law.learn_ahead(F[own], F_dot[own], switched[own])
+        return left
 
     @property
     def is_audited(self) -> bool:

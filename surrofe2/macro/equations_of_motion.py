@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from surrofe2.base.arrays import Array
 from surrofe2.base.clock import clock
 from surrofe2.base.errors import InputError
+from surrofe2.law.ahead import ForesightLaw
 from surrofe2.law.stress_law import (
     Status,
     StressLaw,
@@ -226,6 +227,19 @@ class EquationsOfMotion:
         self.tally.law_seconds += clock() - started
         self.tally.counts["repeated_steps"] += 1
         return self._begin(start, restarted)
+
+    def learn_ahead(self, t: float, switched: Switched) -> NDArray[np.int8]:
+        """(n_points,) why points still must leave their branch, after the law has learnt at the
+        trial that found them."""
+        if not isinstance(self.law, ForesightLaw):
+            return switched.points
+        u, v = self.system.spread(switched.y, t, self.within)
+        F, F_dot, _ = deformation_gradient(self.discretisation, self.system.from_mesh(u), v)
+        self.is_committing = True
+        started = clock()
+        left = self.law.learn_ahead(F, F_dot, switched.points)
+        self.tally.law_seconds += clock() - started
+        return left
 
     def dissipation_rates(self, now: Evaluation) -> Array | None:
         """(n_el,) ∫ J (σ(F, Ḟ) − σ(F, 0)) : L dV of each element, pJ/µs; None without σ(F, 0).

@@ -625,8 +625,13 @@ class Newton:
                 now, slopes = self._iterated(factor, begin() if u is None else u, residuals)
                 start = self.equations.accept(now)
             except Switched as switched:
-                self.equations.restart_step(switched.points)
-                u, residuals = None, []
+                points = self.equations.learn_ahead(factor, switched)
+                residuals = []
+                if points.any():
+                    self.equations.restart_step(points)
+                    u = None
+                else:  # the law has learnt all that the trial needs, so go on from it
+                    u = switched.y[: switched.y.size // 2]
                 continue
             if start is now or start.response.left_bifurcation is None:
                 return now, residuals, slopes

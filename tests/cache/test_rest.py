@@ -112,6 +112,33 @@ def test_points_beyond_a_bifurcation_are_those_of_the_fallback():
     assert "beyond bifurcation" not in find_rest(LOAD_CASE, learning(), SETTINGS).history
 
 
+def test_a_table_learns_within_a_load_step_instead_of_leaving_points_to_rves():
+    """One load step is as good as eight, and far fewer RVEs are solved than there are points."""
+    law = learning()
+    law.table.learn_rest()
+    rest = find_rest(LOAD_CASE, law, SETTINGS, factor=2.0, load_steps=1)
+    assert law.counts["fallbacks"] == 0
+    assert 0 < law.table.counts["table_rve_solves"] < 9 * 40
+    assert law.table.size < 40
+    true = find_rest(LOAD_CASE, Truth(), SETTINGS, factor=2.0, load_steps=1)
+    assert abs(rest.u - true.u).max() < 2e-3 * abs(true.u).max()
+
+
+def test_points_where_nothing_can_be_learnt_are_left_to_rves():
+    """Beyond a bifurcation the table takes no answer in."""
+    wide = SamplingRange(stretch=(0.9, 1.1), shear=0.1, rate=0.01)
+    truth = TellingTruth()
+    truth.respond = lambda F, F_dot, state=None, tangents=False: replace(
+        Truth.respond(truth, F, F_dot, tangents=tangents), state=PointStates(F, 0.999)
+    )
+    table = StressTable(Truth(), 0.02, wide, 10.0)
+    law = CachedLaw(table, truth, CacheSettings(tolerance=0.006, audit=0.0))
+    rest = find_rest(LOAD_CASE, law, SETTINGS, factor=2.0, load_steps=2)
+    assert law.counts["fallbacks"] > 0
+    true = find_rest(LOAD_CASE, Truth(), SETTINGS, factor=2.0, load_steps=2)
+    assert abs(rest.u - true.u).max() < 2e-3 * abs(true.u).max()
+
+
 def test_a_table_that_learns_comes_to_the_true_rest(true):
     """By tangents of its own answers: as many Newton corrections as by the true law, about."""
     law = learning()

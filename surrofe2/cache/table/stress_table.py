@@ -215,6 +215,11 @@ class StressTable:
                     self.size,
                 )
 
+    def apart(self, F: Array, F_dot: Array) -> Index:
+        """Numbers of states that lie apart, none in the ellipsoid of another if all are like that
+        of the latest record; F, F_dot: (m, 2, 2)."""
+        return self._apart(to_inputs(F, F_dot)[0])
+
     def learn_rest(self) -> None:
         """Make the undeformed state a record, at which all points of a tissue begin."""
         F, F_dot = np.eye(2)[None], np.zeros((1, 2, 2))

@@ -1,0 +1,27 @@
+"""Laws that learn where a step is about to go, so that fewer points leave their branch."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.base.arrays import Array
+from surrofe2.law.stress_law import StressLaw
+
+
+@runtime_checkable
+class ForesightLaw(StressLaw, Protocol):
+    """A switching law that can learn at the states of a trial that points would leave it for."""
+
+    def learn_ahead(self, F: Array, F_dot: Array, switched: NDArray[np.int8]) -> NDArray[np.int8]:
+        """Learn at some of the points that `StressResponse.switched` marks.
+
+        Args:
+            F, F_dot: (n, 2, 2) of the trial.
+            switched: (n,) why points must leave their branch, 0 where they need not.
+
+        Returns:
+            (n,) the same of the points that still must leave.
+        """
