@@ -20,12 +20,12 @@ from surrofe2.run.charts import Curve, Panel, draw_panels, encoded, in_words
 from surrofe2.store.run_folder import StoredRun, caches_of
 from surrofe2.store.store import write_bytes
 
+# Curves of displacement over time that are drawn; more could not be told apart.
 _MOST_CURVES = 12
-"""Of displacements over time that are drawn; more are not told apart."""
+# A displacement that varies less over the grid, relative to the largest, is prescribed.
 _SAME = 1e-3
-"""Of the largest displacement: one that varies less is prescribed."""
+# Positive values that are so many times apart have a logarithmic axis.
 _DECADE = 10.0
-"""Positive values that are so many times apart stand on a logarithm."""
 
 Facts = Mapping[str, Any]
 
@@ -51,45 +51,63 @@ def grid_row(
     error: str | None,
     chosen: Sequence[Chosen] = (),
 ) -> GridRow:
-    """A row; true: the run of the same values by RVEs, if there is one; chosen: what is asked of
-    the run besides, where nothing is the peaks of its forces."""
+    """Make the row of a run.
+
+    Args:
+        values: values of the entries that change, by dotted name.
+        law: law of the run.
+        name: name of the run.
+        run: the run; None where it failed.
+        true: the run of the same values by RVEs, if there is one.
+        error: message of a run that failed.
+        chosen: quantities that are asked of the run besides; none: the peaks of its forces.
+    """
     facts: dict[str, Any] = {**values, "law": law, "run": name, "error": error}
     if run is None:
         return GridRow(facts, run)
-    counts, caches = run.record.counts, [*caches_of(run.record.cache).values()]
+    counts = run.record.counts
+    caches = [*caches_of(run.record.cache).values()]
     facts |= {
         "largest displacement": float(np.linalg.norm(run.curve.displacement, axis=1).max()),
         "wall time": run.record.wall_time["total"],
         "beyond a bifurcation": run.record.met.get(BUCKLED, {}).get("points") or None,
         "RVE solves": counts.get("rve_solves", 0),
     }
-    for each in chosen or peaks_of(run):
-        facts[each.name], facts[f"unit of {each.name}"] = each.of(run)
+    for quantity in chosen or peaks_of(run):
+        value, unit = quantity.of(run)
+        facts[quantity.name] = value
+        facts[f"unit of {quantity.name}"] = unit
     computed = counts.get("hits", 0) + counts.get("fallbacks", 0)
     if computed:
         facts["hits"] = counts["hits"] / computed
-    if caches:  # of several the worst
-        audits = [cache["audit"] for cache in caches]
-        wrong, audited = (sum(audit[k] for audit in audits) for k in ("violations", "audited"))
-        facts |= {
-            "tolerance": max(float(cache["tolerance"]["share"]) for cache in caches),
-            "above": f"{wrong} of {audited}",
-            "switched off": any(cache["trust"]["off"] for cache in caches) or None,
-        }
-    errors = [
-        cache["audit"]["quantiles"]["0.99"] / cache["tolerance"]["spread"]
-        for cache in caches
-        if cache["audit"]["quantiles"] and cache["tolerance"]["spread"]
-    ]
-    facts["stress error"] = max(errors, default=None)
+    facts |= _facts_of_caches(caches)
     if true is not None and law != "rve":
-        against = compared_run(run, true)
+        compared = compared_run(run, true)
         facts |= {
-            "displacement error": against.difference.largest,
-            "speed-up": against.speed_up["wall_time"],
-            "all counted": against.balance and against.balance.gain,
+            "displacement error": compared.difference.largest,
+            "speed-up": compared.speed_up["wall_time"],
+            "all counted": compared.balance and compared.balance.gain,
         }
     return GridRow(facts, run)
+
+
+def _facts_of_caches(caches: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return what the columns show of the caches of a run; of several, the worst."""
+    errors = []
+    for cache in caches:
+        quantiles = cache["audit"]["quantiles"]
+        spread = cache["tolerance"]["spread"]
+        if quantiles and spread:
+            errors.append(quantiles["0.99"] / spread)
+    facts: dict[str, Any] = {}
+    if caches:
+        wrong = sum(cache["audit"]["violations"] for cache in caches)
+        audited = sum(cache["audit"]["audited"] for cache in caches)
+        facts["tolerance"] = max(float(cache["tolerance"]["share"]) for cache in caches)
+        facts["above"] = f"{wrong} of {audited}"
+        facts["switched off"] = any(cache["trust"]["off"] for cache in caches) or None
+    facts["stress error"] = max(errors, default=None)
+    return facts
 
 
 QUANTITIES: tuple[Quantity[Facts], ...] = (
@@ -112,7 +130,13 @@ QUANTITIES: tuple[Quantity[Facts], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Runs of a recipe, called so, by the values of its entries."""
+    """Runs of a recipe over a grid of values.
+
+    Attributes:
+        recipe: name of the recipe.
+        values: values of each entry that the grid changes, by dotted name.
+        rows: the runs.
+    """
 
     recipe: str
     values: Mapping[str, tuple[Any, ...]]
@@ -125,16 +149,19 @@ class Grid:
 
     @property
     def table(self) -> Table[Facts]:
-        """What people read of it."""
+        """The runs in a table, whose first columns name them."""
         naming = [_of_entry(name, self.values) for name in self.values]
-        naming += [Quantity("law", "", "")] * self.has_laws
-        known = {fact for row in self.rows for fact in row.facts}
-        shown = (  # either seconds or how many times faster: a line has 80 columns
-            replace(each, format=None) if each.name == "wall time" and "speed-up" in known else each
-            for each in QUANTITIES
-        )
+        if self.has_laws:
+            naming.append(Quantity("law", "", ""))
         asked: list[Quantity[Facts]]
         asked = [Quantity(name, unit, ".5g") for name, unit in self.asked.items()]
+        has_speed_up = any("speed-up" in row.facts for row in self.rows)
+        shown = []
+        for quantity in QUANTITIES:
+            if quantity.name == "wall time" and has_speed_up:
+                # either seconds or how many times faster: a line has 80 columns
+                quantity = replace(quantity, format=None)
+            shown.append(quantity)
         return Table((*naming, *asked, *shown), [row.facts for row in self.rows], len(naming))
 
     @property
@@ -145,9 +172,9 @@ class Grid:
         for row in self.rows:
             for fact, unit in row.facts.items():
                 if fact.startswith(begin):
-                    units[fact.removeprefix(begin)] = unit or units.get(
-                        fact.removeprefix(begin), ""
-                    )
+                    name = fact.removeprefix(begin)
+                    # a run without the quantity does not know its unit
+                    units[name] = unit or units.get(name, "")
         return units
 
     @property
@@ -156,7 +183,7 @@ class Grid:
         return {row.facts["run"]: row.facts["error"] for row in self.rows if row.facts["error"]}
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for grid.json."""
+        """Return plain values for grid.json."""
         return {
             "recipe": self.recipe,
             "values": self.values,
@@ -166,23 +193,28 @@ class Grid:
 
 
 def _short(name: str, among: Iterable[str]) -> str:
-    """An entry without its section, where no other is called so."""
+    """Return the name of an entry without its section, where no other of them is called so."""
     key = name.partition(".")[2]
-    return key if sum(other.partition(".")[2] == key for other in among) == 1 else name
+    same = [other for other in among if other.partition(".")[2] == key]
+    return key if len(same) == 1 else name
 
 
 def _of_entry(name: str, among: Iterable[str]) -> Quantity[Facts]:
-    """The column of an entry."""
+    """Return the column of an entry; its unit is that of the setting."""
     section, *parts = name.split(".")
-    if section == "cells":
-        section, parts = "cell", parts[1:]
-    items = fields(SECTIONS[section]) if section in SECTIONS else ()
-    units = [each.metadata.get("unit", NONE) for each in items if each.name == parts[0]]
-    unit = next((each for each in units if each != NONE), "")
+    if section == "cells":  # cells.NAME.entry is an entry of a cell
+        section = "cell"
+        parts = parts[1:]
+    unit = ""
+    for item in fields(SECTIONS[section]) if section in SECTIONS else ():
+        if item.name == parts[0] and item.metadata.get("unit", NONE) != NONE:
+            unit = item.metadata["unit"]
 
     def get(facts: Facts) -> Any:
         value = facts.get(name)
-        return value if value is None or _is_number(value) else text_of(value)
+        if value is None or _is_number(value):
+            return value
+        return text_of(value)
 
     def shown(value: Any) -> str:
         return value if isinstance(value, str) else f"{value:g}"
@@ -191,6 +223,7 @@ def _of_entry(name: str, among: Iterable[str]) -> Quantity[Facts]:
 
 
 def _is_number(value: Any) -> bool:
+    """Return whether a value is a number; truths are none."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
@@ -202,77 +235,109 @@ _PANELS = (
     ("speed-up", "times faster than full FE²", False),
     ("wall time", "wall time (s)", False),
 )
-"""Quantities that are drawn over the values, label of their axis, and whether it is logarithmic."""
+"""Quantities that are drawn over the values: name, label of the axis, whether it is logarithmic."""
 
 
 def write_grid_plot(path: Path, grid: Grid) -> None:
-    """Draw displacements over time, and what runs came to over the first entry that changes."""
-    law = grid.rows[0].facts["law"]
-    changing = [name for name, values in grid.values.items() if len(values) > 1]
-
-    def words(facts: Facts, names: Sequence[str]) -> str:
-        known = [name for name in names if name in facts]
-        return ", ".join(f"{_short(name, grid.values)} {text_of(facts[name])}" for name in known)
-
+    """Draw displacements over time, and quantities over the first entry that changes."""
+    changing = _changing(grid)
     panels: list[Panel] = []
-    finished = [  # the curves of other laws would lie on those of the first
-        (words(row.facts, changing) or law, row.run.curve)
-        for row in grid.rows
-        if row.run is not None and row.facts["law"] == law
-    ]
-    if finished:
-        some = np.linspace(0, len(finished) - 1, min(len(finished), _MOST_CURVES)).round()
-        shown = [finished[int(k)] for k in np.unique(some)]
-        sizes = np.array([abs(curve.displacement).max(axis=0) for _, curve in shown])
-        axis = int(sizes.max(axis=0).argmax())  # the larger component of the watched displacement
-        lines = (
-            Curve("", curve.t, curve.displacement[:, axis], label, markers=False)
-            for label, curve in shown
-        )
-        clock = next(row.run.clock for row in grid.rows if row.run is not None)
-        panels.append(Panel(clock, f"displacement $u_{'xy'[axis]}$ (µm)", tuple(lines)))
-    groups: dict[str, list[Facts]] = {}
-    for facts, _ in grid.rows if changing else ():
-        if changing[0] in facts:
-            parts = words(facts, changing[1:]), facts["law"] if grid.has_laws else ""
-            groups.setdefault(", ".join(filter(None, parts)) or grid.recipe, []).append(facts)
-    if groups:
-        panels += _over_values(grid, changing[0], groups)
-    spans = ([text_of(each) for each in values] for values in grid.values.values())
-    ends = (span[0] if len(span) == 1 else f"{span[0]} … {span[-1]}" for span in spans)
-    of = ", ".join(f"{name} {span}" for name, span in zip(grid.values, ends, strict=True))
-    figure = draw_panels(panels, 2, title=f"{grid.recipe}: {of}")
+    over_time = _over_time(grid, changing)
+    if over_time is not None:
+        panels.append(over_time)
+    if changing:
+        groups: dict[str, list[Facts]] = {}  # rows that differ in the first entry alone
+        for facts, _ in grid.rows:
+            if changing[0] in facts:
+                label = _values_in_words(grid, facts, changing[1:])
+                if grid.has_laws:
+                    label = f"{label}, {facts['law']}" if label else facts["law"]
+                groups.setdefault(label or grid.recipe, []).append(facts)
+        if groups:
+            panels += _over_values(grid, changing[0], groups)
+    spans = []
+    for name, values in grid.values.items():
+        span = text_of(values[0])
+        if len(values) > 1:
+            span = f"{span} … {text_of(values[-1])}"
+        spans.append(f"{name} {span}")
+    figure = draw_panels(panels, 2, title=f"{grid.recipe}: {', '.join(spans)}")
     write_bytes(path, encoded(figure, "png"))
 
 
+def _changing(grid: Grid) -> list[str]:
+    """Return the entries that have more than one value."""
+    return [name for name, values in grid.values.items() if len(values) > 1]
+
+
+def _values_in_words(grid: Grid, facts: Facts, names: Sequence[str]) -> str:
+    """Write the values that a row has of some entries."""
+    values = [
+        f"{_short(name, grid.values)} {text_of(facts[name])}" for name in names if name in facts
+    ]
+    return ", ".join(values)
+
+
+def _over_time(grid: Grid, changing: Sequence[str]) -> Panel | None:
+    """Draw the watched displacement of some runs over time; None where no run has ended.
+
+    They are runs by the first law, for the curves of others would lie on theirs.
+    """
+    law = grid.rows[0].facts["law"]
+    labelled = [
+        (_values_in_words(grid, row.facts, changing) or law, row.run.curve)
+        for row in grid.rows
+        if row.run is not None and row.facts["law"] == law
+    ]
+    if not labelled:
+        return None
+    count = min(len(labelled), _MOST_CURVES)
+    evenly = np.unique(np.linspace(0, len(labelled) - 1, count).round())
+    shown = [labelled[int(k)] for k in evenly]
+    largest = np.array([abs(curve.displacement).max(axis=0) for _, curve in shown])
+    axis = int(largest.max(axis=0).argmax())  # the larger component of the watched displacement
+    curves = tuple(
+        Curve("", curve.t, curve.displacement[:, axis], label, markers=False)
+        for label, curve in shown
+    )
+    clock = next(row.run.clock for row in grid.rows if row.run is not None)
+    return Panel(clock, f"displacement $u_{'xy'[axis]}$ (µm)", curves)
+
+
 def map_of(grid: Grid) -> tuple[str, Array] | None:
-    """What a map over two entries shows, and its values (n, m), NaN where a run failed; None where
-    not exactly two entries change, or there are runs by several laws."""
-    changing = [name for name, values in grid.values.items() if len(values) > 1]
+    """Return the label of a map over two entries, and its values (n, m), NaN where a run failed.
+
+    There is no map (None) where not exactly two entries change, or there are several laws.
+    """
+    changing = _changing(grid)
     if len(changing) != 2 or grid.has_laws:
         return None
     first, second = changing
     name = next(iter(grid.asked), "largest displacement")
     unit = grid.asked.get(name, "µm")
-    places = [{text_of(each): k for k, each in enumerate(grid.values[entry])} for entry in changing]
-    found = np.full((len(places[0]), len(places[1])), np.nan)
+    row_of = {text_of(value): i for i, value in enumerate(grid.values[first])}
+    column_of = {text_of(value): j for j, value in enumerate(grid.values[second])}
+    values = np.full((len(row_of), len(column_of)), np.nan)
     for facts, _ in grid.rows:
         value = facts.get(name)
         if value is not None:
-            found[places[0][text_of(facts[first])], places[1][text_of(facts[second])]] = value
-    return (f"{name} ({unit})" if unit else name), found
+            values[row_of[text_of(facts[first])], column_of[text_of(facts[second])]] = value
+    label = f"{name} ({unit})" if unit else name
+    return label, values
 
 
 def write_grid_map(path: Path, grid: Grid) -> bool:
-    """Draw a quantity over the two entries that change, a field for each run; whether there are two
-    such entries and it was drawn."""
+    """Draw a quantity over the two entries that change, a field for each run.
+
+    Return whether it was drawn: there must be two such entries, see `map_of`.
+    """
     from matplotlib.figure import Figure
 
     shown = map_of(grid)
     if shown is None:
         return False
     label, values = shown
-    first, second = [name for name, each in grid.values.items() if len(each) > 1]
+    first, second = _changing(grid)
     figure = Figure(figsize=(2.4 + 0.9 * values.shape[1], 2.2 + 0.5 * values.shape[0]))
     figure.set_layout_engine("constrained")
     axes = figure.subplots()
@@ -280,6 +345,7 @@ def write_grid_map(path: Path, grid: Grid) -> bool:
     for (i, j), value in np.ndenumerate(values):
         if np.isfinite(value):
             red, green, blue, _ = image.to_rgba(np.array(value))
+            # brightness as eyes see it
             is_dark = 0.3 * red + 0.6 * green + 0.1 * blue < 0.5
             colour = "white" if is_dark else "black"
             axes.text(j, i, f"{value:.3g}", ha="center", va="center", fontsize=8, color=colour)
@@ -292,48 +358,82 @@ def write_grid_map(path: Path, grid: Grid) -> bool:
 
 
 def _is_prescribed(groups: Mapping[str, list[Facts]]) -> bool:
-    """Whether the largest displacement is the same everywhere, as a prescribed one is."""
-    found = [facts["largest displacement"] for rows in groups.values() for facts in rows
-             if "largest displacement" in facts]  # fmt: skip
-    return len(found) > 1 and float(np.ptp(found)) < _SAME * max(found)
+    """Return whether the largest displacement is the same everywhere, as a prescribed one is."""
+    displacements = []
+    for rows in groups.values():
+        for facts in rows:
+            if "largest displacement" in facts:
+                displacements.append(facts["largest displacement"])
+    if len(displacements) < 2:
+        return False
+    return float(np.ptp(displacements)) < _SAME * max(displacements)
 
 
 def _over_values(grid: Grid, over: str, groups: Mapping[str, list[Facts]]) -> list[Panel]:
-    """The quantities over an entry, whose values are marked one by one where they are no numbers;
-    a curve for each group."""
+    """Draw quantities over an entry, a curve for each group.
+
+    Values that are no numbers are marked one by one.
+    """
     values = grid.values[over]
-    are_numbers = all(map(_is_number, values))
-    places = {text_of(each): float(each if are_numbers else k) for k, each in enumerate(values)}
-    x_ticks, panels = [*places.values()], dict[str, Panel]()
+    are_numbers = all(_is_number(value) for value in values)
+    places = {text_of(value): float(value if are_numbers else k) for k, value in enumerate(values)}
+    lowest = min(places.values())
+    highest = max(places.values())
+    is_wide = lowest > 0.0 and highest > _DECADE * lowest
     asked = [
         (name, f"{name} ({unit})" if unit else name, False) for name, unit in grid.asked.items()
     ]
+    panels: dict[str, Panel] = {}
     for name, y_label, log_y in (*asked, *_PANELS):
         if name == "largest displacement" and _is_prescribed(groups):
             continue
-        curves = []
-        for k, (label, rows) in enumerate(groups.items()):
-            if name == "largest displacement" and rows[0]["law"] != grid.rows[0].facts["law"]:
-                continue
-            rows = sorted(rows, key=lambda facts: places[text_of(facts[over])])
-            x = np.array([places[text_of(facts[over])] for facts in rows])
-            y, tolerance = (
-                np.array([facts.get(fact) for facts in rows], dtype=np.float64)  # None: NaN
-                for fact in (name, "tolerance")
-            )
-            if not np.isnan(y).all():
-                curves.append(Curve("", x, y, label, colour=k))
-                if name == "stress error":
-                    curves.append(Curve("reference", x, tolerance, "tolerance of stress"))
-        if curves and not (name == "wall time" and "speed-up" in panels):
+        if name == "wall time" and "speed-up" in panels:  # one says what the other does
+            continue
+        curves = _curves_over_values(grid, over, groups, places, name)
+        if curves:
             panels[name] = Panel(
                 _of_entry(over, grid.values).heading,
                 y_label,
                 tuple(curves),
-                log_x=are_numbers and min(x_ticks) > 0.0 and max(x_ticks) > _DECADE * min(x_ticks),
+                log_x=are_numbers and is_wide,
                 log_y=log_y,
-                x_ticks=() if are_numbers else tuple(x_ticks),
+                x_ticks=() if are_numbers else tuple(places.values()),
                 x_names=() if are_numbers else tuple(places),
                 zero=not log_y and name != "largest displacement",
             )
     return [*panels.values()]
+
+
+def _curves_over_values(
+    grid: Grid,
+    over: str,
+    groups: Mapping[str, list[Facts]],
+    places: Mapping[str, float],
+    name: str,
+) -> list[Curve]:
+    """Return the curves of one quantity over an entry, one for each group that has it.
+
+    Args:
+        grid: the grid.
+        over: the entry.
+        groups: rows by the label of their curve.
+        places: place on the axis of each value of the entry, by its text.
+        name: the quantity.
+    """
+    curves = []
+    first_law = grid.rows[0].facts["law"]
+    for k, (label, rows) in enumerate(groups.items()):
+        # displacements by other laws would lie on those by the first
+        if name == "largest displacement" and rows[0]["law"] != first_law:
+            continue
+        in_order = sorted(rows, key=lambda facts: places[text_of(facts[over])])
+        x = np.array([places[text_of(facts[over])] for facts in in_order])
+        y = np.array([facts.get(name) for facts in in_order], dtype=np.float64)  # None: NaN
+        if np.isnan(y).all():
+            continue
+        curves.append(Curve("", x, y, label, colour=k))
+        if name == "stress error":
+            tolerance = [facts.get("tolerance") for facts in in_order]
+            y_tolerance = np.array(tolerance, dtype=np.float64)
+            curves.append(Curve("reference", x, y_tolerance, "tolerance of stress"))
+    return curves
