@@ -138,8 +138,8 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture(autouse=True)
 def _strict_floating_point():
-    """Nothing divides by zero or overflows unseen."""
-    with np.errstate(all="raise", under="ignore"):
+    """Nothing divides by zero, overflows or underflows unseen."""
+    with np.errstate(all="raise"):
         yield
 
 

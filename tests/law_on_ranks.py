@@ -69,11 +69,16 @@ def check_checkpoint(there):
 
 
 def check_few_points(driver, there):
-    """They go to one rank, in turns."""
-    F = np.tile(np.eye(2), (8, 1, 1))
-    owners = [set(there.respond(F, 0.0 * F).state.owner) for _ in range(driver.ranks)]
-    assert all(len(each) == 1 for each in owners)
-    assert set.union(*owners) == set(range(driver.ranks))
+    """They go to one rank, the same ones to the same, others to all ranks in the long run."""
+    owners = []
+    for k in range(20):
+        F = np.tile(np.eye(2) + 1e-3 * k, (8, 1, 1))
+        one, again = (set(there.respond(F, 0.0 * F).state.owner) for _ in range(2))
+        assert len(one) == 1
+        assert one == again
+        owners += one
+    counts = np.bincount(owners, minlength=driver.ranks)
+    assert counts.min() >= 3  # seen: 20 loads, up to 3 ranks
 
 
 def fail(worker):

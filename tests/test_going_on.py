@@ -177,7 +177,7 @@ def test_a_resumed_run_is_the_uninterrupted_one(case, tmp_path, monkeypatch):
     assert_same(again, whole)
 
 
-def stop_at(patched, call):
+def stop_at(patched, call, kind=RveLaw):
     """Let RVEs be interrupted at this call of their law, from now on: `respond` or `accept`."""
     made = []
 
@@ -191,7 +191,7 @@ def stop_at(patched, call):
         return act
 
     for name in ("respond", "accept"):
-        patched.setattr(RveLaw, name, counted(getattr(RveLaw, name)))
+        patched.setattr(kind, name, counted(getattr(kind, name)))
     return made
 
 

@@ -95,6 +95,13 @@ def test_the_cached_run_has_hits_fallbacks_and_audits(by_two):
     assert record.cache["audit"]["audited"] > 5
 
 
+def test_a_run_resumes_on_as_many_ranks_to_the_bit(by_two, home, tmp_path):  # noqa: F811
+    """Interrupted four times within steps; by RVEs, and by a cache that audits."""
+    done(on_ranks(2, home, tmp_path, *(f"{how}:{name}" for name in FAST for how in ("cut", "go"))))
+    for name in FAST:
+        assert_equal(results(tmp_path / name), results(by_two / name), exact=True)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LONG)
 @pytest.mark.parametrize("ranks", [2, 3])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,13 +39,11 @@ class RankState:
         owner: (n,) rank of each point; a rank has its points in ascending order.
         left_points: (n,) where the stress is one of several.
         number: by which ranks know it, as long as this object lives.
-        turn: how many times points had been given to a rank when it was made.
     """
 
     def __init__(self, law: DistributedLaw, owner: Index, left: Flags) -> None:
         self.law, self.owner, self.left_points = law, owner, left
         self.number = next(law.driver.numbers)
-        self.turn = law.turn
 
     def __del__(self) -> None:
         self.law.driver.dropped.append(self.number)
@@ -87,17 +86,17 @@ class DistributedLaw:
     """σ(F, Ḟ) of RVEs that live on the ranks of a driver; see `StressLaw` and `cache.Fallback`.
 
     Points without a state are given to ranks in equal blocks of whole tiles, few points to one
-    rank, each time to the next. RVE states stay there. (F, Ḟ) are scattered, stresses gathered.
+    rank, which their deformation decides. RVE states stay there. (F, Ḟ) are scattered, stresses
+    gathered.
 
     Attributes:
         law: that of rank 0; every rank has the same.
         driver: of this very process.
-        turn: how many times few points were given to a rank; it says whose turn is next.
     """
 
     def __init__(self, law: RveLaw, driver: Driver) -> None:
         self.law, self.driver = law, driver
-        self._number, self.turn = next(driver.numbers), 0
+        self._number = next(driver.numbers)
         self.cell, self.initialisation = law.cell, law.initialisation
         self.density, self.has_tangents = law.density, law.has_tangents
         driver.do(_have, [(self._number, law)] * driver.ranks)
@@ -108,7 +107,7 @@ class DistributedLaw:
 
     def state_to_arrays(self, state: RankState) -> dict[str, NDArray]:
         """All of a state, as one `RveState` of all points would give it, piece by piece; and, by
-        ``owner`` and ``ranks``, which rank has each point, of how many, and whose turn it was.
+        ``owner`` and ``ranks``, which rank has each point, and of how many.
         """
         whole, shares = dict[str, NDArray](), state.shares()
         for begin in range(0, max(map(len, shares)), PIECE):
@@ -119,8 +118,7 @@ class DistributedLaw:
                 for name, values in (part or {}).items():
                     room = np.empty((len(state.owner), *values.shape[1:]), values.dtype)
                     whole.setdefault(name, room)[own] = values
-        of_ranks = np.array([self.driver.ranks, state.turn])
-        return {**whole, "owner": state.owner, "ranks": of_ranks}
+        return {**whole, "owner": state.owner, "ranks": np.array(self.driver.ranks)}
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> RankState:
         """The state of which `state_to_arrays`, of any number of ranks or none, gave these arrays.
@@ -128,11 +126,12 @@ class DistributedLaw:
         As many ranks get the points that they had, so that what follows has the same bits.
         """
         arrays = dict(arrays)
-        owner, (ranks, turn) = arrays.pop("owner", None), arrays.pop("ranks", (0, 0))
+        owner = arrays.pop("owner", None)
+        ranks = arrays.pop("ranks", 0)
         if owner is None or ranks != self.driver.ranks:
-            owner = self._dealt(len(arrays["z"]))
+            owner = self._dealt(arrays["z"])
         else:
-            owner, self.turn = owner.astype(np.intp), max(self.turn, int(turn))
+            owner = owner.astype(np.intp)
         state = RankState(self, owner, arrays["left"])
         parts = [{name: each[own] for name, each in arrays.items()} for own in state.shares()]
         tasks = [(self._number, state.number, part) if len(part["z"]) else None for part in parts]
@@ -148,7 +147,7 @@ class DistributedLaw:
         if not len(F):
             return StressResponse(np.empty((0, 2, 2)), np.empty(0, np.int8), state, {})
         before = None if state is None else self._checked(state, len(F)).number
-        owner = self._dealt(len(F)) if state is None else state.owner
+        owner = self._dealt(F) if state is None else state.owner
         return self._by_ranks(_respond, owner, (before, tangents), (F, F_dot))
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
@@ -176,14 +175,19 @@ class DistributedLaw:
         after.left_points = joined_values([(own, part.state) for own, part in parts])
         return joined(parts, after)
 
-    def _dealt(self, points: int) -> Index:
-        """(points,) owners of points without a state."""
-        ranks, tiles = self.driver.ranks, tiles_for(points)
+    def _dealt(self, at: Array) -> Index:
+        """(n,) owners of points without a state, which have these values (n, …).
+
+        A cache asks for few points each time, and they shall not pile up on rank 0. The rank that
+        gets them follows from their values alone: `respond` is pure, and a run that resumes deals
+        as an uninterrupted one does.
+        """
+        ranks = self.driver.ranks
+        tiles = tiles_for(len(at))
         sharing = min(ranks, max(1, tiles // LEAST))
-        owner = np.repeat(np.arange(tiles) * sharing // tiles, TILE)[:points]
-        if sharing < ranks:  # few points each time, as of a cache, shall not pile up on rank 0
-            owner = (owner + self.turn) % ranks
-            self.turn += sharing
+        owner = np.repeat(np.arange(tiles) * sharing // tiles, TILE)[: len(at)]
+        if sharing < ranks:
+            owner = (owner + crc32(at.tobytes())) % ranks
         return owner
 
     def _checked(self, state: Any, points: int) -> RankState:

@@ -109,11 +109,14 @@ def carry_out(
 
     Raises:
         SimulationError: of a step; `partial` is the run up to there."""
+    import numpy as np  # late: help needs none of it
+
     due = CheckpointClock(interval)
     if isinstance(progress, bool):
         progress = ShownProgress() if progress else None
     try:
-        with interruptible():
+        # What vanishes against the rest may underflow, whatever the caller has set numpy to do.
+        with interruptible(), np.errstate(under="ignore"):
             for t in steps:
                 if progress is not None:
                     progress(t, duration)

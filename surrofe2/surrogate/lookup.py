@@ -229,7 +229,8 @@ class BoundArrays(NamedTuple):
         lower, upper = range.ends
         slack = SLACK * np.array([1.0, 1.0, 1.0, *[range.rate] * 4])
         # the range test is ≤, the kernel's comparison <
-        limits = np.nextafter([lower - slack, upper + slack], [[-np.inf], [np.inf]])
+        with np.errstate(under="ignore"):  # the number next to 0 counts as an underflow
+            limits = np.nextafter([lower - slack, upper + slack], [[-np.inf], [np.inf]])
 
         factor = np.ones(INPUTS)
         near = np.ones(INPUTS)

@@ -38,12 +38,16 @@ print(inputs(1), inputs.stats.cache_hits.total(), inputs.stats.cache_misses.tota
 """
 
 
+def copied(folder):
+    """A copy of the package that nothing else runs, in a folder."""
+    shutil.copytree(PACKAGE, folder / "surrofe2", ignore=shutil.ignore_patterns("__pycache__"))
+    (folder / "surrofe2" / "probe.py").write_text(PROBE, encoding="utf-8")
+    return folder / "surrofe2"
+
+
 @pytest.fixture
 def copy(tmp_path):
-    """A copy of the package that nothing else runs."""
-    shutil.copytree(PACKAGE, tmp_path / "surrofe2", ignore=shutil.ignore_patterns("__pycache__"))
-    (tmp_path / "surrofe2" / "probe.py").write_text(PROBE, encoding="utf-8")
-    return tmp_path / "surrofe2"
+    return copied(tmp_path)
 
 
 def answer(copy, setting=""):
@@ -151,18 +155,27 @@ def flipped(content, place):
     return content[:k] + bytes([content[k] ^ 16]) + content[k + 1 :]
 
 
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
+    """A folder with a copy of the package and the kernels that it has kept."""
+    folder = tmp_path_factory.mktemp("compiled")
+    assert answer(copied(folder))[0][0] == 7
+    return folder
+
+
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_a_damaged_kernel_is_compiled_again_with_one_note(copy, damage):
+def test_a_damaged_kernel_is_compiled_again_with_one_note(compiled, tmp_path, damage):
     pattern, change = DAMAGES[damage]
-    assert answer(copy)[0][0] == 7
+    copy = shutil.copytree(compiled, tmp_path / "damaged") / "surrofe2"
     files = [*(copy.parent / "kernels").rglob(pattern)]
     assert files
     for path in files:
         path.write_bytes(change(path.read_bytes()))
     numbers, (line,) = answer(copy)
-    assert numbers[0] == 7
+    assert numbers[:2] == [7, 0]
     assert "damaged files of compiled kernels; they are compiled again" in line
-    assert answer(copy) == ([7, 1, 0], [])
+    if damage == next(iter(DAMAGES)):
+        assert answer(copy) == ([7, 1, 0], [])
 
 
 KERNELS = """

@@ -277,9 +277,9 @@ def test_run_resumes_to_the_bit_across_corners(integrator, rng):
     t = np.array([state.t for state in states])
     corners = problem.corners()[1:-1]
     assert np.isin(corners, t).all(), "every corner is the end of a step"
-    at_corner = int(np.flatnonzero(t == corners[3])[0])
+    at_corner = int(np.flatnonzero(t == corners[-2])[0])
     assert whole.history["penetration ball"].max() > 0.0
-    for number in (2, at_corner, at_corner + 1):
+    for number in (at_corner - 1, at_corner, at_corner + 1):
         assert_same_run(resumed(problem, LAW, settings, states[number]), whole)
 
 

@@ -294,7 +294,8 @@ def wave(t, length, law, g, terms=400):
     root = np.sqrt((decay**2 - omega**2).astype(complex))
     t = t[:, None]
     # cosh and sinh of root t, each times exp(−decay t), without overflow.
-    slow, fast = np.exp((root - decay) * t), np.exp((-root - decay) * t)
+    with np.errstate(under="ignore"):
+        slow, fast = np.exp((root - decay) * t), np.exp((-root - decay) * t)
     free = 0.5 * (slow + fast) + decay * 0.5 * (slow - fast) / root
     return ((1.0 - free.real) * static * np.sin(k * length)).sum(axis=1)
 

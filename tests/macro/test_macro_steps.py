@@ -166,7 +166,8 @@ def test_dormand_prince_takes_the_steps_of_scipy():
     start = Oscillator()(0.0, exact(0.0))
     assert method.first_length(start, 9.0) == pytest.approx(reference.h_abs, rel=1e-12)
     for _ in range(5):
-        reference.step()
+        with np.errstate(under="ignore"):  # scipy looks for the number next to 0
+            reference.step()
         step = method.step(start, NO_MEMORY, reference.t)
         np.testing.assert_allclose(step.end.y, reference.y, rtol=1e-14)
         middle = 0.3 * step.start.t + 0.7 * step.end.t
