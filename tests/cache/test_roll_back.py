@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -27,13 +28,18 @@ def bad_beyond(shear):
     return lambda F, F_dot: np.where(abs(F[:, 1, 0]) > shear, 5.0 * ALLOWED, 0.5 * BOUND(F, F_dot))
 
 
+@cache
+def true_run(settings):
+    return simulate(LOAD_CASE, Truth(), settings)
+
+
 @pytest.mark.parametrize("shear", [0.0, 0.02, 0.03])
 @pytest.mark.parametrize("integrator", ["explicit", "implicit"])
 def test_no_window_that_stands_has_a_wrong_share(shear, integrator):
     settings = replace(SETTINGS, integrator=integrator)
     law = cached(bad_beyond(shear), BOUND, 0.3, kind=Kept)
     run = simulate(LOAD_CASE, law, settings)
-    true = simulate(LOAD_CASE, Truth(), settings)
+    true = true_run(settings)
     assert run.rolled_back["steps"] > 0
     assert max(law.wrong_shares(Truth(), ALLOWED), default=0.0) <= 0.02
     assert difference(run.curve, true.curve).largest < 2e-3
@@ -134,7 +140,7 @@ def test_answers_that_lead_a_run_astray_are_taken_back():
     settings = CacheSettings(tolerance=0.01, audit=0.05)
     law = CachedLaw(Astray(shear_error(0.01), BOUND), Truth(), settings)
     run = simulate(LOAD_CASE, law, SETTINGS)
-    true = simulate(LOAD_CASE, Truth(), SETTINGS)
+    true = true_run(SETTINGS)
     assert run.rolled_back["steps"] > 0
     assert difference(run.curve, true.curve).largest < 2e-3
 
