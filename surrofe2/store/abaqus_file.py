@@ -21,12 +21,12 @@ from surrofe2.store.plane_mesh import SURFACES, Array, Group, Index, MeshError, 
 
 _T = TypeVar("_T")
 
+# Families of elements in a plane, shells and membranes; then the number of nodes, and variants.
 _PLANE = re.compile(r"(?:CPS|CPEG|CPE|S|STRI|M3D|R3D|SFM3D|DS|DC2D|AC2D|F2D)(\d)")
-"""Families of elements in a plane, shells and membranes; then the number of nodes, and variants."""
+# Families of trusses, beams and rigid lines; B21 and B31 have two nodes.
 _ALONG = re.compile(r"(?:T2D|T3D|B2|B3|R2D|RB2D|RB3D)(\d)")
-"""Families of trusses, beams and rigid lines; B21 and B31 have two nodes."""
+# Families of elements that are no part of a mesh, and are left out.
 _APART = re.compile(r"(?:SPRING|DASHPOT|CONN|MASS|ROTARY|DCOUP|GAP)")
-"""Families of elements that are no part of a mesh, and are left out."""
 _KINDS = {"3": "triangle", "4": "quad", "6": "triangle6", "8": "quad8", "9": "quad9"}
 
 
@@ -34,8 +34,11 @@ class _Sets(dict[str, list[int]]):
     """Numbers by name, whichever letters are capitals; the first spelling counts."""
 
     def named(self, name: str) -> str:
-        """The name as it was first written."""
-        return next((known for known in self if known.upper() == name.upper()), name)
+        """Return the name as it was first written."""
+        for known in self:
+            if known.upper() == name.upper():
+                return known
+        return name
 
     def add(self, name: str, members: list[int]) -> None:
         """Add members to the set of that name."""
@@ -44,14 +47,19 @@ class _Sets(dict[str, list[int]]):
 
 @dataclass
 class _Contents:
-    """What a file has of nodes, elements and sets.
+    """The nodes, elements and sets of a file.
 
     Attributes:
-        tags, points: number and position of nodes.
-        elements: by kind rows of the number of an element and its nodes; of lines both ends.
+        tags: numbers of nodes, in parts as they stand in the file.
+        points: positions of these nodes, (n, 3) in each part.
+        elements: rows of the number of an element and its nodes, in parts, by kind; of lines the
+            nodes are both ends.
         apart: numbers of elements that are left out.
+        element_sets: numbers of elements by name.
+        node_sets: numbers of nodes by name.
         internal: names of element sets that only surfaces use.
-        surfaces: by name an element set, or the number of an element, and a side such as "S2".
+        surfaces: sides of each surface by name: an element set, or the number of an element, and a
+            side such as "S2".
     """
 
     tags: list[Index] = field(default_factory=list)
@@ -65,14 +73,16 @@ class _Contents:
 
 
 def read_abaqus(path: str) -> StoredMesh:
-    """The mesh in a file.
+    """Read the mesh in a file.
 
     Raises:
         ValueError: it is damaged.
         MeshError: it has several parts, or elements that are not read.
     """
     contents = _Contents()
-    scope, parts, instances = "", 0, 0
+    scope = ""  # PART, INSTANCE or ASSEMBLY around a keyword; numbers count within it
+    parts = 0
+    instances = 0
     for keyword, options, lines in _blocks(Path(path).read_bytes().decode("utf-8-sig", "replace")):
         match keyword:
             case "PART" | "INSTANCE" | "ASSEMBLY":
@@ -108,7 +118,10 @@ def read_abaqus(path: str) -> StoredMesh:
 
 
 def _blocks(text: str) -> list[tuple[str, dict[str, str], list[list[str]]]]:
-    """Keyword, options by name and lines of data; keywords and names of options in capitals."""
+    """Return keyword, options by name and lines of data of each block.
+
+    Keywords and names of options are in capitals.
+    """
     blocks: list[tuple[str, dict[str, str], list[list[str]]]] = []
     continues = False
     for line in text.splitlines():
@@ -128,11 +141,13 @@ def _blocks(text: str) -> list[tuple[str, dict[str, str], list[list[str]]]]:
 
 
 def _option(word: str) -> tuple[str, str]:
+    """Return name and value of an option NAME=VALUE."""
     name, _, value = word.partition("=")
     return name.strip().upper(), value.strip().strip('"')
 
 
 def _number(word: str) -> float:
+    """Return a number; what is left out is 0."""
     return float(word) if word else 0.0
 
 
@@ -149,7 +164,8 @@ def _read_nodes(contents: _Contents, options: dict[str, str], lines: list[list[s
 def _read_elements(contents: _Contents, options: dict[str, str], lines: list[list[str]]) -> None:
     stated = options.get("TYPE", "").upper()
     numbers = [int(word) for line in lines for word in line if word]
-    plane, along = _PLANE.match(stated), _ALONG.match(stated)
+    plane = _PLANE.match(stated)
+    along = _ALONG.match(stated)
     if _APART.match(stated):
         contents.apart.update(int(line[0]) for line in lines)
         return
@@ -175,7 +191,7 @@ def _read_elements(contents: _Contents, options: dict[str, str], lines: list[lis
 
 
 def _read_set(sets: _Sets, name: str, options: dict[str, str], lines: list[list[str]]) -> None:
-    """Numbers, ranges of them where the option GENERATE is there, or names of other sets."""
+    """Read a set: numbers, ranges where the option GENERATE is there, or names of other sets."""
     members: list[int] = []
     for line in lines:
         words = [word for word in line if word]
@@ -195,7 +211,7 @@ def _read_set(sets: _Sets, name: str, options: dict[str, str], lines: list[list[
 
 
 def _stored(contents: _Contents) -> StoredMesh:
-    """Cells by kind, with nodes and elements by their place and not their number."""
+    """Return cells by kind, with nodes and elements by their place and not their number."""
     if not contents.tags:
         raise ValueError("it has no *NODE")
     tags = np.concatenate(contents.tags).tolist()
@@ -248,8 +264,11 @@ def _stored(contents: _Contents) -> StoredMesh:
 
 
 def _is_of_an_edge(group: Group, cells: dict[str, Index], node_sets: dict[str, Index]) -> bool:
-    """Whether an element set stands beside a node set of its name that says it; otherwise the node
-    set goes, if it holds the nodes of these elements."""
+    """Return whether an element set is that beside an edge, which a node set of its name states.
+
+    If the node set holds just the nodes of these elements, the element set states a face, and the
+    node set is removed.
+    """
     twin = next((name for name in node_sets if name.upper() == group.name.upper()), None)
     if twin is None:
         return False
@@ -262,7 +281,7 @@ def _is_of_an_edge(group: Group, cells: dict[str, Index], node_sets: dict[str, I
 
 
 def _ends(nodes: Index, side: str, name: str) -> list[int]:
-    """Ends of a side "S1" to "S4", or "E1" to "E4" of a shell."""
+    """Return both ends of a side "S1" to "S4", or "E1" to "E4" of a shell."""
     corners = 3 if len(nodes) in (3, 6) else 4
     if not re.fullmatch(r"[SE][1-4]", side) or int(side[1]) > corners:
         raise MeshError(f"surface {name}: {side}; it must be of sides S1 to S{corners} of elements")

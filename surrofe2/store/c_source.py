@@ -24,9 +24,11 @@ from surrofe2.surrogate.lookup import BoundArrays, NetworkArrays
 from surrofe2.surrogate.products import ONE, STRETCH
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
-"""Of the prefix of all functions."""
+"""Pattern of the prefix of all functions."""
 _STATUSES = (Status.OK, Status.OUT_OF_RANGE, Status.NOT_FINITE, Status.NOT_TRUSTED)
-_WIDTHS = (1, 8)  # points in a loop: of a call for one point, and of a block of a batch
+# Points in a loop: 1 in a call for one point, 8 in a block of a batch.
+_WIDTHS = (1, 8)
+# The variables of formulas, see `_Formulas`.
 _VARIABLE = re.compile(r"\b(?:[rdn]\d+|low|size)\b")
 _SUMS = "\n            ".join(
     f"{name}[{i}] = "
@@ -36,8 +38,8 @@ _SUMS = "\n            ".join(
     for i in range(COMPONENTS)
 )
 
+# Words in the first line of every source, by which another file is told from one.
 _MARK = "a surrogate of surrofe2"
-"""Stands in the first line of what is written."""
 _HEADER = """\
 /* Stress of plant tissue at a point: a surrogate of surrofe2 {version} in C99, self-contained.
  *
@@ -82,10 +84,11 @@ size_t {name}_stress_of(size_t count, const double *F, const double *F_rate, dou
 
 
 def c_source(law: SurrogateLaw, name: str = "surrofe2") -> str:
-    """A surrogate as C source: value, tangents, domain and bound as in its compiled pass.
+    """Return a surrogate as C source: value, tangents, domain and bound as in its compiled pass.
 
     Args:
-        name: that the functions' names begin with, so that two surrogates link into one program.
+        law: the surrogate.
+        name: beginning of the functions' names, by which two surrogates link into one program.
 
     Raises:
         InputError: a text of the surrogate is no single word, and could be more than a comment; or
@@ -101,7 +104,7 @@ def c_source(law: SurrogateLaw, name: str = "surrofe2") -> str:
 
 
 def write_c(law: SurrogateLaw, path: Path, name: str = "surrofe2", *, fresh: bool = False) -> str:
-    """Write `c_source` into a file, and `c_header` beside it; the source.
+    """Write `c_source` into a file and `c_header` beside it, and return the source.
 
     Raises:
         InputError: another source is there, and not `fresh`; or the file's name ends as a header's.
@@ -111,19 +114,20 @@ def write_c(law: SurrogateLaw, path: Path, name: str = "surrofe2", *, fresh: boo
     if header == path:
         raise InputError(f"{path}: the header goes there; give the source another ending, .c")
     texts = {path: c_source(law, name), header: c_header(law, name)}
-    for each, text in texts.items():
-        if not each.exists() or read_bytes(each) == text.encode("utf-8"):
+    # Both are checked before the first is written, so a refusal leaves nothing behind.
+    for file, text in texts.items():
+        if not file.exists() or read_bytes(file) == text.encode("utf-8"):
             continue
-        check_replaceable(each, "C source of a surrogate", _MARK)
+        check_replaceable(file, "C source of a surrogate", _MARK)
         if not fresh:
-            raise InputError(f"{each}: another source is there; --fresh writes this one instead")
-    for each, text in texts.items():
-        write_text(each, text)
+            raise InputError(f"{file}: another source is there; --fresh writes this one instead")
+    for file, text in texts.items():
+        write_text(file, text)
     return texts[path]
 
 
 def c_header(law: SurrogateLaw, name: str = "surrofe2") -> str:
-    """The header of `c_source`, which begins with it, for C and C++."""
+    """Return the header of `c_source`, which begins with it, for C and C++."""
     texts = {
         "version": law.version,
         "cell": law.cell.fingerprint,
@@ -135,13 +139,21 @@ def c_header(law: SurrogateLaw, name: str = "surrofe2") -> str:
             raise InputError(f"{what} of the surrogate: {quoted(text)}; it must be {WORD.pattern}")
     if not NAME.fullmatch(name):
         raise InputError(f"name: {quoted(name)}; it must be a name in C, {NAME.pattern}")
-    (low, high), bounds = law.range.stretch, {"shear": law.range.shear, "rate": law.range.rate}
-    statuses = "\n".join(f"#define SURROFE2_{each.name} {int(each)}" for each in _STATUSES)
-    return _HEADER.format(**texts, **bounds, name=name, low=low, high=high, statuses=statuses)
+    low, high = law.range.stretch
+    statuses = "\n".join(f"#define SURROFE2_{status.name} {int(status)}" for status in _STATUSES)
+    return _HEADER.format(
+        **texts,
+        name=name,
+        low=low,
+        high=high,
+        shear=law.range.shear,
+        rate=law.range.rate,
+        statuses=statuses,
+    )
 
 
 def _tables(law: SurrogateLaw) -> Iterator[str]:
-    """The arrays of a surrogate that loops read; its other numbers stand in formulas."""
+    """Yield the arrays of a surrogate that loops read; its other numbers stand in formulas."""
     yield f"#define INPUTS {INPUTS}"
     yield f"#define COMPONENTS {COMPONENTS}"
     yield ""
@@ -149,15 +161,20 @@ def _tables(law: SurrogateLaw) -> Iterator[str]:
     limits = np.array([lower[0], *upper[[0, 2, 3]]])  # of U11 and U22, |U12| and |A|
     arrays = {"range": limits, "input_factor": law.arrays.input_factor}
     for k, (weight, bias) in enumerate(law.network.layers):
-        rows = np.zeros((weight.shape[1] + 1, _padded(len(bias))))
-        rows[:-1, : len(bias)], rows[-1, : len(bias)] = weight.T, bias
-        arrays |= {f"weight_{k}": rows[:-1], f"bias_{k}": rows[-1]}
+        units = len(bias)
+        padded_weight = np.zeros((weight.shape[1], _padded(units)))
+        padded_weight[:, :units] = weight.T
+        padded_bias = np.zeros(_padded(units))
+        padded_bias[:units] = bias
+        arrays[f"weight_{k}"] = padded_weight
+        arrays[f"bias_{k}"] = padded_bias
     arrays["no_bias"] = np.zeros(max(_padded(len(bias)) for _, bias in law.network.layers))
     for name, values in arrays.items():
         yield from _table(name, values)
 
 
 def _padded(rows: int) -> int:
+    """Return the next multiple of four: loops over units are unrolled by it."""
     return 4 * -(-rows // 4)
 
 
@@ -168,9 +185,12 @@ class _Formulas:
     `wanted` are the rows, or their slopes.
 
     Args:
-        inputs: the variables of the rows before those of products, and what these need.
+        table: the polynomials.
+        inputs: formulas of the variables of the rows before those of products, by variable, and
+            of the variables in these.
         first: the row of the first product.
-        by: slopes of those rows along the input, where they are not 0.
+        along: the input along which slopes are wanted; None: no slopes.
+        by: slopes of the rows before `first` along the input, where they are not 0.
     """
 
     def __init__(
@@ -181,41 +201,48 @@ class _Formulas:
         along: int | None = None,
         by: Mapping[int, str] = MappingProxyType({}),
     ) -> None:
-        self.table, self.along = table, along
+        self.table = table
+        self.along = along
         self.variables = dict(inputs)
         self.rows = {k: f"r{k}" for k in range(first)} | {ONE: "1.0"}
         self.by = dict(by)
         for row, (one, other) in enumerate(table.products.tolist(), first):
             self.rows[row] = f"r{row}"
             self.variables[f"r{row}"] = f"r{one} * r{other}"
-            parts = [_times(self.by[one], f"r{other}")] if one in self.by else []
-            parts += [f"r{one}"] if other == along else []
+            parts = []  # of the slope, by the product rule
+            if one in self.by:
+                parts.append(_times(self.by[one], f"r{other}"))
+            if other == along:
+                parts.append(f"r{one}")
             if parts:
                 self.by[row] = f"d{row}"
                 self.variables[f"d{row}"] = " + ".join(parts)
         self.wanted = self.rows if along is None else self.by
 
     def polynomial(self, number: int) -> str:
-        """One of the polynomials, or its slope."""
-        table, sums = self.table, []
+        """Return the formula of one of the polynomials, or of its slope."""
+        table = self.table
+        sums = []
         for group in range(table.begins[number], table.begins[number + 1]):
             head = int(table.heads[group])
             factors = [(self.rows[head], self.wanted)]
-            factors += [("1.0", self.rows)] if head == self.along else []
+            if head == self.along:  # the slope of the head is 1
+                factors.append(("1.0", self.rows))
             for factor, rows in factors:
-                terms = [
-                    _times(rows[row], _number(table.coefficients[k]))
-                    for k in range(table.group_begins[group], table.group_begins[group + 1])
-                    if (row := int(table.rows[k])) in rows
-                ]
+                terms = []
+                for k in range(table.group_begins[group], table.group_begins[group + 1]):
+                    row = int(table.rows[k])
+                    if row in rows:
+                        terms.append(_times(rows[row], _number(table.coefficients[k])))
                 if terms:
                     sums.append(_times(factor, f"({' + '.join(terms)})"))
         return " + ".join(sums) or "0.0"
 
     def loop(self, lines: Sequence[str], width: int) -> Iterator[str]:
-        """A loop over points, with the variables that its lines need."""
+        """Yield a loop over points, with the variables that its lines need."""
         names = set(_VARIABLE.findall(" ".join(lines)))
         declared = []
+        # backwards: a variable needs only those before it
         for name, value in reversed(self.variables.items()):
             if name in names:
                 declared.append(f"const double {name} = {value};")
@@ -230,12 +257,18 @@ class _Formulas:
 
 
 def _times(first: str, second: str) -> str:
-    return second if first == "1.0" else first if second == "1.0" else f"{first} * {second}"
+    """Return the formula of a product; a factor of 1 is left out."""
+    if first == "1.0":
+        return second
+    if second == "1.0":
+        return first
+    return f"{first} * {second}"
 
 
 def _bound(law: SurrogateLaw, width: int) -> Iterator[str]:
-    """The function that gives failure boundary and bound from the inputs."""
-    bounds, squares = law.bound_arrays, [f"r{SQUARES + k}" for k in range(INPUTS)]
+    """Yield the function that computes failure boundary and bound from the inputs."""
+    bounds = law.bound_arrays
+    squares = [f"r{SQUARES + k}" for k in range(INPUTS)]
     inputs = {f"r{k}": f"x[{k * width} + l] * {_number(bounds.factor[k])}" for k in range(INPUTS)}
     inputs |= {square: f"r{k} * r{k}" for k, square in enumerate(squares)}
     shares = [f"{_number(bounds.near[k])} * {square}" for k, square in enumerate(squares)]
@@ -258,7 +291,7 @@ def _bound(law: SurrogateLaw, width: int) -> Iterator[str]:
 
 
 def _network(law: SurrogateLaw, width: int) -> Iterator[str]:
-    """The function that gives the components of RᵀP from the scaled inputs, and their slopes."""
+    """Yield the function that computes the components of RᵀP, and their slopes, from inputs."""
     layers = [weight.shape for weight, _ in law.network.layers]
     invariants = law.arrays.kept[len(law.arrays.components) :].tolist()
     sizes = [layers[0][1], *(_padded(rows) for rows, _ in layers)]
@@ -280,8 +313,14 @@ def _network(law: SurrogateLaw, width: int) -> Iterator[str]:
         if along is not None and along < STRETCH:
             by[BENT + along] = f"d{BENT + along}"
         formulas = _Formulas(law.arrays, inputs, NETWORK_INPUTS, along, by)
-        y, units = ("y", "u") if along is None else ("slopes", "v")
-        first = 0 if along is None else along * COMPONENTS
+        if along is None:
+            y = "y"
+            units = "u"
+            first = 0
+        else:
+            y = "slopes"
+            units = "v"
+            first = along * COMPONENTS
         lines = [
             f"{y}[{(first + k) * width} + l] = {formulas.polynomial(k)};" for k in range(COMPONENTS)
         ]
@@ -309,31 +348,43 @@ def _network(law: SurrogateLaw, width: int) -> Iterator[str]:
 
 
 def _terms(law: SurrogateLaw, width: int, formulas: _Formulas) -> Iterator[str]:
-    """Adds (factor − factor at rest) × product to the components, or its slope to theirs."""
-    network, last, along = law.arrays, len(law.network.layers), formulas.along
+    """Yield lines that add (factor − factor at rest) × product to components, or its slope."""
+    network = law.arrays
+    last = len(law.network.layers)
+    along = formulas.along
+    # `kept` has the rows of the terms first, then those of the invariants
     terms = zip(network.components.tolist(), network.kept.tolist(), strict=False)
     for k, (component, row) in enumerate(terms):
-        at, scale = f"[{k * width} + l]", _number(network.output_factor[component])
-        factor = f"(u{last}{at} - {_number(network.at_rest[k])})"
+        place = f"[{k * width} + l]"
+        scale = _number(network.output_factor[component])
+        factor = f"(u{last}{place} - {_number(network.at_rest[k])})"
         product = formulas.rows[row]
         if along is None:
             yield f"y[{component * width} + l] += {scale} * {_times(factor, product)};"
             continue
-        rise = _times(f"v{last}{at}", product)
+        rise = _times(f"v{last}{place}", product)
         if row in formulas.by:
             rise += f" + {_times(factor, formulas.by[row])}"
         yield f"slopes[{(along * COMPONENTS + component) * width} + l] += {scale} * ({rise});"
 
 
 def _table(name: str, values: NDArray[Any]) -> Iterator[str]:
-    """An array in C, all digits."""
-    yield f"static const double {name}{''.join(f'[{n}]' for n in values.shape)} = {{"
+    """Yield an array (n,) or (n, m) in C, with all digits."""
+    sizes = "".join(f"[{size}]" for size in values.shape)
+    yield f"static const double {name}{sizes} = {{"
     for row in values.tolist():
-        is_row = isinstance(row, list)
-        yield f"    {{{', '.join(map(_number, row))}}}," if is_row else f"    {_number(row)},"
+        if isinstance(row, list):
+            yield f"    {{{', '.join(map(_number, row))}}},"
+        else:
+            yield f"    {_number(row)},"
     yield "};"
 
 
 def _number(value: float) -> str:
+    """Write a number in C, with all digits."""
     value = float(value)  # a file may hold truths
-    return "HUGE_VAL" if value == np.inf else "-HUGE_VAL" if value == -np.inf else repr(value)
+    if value == np.inf:
+        return "HUGE_VAL"
+    if value == -np.inf:
+        return "-HUGE_VAL"
+    return repr(value)

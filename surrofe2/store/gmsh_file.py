@@ -53,14 +53,15 @@ _LOST_GROUPS = (
 
 @dataclass
 class _Contents:
-    """What the sections of a file have in common.
+    """The content of a file, which its sections fill one after the other.
 
     Attributes:
-        names: of physical groups by dimension and number.
+        names: names of physical groups by dimension and number.
         physical: numbers of physical groups by dimension and number of an entity.
-        partitions: by dimension and number of an entity which partitions it is in.
-        n_partitions: of the whole mesh.
-        tags, points: number and position of each node.
+        partitions: partitions that an entity is in, by its dimension and number.
+        n_partitions: number of partitions of the whole mesh.
+        tags: (n,) numbers of the nodes.
+        points: (n, 3) positions of the nodes.
         blocks: dimension, entity, kind and nodes (m, k) of elements; in format 2.2 the entity is
             the physical group.
     """
@@ -78,14 +79,19 @@ class _Numbers:
     """Numbers of a section, one after the other: text, or bytes of C's int, size_t and double."""
 
     def __init__(self, content: bytes, begin: int, end: int, order: str) -> None:
-        self.content, self.at, self.end = content, begin, end
+        self.content = content
+        self.at = begin
+        """Place of the next number: a byte of the file, or a token of a text."""
+        self.end = end
         self.order = order
-        """Of bytes: "<" or ">"; empty in a text."""
+        """Order of bytes, "<" or ">"; empty in a text."""
         self.tokens = np.zeros(0)
         if not order:
-            self.tokens, self.at = _parsed(content[begin:end]), 0
+            self.tokens = _parsed(content[begin:end])
+            self.at = 0
 
     def _take(self, kind: str, count: int) -> NDArray[Any]:
+        """Take the next `count` numbers of a kind, such as "i4"."""
         begin = self.at
         if self.order:
             self.at += count * int(kind[1])
@@ -99,19 +105,19 @@ class _Numbers:
         return taken if kind == "f8" else taken.astype(np.int64)
 
     def ints(self, count: int) -> Index:
-        """The next `count` of C's int."""
+        """Take the next `count` of C's int."""
         return self._take("i4", count).astype(np.int64)
 
     def sizes(self, count: int) -> Index:
-        """The next `count` of C's size_t or unsigned long."""
+        """Take the next `count` of C's size_t or unsigned long."""
         return self._take("i8", count).astype(np.int64)
 
     def doubles(self, count: int) -> Array:
-        """The next `count` of C's double."""
+        """Take the next `count` of C's double."""
         return self._take("f8", count).astype(np.float64)
 
     def records(self, count: int, ints: int, doubles: int) -> tuple[Index, Array]:
-        """(count, ints) and (count, doubles) of rows that each have ints, then doubles."""
+        """Take rows that each have ints, then doubles: (count, ints) and (count, doubles)."""
         if not self.order:
             width = ints + doubles
             rows = self._take("f8", count * width).reshape(count, width)
@@ -124,7 +130,7 @@ class _Numbers:
         )
 
     def count_line(self) -> int:
-        """The number on a line of its own with which sections of format 2.2 begin."""
+        """Take the number on a line of its own with which sections of format 2.2 begin."""
         if not self.order:
             return int(self.sizes(1)[0])
         end = self.content.index(b"\n", self.at)
@@ -134,7 +140,7 @@ class _Numbers:
 
 
 def read_gmsh(path: str) -> StoredMesh:
-    """The mesh in a file.
+    """Read the mesh in a file.
 
     Raises:
         ValueError: it is damaged, or of another format.
@@ -142,22 +148,27 @@ def read_gmsh(path: str) -> StoredMesh:
     """
     content = Path(path).read_bytes().removeprefix(codecs.BOM_UTF8)
     contents = _Contents()
-    version, order = 0, ""
+    version = 0
+    order = ""
     at = 0
-    while (
-        found := re.compile(rb"^\$(\w+)[ \t\r]*\n", re.MULTILINE).search(content, at)
-    ) is not None:
-        name, begin = found[1].decode(), found.end()
+    heading = re.compile(rb"^\$(\w+)[ \t\r]*\n", re.MULTILINE)
+    while True:
+        match = heading.search(content, at)
+        if match is None:
+            break
+        name = match[1].decode()
+        begin = match.end()
         if name == "MeshFormat":
             version, order = _format(content[begin : begin + 64])
         read = _readers(version).get(name)
-        closing = b"$End" + found[1]
+        closing = b"$End" + match[1]
         if read is None:
             at = content.find(closing, begin)
         elif name == "PhysicalNames":
             at = content.find(closing, begin)
             contents.names = _names(content[begin:at])
         elif order:
+            # bytes of numbers may look like a heading, so the end is looked for behind them
             numbers = _Numbers(content, begin, len(content), order)
             read(numbers, contents)
             at = content.find(closing, numbers.at)
@@ -179,7 +190,7 @@ def read_gmsh(path: str) -> StoredMesh:
 
 
 def _readers(version: int) -> dict[str, Any]:
-    """What reads the sections of a format, by their names."""
+    """Return the functions that read the sections of a format, by the sections' names."""
     if version == 2:
         return {"PhysicalNames": _names, "Nodes": _nodes_2, "Elements": _elements_2}
     readers = {"PhysicalNames": _names, "Nodes": _nodes_40, "Elements": _elements_40}
@@ -196,7 +207,7 @@ def _readers(version: int) -> dict[str, Any]:
 
 
 def _format(body: bytes) -> tuple[int, str]:
-    """Version of a file, and the order of bytes of a binary one."""
+    """Return the version of a file, and the order of bytes of a binary one."""
     line, _, rest = body.partition(b"\n")
     version, is_binary, size = line.decode("ascii", "replace").split()
     if version not in _VERSIONS:
@@ -211,7 +222,7 @@ def _format(body: bytes) -> tuple[int, str]:
 
 
 def _parsed(text: bytes) -> Array:
-    """The numbers of a text."""
+    """Return the numbers of a text."""
     if not text.strip():
         return np.zeros(0)
     with warnings.catch_warnings():
@@ -223,7 +234,7 @@ def _parsed(text: bytes) -> Array:
 
 
 def _names(body: bytes) -> dict[tuple[int, int], str]:
-    """Names of physical groups by their dimension and number."""
+    """Return the names of physical groups by their dimension and number."""
     lines = re.findall(rb'^\s*(\d+)\s+(-?\d+)\s+"(.*)"\s*$', body, re.MULTILINE)
     return {
         (int(dimension), abs(int(tag))): name.decode("utf-8", "replace")
@@ -234,7 +245,7 @@ def _names(body: bytes) -> dict[tuple[int, int], str]:
 def _entities(
     numbers: _Numbers, contents: _Contents, version: int, *, is_partitioned: bool
 ) -> None:
-    """Physical groups of points, curves, surfaces and volumes, or of their parts."""
+    """Read physical groups of points, curves, surfaces and volumes, or of their parts."""
     if is_partitioned:
         contents.n_partitions = int(numbers.sizes(1)[0])
         ghosts = int(numbers.sizes(1)[0])
@@ -255,20 +266,25 @@ def _entities(
 
 
 def _nodes_41(numbers: _Numbers, contents: _Contents) -> None:
+    """Read the nodes of format 4.1."""
     blocks = int(numbers.sizes(4)[0])
-    tags, points = [contents.tags], [contents.points]
+    tags = [contents.tags]
+    points = [contents.points]
     for _ in range(blocks):
         dimension, _entity, is_parametric = numbers.ints(3).tolist()
         count = int(numbers.sizes(1)[0])
         width = 3 + (dimension if is_parametric else 0)
         tags.append(numbers.sizes(count))
         points.append(numbers.doubles(count * width).reshape(count, width)[:, :3])
-    contents.tags, contents.points = np.concatenate(tags), np.concatenate(points)
+    contents.tags = np.concatenate(tags)
+    contents.points = np.concatenate(points)
 
 
 def _nodes_40(numbers: _Numbers, contents: _Contents) -> None:
+    """Read the nodes of format 4.0."""
     blocks = int(numbers.sizes(2)[0])
-    tags, points = [contents.tags], [contents.points]
+    tags = [contents.tags]
+    points = [contents.points]
     for _ in range(blocks):
         _entity, dimension, is_parametric = numbers.ints(3).tolist()
         count = int(numbers.sizes(1)[0])
@@ -276,15 +292,18 @@ def _nodes_40(numbers: _Numbers, contents: _Contents) -> None:
         rows, positions = numbers.records(count, 1, width)
         tags.append(rows[:, 0])
         points.append(positions[:, :3])
-    contents.tags, contents.points = np.concatenate(tags), np.concatenate(points)
+    contents.tags = np.concatenate(tags)
+    contents.points = np.concatenate(points)
 
 
 def _nodes_2(numbers: _Numbers, contents: _Contents) -> None:
+    """Read the nodes of format 2.2."""
     rows, contents.points = numbers.records(numbers.count_line(), 1, 3)
     contents.tags = rows[:, 0]
 
 
 def _elements_41(numbers: _Numbers, contents: _Contents) -> None:
+    """Read the elements of format 4.1."""
     blocks = int(numbers.sizes(4)[0])
     for _ in range(blocks):
         dimension, entity, number = numbers.ints(3).tolist()
@@ -295,6 +314,7 @@ def _elements_41(numbers: _Numbers, contents: _Contents) -> None:
 
 
 def _elements_40(numbers: _Numbers, contents: _Contents) -> None:
+    """Read the elements of format 4.0."""
     blocks = int(numbers.sizes(2)[0])
     for _ in range(blocks):
         entity, dimension, number = numbers.ints(3).tolist()
@@ -305,7 +325,7 @@ def _elements_40(numbers: _Numbers, contents: _Contents) -> None:
 
 
 def _elements_2(numbers: _Numbers, contents: _Contents) -> None:
-    """Elements with their tags: the physical group first, 0 of none."""
+    """Read the elements of format 2.2 with their tags: the physical group first, 0 for none."""
     count = numbers.count_line()
     while count > 0:
         if numbers.order:
@@ -326,15 +346,24 @@ def _elements_2(numbers: _Numbers, contents: _Contents) -> None:
 
 
 def _alike(numbers: _Numbers, most: int) -> tuple[Index, int, int]:
-    """Tags and nodes of the next elements that are of one kind, the kind, and how many tags."""
-    tokens, at = numbers.tokens, numbers.at
+    """Take the next elements that are of one kind.
+
+    Returns:
+        Tags and nodes of the elements (m, tags + nodes), the number of their kind, and how many
+        tags each has.
+    """
+    tokens = numbers.tokens
+    at = numbers.at
     if at + 3 > len(tokens):
         raise ValueError("it ends too early")
-    number, n_tags = int(tokens[at + 1]), int(tokens[at + 2])
+    number = int(tokens[at + 1])
+    n_tags = int(tokens[at + 2])
     if not 0 <= n_tags < 1000:
         raise ValueError(f"an element of {n_tags} tags")
-    width = 3 + n_tags + _kind(number)[1]
-    rows, tried = 0, 16
+    _, n_nodes = _kind(number)
+    width = 3 + n_tags + n_nodes
+    rows = 0
+    tried = 16
     while rows < most:
         # Some more at a time: rows of another kind may follow, which are of another width.
         tried = min(2 * tried, most - rows, (len(tokens) - at) // width - rows)
@@ -353,6 +382,7 @@ def _alike(numbers: _Numbers, most: int) -> tuple[Index, int, int]:
 
 
 def _kind(number: int) -> tuple[str, int]:
+    """Return name and number of nodes of a kind of elements; a MeshError at an unknown one."""
     if number not in _KINDS:
         raise MeshError(
             f"elements of Gmsh's kind {number}; they must be triangles or quadrilaterals of order "
@@ -362,6 +392,7 @@ def _kind(number: int) -> tuple[str, int]:
 
 
 def _dimension(kind: str) -> int:
+    """Return the dimension of elements of a kind."""
     if kind == "vertex":
         return 0
     if kind.startswith("line"):
@@ -370,7 +401,7 @@ def _dimension(kind: str) -> int:
 
 
 def _check_partitions(contents: _Contents) -> None:
-    """Refuse one of several files that each hold a part of a partitioned mesh."""
+    """Reject one of several files that each hold a part of a partitioned mesh."""
     there = [
         contents.partitions[dimension, entity]
         for dimension, entity, _, nodes in contents.blocks
@@ -385,7 +416,7 @@ def _check_partitions(contents: _Contents) -> None:
 
 
 def _stored(contents: _Contents, version: int) -> StoredMesh:
-    """Cells by kind, with points by their place and not their number, and groups of them."""
+    """Return cells by kind, with points by their place and not their number, and groups of them."""
     order = np.argsort(contents.tags, kind="stable")
     sorted_tags = contents.tags[order]
     if (np.diff(sorted_tags) == 0).any():
@@ -431,7 +462,7 @@ def _stored(contents: _Contents, version: int) -> StoredMesh:
 def _merge_repeated(
     cells: dict[str, Index], groups: dict[tuple[int, int], dict[str, Index]]
 ) -> None:
-    """Format 2.2 has an element of two physical groups twice; it becomes one of both."""
+    """Make one element of those that format 2.2 repeats for each of their physical groups."""
     for kind in SURFACES:
         nodes = cells.get(kind)
         if nodes is None:
@@ -459,7 +490,7 @@ def _merge_repeated(
 def _named(
     names: dict[tuple[int, int], str], groups: dict[tuple[int, int], dict[str, Index]]
 ) -> list[Group]:
-    """Groups of curves and surfaces by their names, or by their numbers where they have none."""
+    """Return groups of curves and surfaces by their names, or by numbers where they have none."""
     named: dict[tuple[int, str], Group] = {}
     for (dimension, _), name in names.items():
         if dimension in (1, 2):  # without a cell, too: where it is used, that is said

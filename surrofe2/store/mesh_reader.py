@@ -1,10 +1,11 @@
-"""Reads a mesh file in a process of its own, which may take so much memory and time.
+"""Reads a mesh file in a process of its own, whose memory and time are limited.
 
     python -P -m surrofe2.store.mesh_reader FORMAT FILE MEMORY SECONDS
 
 writes the mesh to standard output as NumPy archive, or one line to standard error. Its exit code
-is then UNREADABLE where the file is not read and UNFIT where it is no mesh for us; any other means
-that it did not come so far as to read the file. It imports of the package only what parses files.
+is then UNREADABLE where the file is not read and UNFIT where it is no mesh for us; any other code
+means that it ended before it could read the file. It imports only those parts of the package that
+parse files.
 """
 
 from __future__ import annotations
@@ -30,13 +31,15 @@ from surrofe2.store.plane_mesh import (
     plane_mesh,
 )
 
-UNREADABLE, UNFIT = 3, 4
+# Exit codes; Python itself ends with 1 or 2.
+UNREADABLE = 3
+UNFIT = 4
+# Different numbers in an array of cells that are labels; an array of more numbers the cells.
 _MOST_LABELS = 1000
-"""Different numbers in an array of cells; one of more counts the cells."""
 
 
 def read_by_meshio(kind: str, path: str) -> StoredMesh:
-    """The mesh in a file of another format; whole numbers of its cells are labels of regions."""
+    """Read a file of another format; whole numbers of its cells are labels of regions."""
     import meshio
 
     try:
@@ -83,7 +86,7 @@ def read_by_meshio(kind: str, path: str) -> StoredMesh:
 
 
 def _first_of_series(path: str) -> Any:
-    """The mesh of an XDMF file of several times, such as the fields of a run, and its labels."""
+    """Read mesh and labels of an XDMF file of several times, such as the fields of a run."""
     import meshio
 
     with meshio.xdmf.TimeSeriesReader(path) as reader:
@@ -93,7 +96,11 @@ def _first_of_series(path: str) -> Any:
 
 
 def read(kind: str, path: str) -> bytes:
-    """The mesh in a file: points, elements, notes, and what its names number."""
+    """Return the mesh in a file as an archive.
+
+    It has `points`, `elements`, the arrays of boundaries and regions by number, and their names and
+    the notes as JSON.
+    """
     if kind == "gmsh":
         stored = read_gmsh(path)
     elif kind == "abaqus":
@@ -103,8 +110,11 @@ def read(kind: str, path: str) -> bytes:
     mesh = plane_mesh(stored)
     names = {"boundaries": [*mesh.boundaries], "regions": [*mesh.regions], "notes": mesh.notes}
     arrays: dict[str, Any] = {"points": mesh.points, "elements": mesh.elements}
-    for group, named in (("boundaries", mesh.boundaries), ("regions", mesh.regions)):
-        arrays |= {f"{group}.{k}": each for k, each in enumerate(named.values())}
+    # by number: a name may have characters that an archive cannot have
+    for k, ends in enumerate(mesh.boundaries.values()):
+        arrays[f"boundaries.{k}"] = ends
+    for k, members in enumerate(mesh.regions.values()):
+        arrays[f"regions.{k}"] = members
     arrays["names"] = np.frombuffer(json.dumps(names).encode(), np.uint8)
     archive = io.BytesIO()
     np.savez(archive, **arrays)
@@ -112,23 +122,27 @@ def read(kind: str, path: str) -> bytes:
 
 
 def main() -> None:
-    """Read what the command line names."""
+    """Read the file that the command line names."""
     kind, path, memory, seconds = sys.argv[1:]
     resource.setrlimit(resource.RLIMIT_AS, (int(memory), int(memory)))
-    hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
+    _, hard = resource.getrlimit(resource.RLIMIT_CPU)
     if hard == resource.RLIM_INFINITY:
         hard = int(seconds) + 1  # between the two its parent sees why it ended
     resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), hard))
-    out, messages = os.fdopen(os.dup(1), "wb"), os.fdopen(os.dup(2), "w", errors="replace")
-    for stream in (1, 2):  # meshio, and HDF5, print what they think of a file
+    # meshio, and HDF5, print what they think of a file: their output goes nowhere
+    out = os.fdopen(os.dup(1), "wb")
+    messages = os.fdopen(os.dup(2), "w", errors="replace")
+    for stream in (1, 2):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
     code = UNREADABLE
     try:
         content = read(kind, path)
     except MeshError as error:
-        code, reason = UNFIT, str(error)
-    except ImportError as error:
-        code, reason = 1, str(error)
+        code = UNFIT
+        reason = str(error)
+    except ImportError as error:  # meshio is not installed as it should be
+        code = 1
+        reason = str(error)
     except MemoryError:
         reason = f"reading it takes more than {int(memory) / 1e9:.3g} GB"
     except Exception as error:

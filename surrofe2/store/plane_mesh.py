@@ -1,4 +1,4 @@
-"""From what a mesh file holds to one kind of element in the plane, with named sides and regions.
+"""Turns a stored mesh into one kind of element in the plane, with named sides and regions.
 
 Cells of the second order and mixed ones become six-node triangles: those use all nodes of a file,
 bend better than quadrilaterals, and meet without hanging nodes. It knows no format of a file.
@@ -21,7 +21,7 @@ SURFACES = {"triangle": 3, "quad": 4, "triangle6": 6, "quad8": 8, "quad9": 9}
 """Nodes of each kind that is read: corners, then middles of sides in their order, then a centre."""
 _CORNERS = {"triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4, "quad9": 4}
 IN_PLANE = 1e-6
-"""Of the mesh's extent, by which z may vary: files of single precision or few digits."""
+"""Fraction of the mesh's extent by which z may vary: files of single precision or few digits."""
 
 
 class MeshError(Exception):
@@ -82,7 +82,7 @@ class PlaneMesh:
 
 
 def plane_mesh(stored: StoredMesh) -> PlaneMesh:
-    """The mesh with one kind of element, or a `MeshError`."""
+    """Return the mesh with one kind of element, or raise a `MeshError`."""
     _check_kinds(stored)
     _check_numbers(stored)
     points, elements, first_of, notes = _one_kind(stored)
@@ -113,9 +113,11 @@ class Label(NamedTuple):
     """Cells that have a number for a name.
 
     Attributes:
-        prefix: what stands before the number in the name.
+        prefix: text before the number in the name.
         dimension: 1 of lines, 2 of surfaces.
-        kind, cells: which cells.
+        number: the number.
+        kind: kind of the cells.
+        cells: their numbers among those of the kind.
     """
 
     prefix: str
@@ -126,8 +128,10 @@ class Label(NamedTuple):
 
 
 def numbered_groups(labels: Iterable[Label]) -> list[Group]:
-    """A group for each number, called by it; a number that lines and surfaces both have is called
-    "curve 1" and "surface 1"."""
+    """Make a group for each number, called by it.
+
+    A number that both lines and surfaces have is called "curve 1" and "surface 1".
+    """
     groups: dict[tuple[str, int, int], Group] = {}
     for label in labels:
         key = (label.prefix, label.dimension, label.number)
@@ -140,7 +144,7 @@ def numbered_groups(labels: Iterable[Label]) -> list[Group]:
 
 
 def _check_kinds(stored: StoredMesh) -> None:
-    """Whether there are surfaces, and no cells but lines and surfaces that are read."""
+    """Check that there are surfaces, and no cells but lines and surfaces that are read."""
     counts = {kind: len(cells) for kind, cells in stored.cells.items() if len(cells)}
     known = ", ".join(SURFACES)
     for kind, count in counts.items():
@@ -158,7 +162,7 @@ def _check_kinds(stored: StoredMesh) -> None:
 
 
 def _check_numbers(stored: StoredMesh) -> None:
-    """Refuse numbers that numpy would count from the end, or that are of no point or cell."""
+    """Reject numbers that numpy would count from the end, or that are of no point or cell."""
     count = len(stored.points)
     for nodes in [*stored.cells.values(), *stored.node_sets.values()]:
         if nodes.size and not 0 <= nodes.min() <= nodes.max() < count:
@@ -173,9 +177,9 @@ def _check_numbers(stored: StoredMesh) -> None:
 
 
 def _one_kind(stored: StoredMesh) -> tuple[Array, Index, dict[str, Index], list[str]]:
-    """Points, elements of one kind, the elements that each cell became, and notes.
+    """Return points, elements of one kind, the elements that each cell became, and notes.
 
-    The third is by kind (m, 1) or (m, 2): a quadrilateral may become two triangles.
+    The third is by kind, (m, 1) or (m, 2): a quadrilateral may become two triangles.
     """
     points = stored.points
     surfaces = {kind: stored.cells[kind] for kind in SURFACES if len(stored.cells.get(kind, ()))}
@@ -212,14 +216,14 @@ def _one_kind(stored: StoredMesh) -> tuple[Array, Index, dict[str, Index], list[
 
 
 def _with_centres(points: Array, cells: Index) -> tuple[Array, Index]:
-    """Points and quadrilaterals with a ninth node, where the shape functions of eight put it."""
+    """Give quadrilaterals a ninth node, where the shape functions of eight put it."""
     centres = 0.5 * points[cells[:, 4:]].sum(axis=1) - 0.25 * points[cells[:, :4]].sum(axis=1)
     numbers = len(points) + np.arange(len(cells))
     return np.concatenate([points, centres]), np.column_stack([cells, numbers])
 
 
 def _halves(points: Array, cells: Index) -> Index:
-    """(m, 2, 3) or (m, 2, 6) triangles of quadrilaterals of 4 or 9 nodes, cut where it is short."""
+    """Cut quadrilaterals of 4 or 9 nodes along the shorter diagonal: (m, 2, 3) or (m, 2, 6)."""
     corners = points[cells[:, :4]]
     first = np.linalg.norm(corners[:, 2] - corners[:, 0], axis=1)
     second = np.linalg.norm(corners[:, 3] - corners[:, 1], axis=1)
@@ -237,14 +241,15 @@ def _halves(points: Array, cells: Index) -> Index:
 
 
 def _in_plane(points: Array, elements: Index) -> Array:
-    """(n, 2) points of which those of elements lie at one z."""
+    """Return points (n, 2); those of elements must be finite and lie at one z."""
     used = points[np.unique(elements)]
     if not np.isfinite(used).all():
         numbers = np.unique(elements)
         node = int(numbers[~np.isfinite(used).all(axis=1)][0])
         raise MeshError(f"point {node} at {points[node].tolist()}; coordinates must be finite")
     if points.shape[1] == 3:
-        low, high = used[:, 2].min(), used[:, 2].max()
+        low = used[:, 2].min()
+        high = used[:, 2].max()
         if high - low > IN_PLANE * np.ptp(used[:, :2], axis=0).max():
             raise MeshError(
                 f"z from {low:.6g} to {high:.6g}; the mesh must lie in a plane of constant z"
@@ -253,8 +258,9 @@ def _in_plane(points: Array, elements: Index) -> Array:
 
 
 def _renumbered(points: Array, elements: Index) -> tuple[Array, Index, Index]:
-    """Points of elements alone, corners first, elements by their new numbers, and the new number
-    of each old point, −1 of one that no element has.
+    """Return the points of elements alone, corners first, and the elements by their new numbers.
+
+    The third is the new number of each old point, −1 of one that no element has.
 
     scikit-fem finds the sides of six-node triangles by the numbers of corners.
     """
@@ -266,19 +272,20 @@ def _renumbered(points: Array, elements: Index) -> tuple[Array, Index, Index]:
 
 
 def _sides(elements: Index) -> Index:
-    """(m, k, 2) ends of the sides of each element, the lower number first."""
+    """Return the ends (m, k, 2) of the sides of each element, the lower number first."""
     corners = elements[:, : 4 if elements.shape[1] == 4 else 3]
     return np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2), axis=2)
 
 
 def _key(ends: Index) -> Index:
-    """A number for each pair of ends, the lower one first."""
+    """Return a number for each pair of ends, of which the lower is first."""
     return ends[..., 0] * (1 << 31) + ends[..., 1]
 
 
 def _check_middles(points: Array, elements: Index) -> None:
-    """Each side has one middle node, which is no corner and of no other side."""
-    keys, middles = _key(_sides(elements)).ravel(), elements[:, 3:].ravel()
+    """Check that each side has one middle node, which is no corner and of no other side."""
+    keys = _key(_sides(elements)).ravel()
+    middles = elements[:, 3:].ravel()
     corner = np.isin(middles, elements[:, :3])
     if corner.any():
         at = points[middles[corner.argmax()]]
@@ -298,7 +305,7 @@ def _check_middles(points: Array, elements: Index) -> None:
 
 
 def _lines_of(name: str, lines: Index, number: Index, sides: Index, points: Array) -> Index:
-    """(s, 2) ends of the lines of a group, each of which must be a side of an element."""
+    """Return the ends (s, 2) of a group's lines; each must be a side of an element."""
     ends = np.sort(number[lines], axis=1)
     is_side = np.isin(_key(ends), _key(sides)) & (ends[:, 0] >= 0)
     if not is_side.all():
@@ -310,7 +317,7 @@ def _lines_of(name: str, lines: Index, number: Index, sides: Index, points: Arra
 
 
 def _held_sides(nodes: Index, number: Index, sides: Index, elements: Index) -> Index:
-    """(s, 2) ends of the outer sides all of whose nodes are among these."""
+    """Return the ends (s, 2) of the outer sides all of whose nodes are among these."""
     is_held = np.zeros(len(number) + 1, dtype=bool)  # the last is of points without a number
     is_held[number[nodes]] = True
     is_held[-1] = False
@@ -324,7 +331,7 @@ def _held_sides(nodes: Index, number: Index, sides: Index, elements: Index) -> I
 
 
 def _joined(parts: list[Index]) -> Index:
-    """All numbers of some arrays in one row."""
+    """Return all numbers of some arrays in one row."""
     return np.concatenate([np.zeros(0, np.int64), *(part.ravel() for part in parts)])
 
 
