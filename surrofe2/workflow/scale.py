@@ -21,8 +21,6 @@ from surrofe2.macro.elements import make_discretisation
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.store.samples import kept_reference
-from surrofe2.tissue.relaxation import rounded_step, stable_step
-from surrofe2.workflow.tissue import tissue_of
 
 PARTICLE_STEPS = 3e7
 """Particle-steps in a second by two cores: an order of magnitude."""
@@ -117,6 +115,10 @@ def sap_wave_speed(cell: CellParameters) -> float:
 
 def all_particles(recipe: Recipe) -> Particles:
     """The full particle model of a recipe's tissue, by the area of each kind of plant cell."""
+    # late: a run asks for `sap_notes` alone, and imports no full tissue for them
+    from surrofe2.tissue.relaxation import rounded_step, stable_step
+    from surrofe2.workflow.tissue import tissue_of
+
     elements = _elements_by_cell(recipe)
     plant_cells = particles = 0.0
     step = math.inf if recipe.tissue.micro_step is None else recipe.tissue.micro_step
