@@ -16,7 +16,7 @@ from html import escape
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib import colormaps
@@ -60,15 +60,43 @@ from surrofe2.store.store import check_replaceable, flat, read_bytes, write_text
 RunFields = tuple[StoredRun, StoredFields | None]
 """A run and its fields, None where its folder has none."""
 
-VON_MISES, WALL_STRETCH = "von_mises_in_plane_uN_per_um", "largest_wall_stretch"
+VON_MISES = "von_mises_in_plane_uN_per_um"
+WALL_STRETCH = "largest_wall_stretch"
+# Sources of stress that are no RVE.
 _CACHE = (SURROGATE, TABLE)
-_MOST_EVENTS, _MOST_PICTURES = 200, 4
+# Events of a run, and pictures of its plant cells, that a page has at most.
+_MOST_EVENTS = 200
+_MOST_PICTURES = 4
+
+
+class Section(NamedTuple):
+    """A section of the page.
+
+    Attributes:
+        key: its anchor.
+        link: its name in the list of sections.
+        heading: its heading.
+        parts: its elements in HTML.
+        missing: sentence that is shown where there are no parts.
+    """
+
+    key: str
+    link: str
+    heading: str
+    parts: Iterable[str]
+    missing: str = ""
+
+    def html(self) -> str:
+        """Return the section in HTML; its parts are made here."""
+        content = "".join(self.parts) or _missing(self.missing)
+        return f'<section id="{self.key}"><h2>{self.heading}</h2>{content}</section>'
 
 
 def write_report(folders: Sequence[str | Path], out: str | Path) -> Path:
-    """Write one HTML file on these runs, which needs nothing else; its path.
+    """Write one HTML file on these runs, which needs nothing else, and return its path.
 
     Args:
+        folders: folders of the runs.
         out: the file; a page that is there is replaced, and no other file.
 
     Raises:
@@ -88,40 +116,47 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> Path:
     shown = [(run, fields_of(run)) for run in runs]
     stills, motion = motion_section(shown)
     look = f"surrofe2 zoom {shlex.quote(str(runs[0].folder))} --point X,Y"
-    sections: tuple[tuple[str, str, str, Iterable[str], str], ...] = (
-        ("displacement", "Displacement", "Displacement", _displacement(runs, comparison), ""),
-        ("curves", "Curves", "Forces over displacements", _responses(runs),
-         "No motion, surface load or body whose force and displacement both change."),
-        ("cost", "Time and speed-up", "Time and speed-up", _cost(runs, compared), ""),
-        ("fallback", "Fallbacks", "Where the cache fell back", _fallback(shown),
-         "No run through a cache, so nothing fell back."),
-        ("audit", "Audits", "Audits", _audits(runs),
-         "No run through a cache, so nothing was audited."),
-        ("range", "Range", "Range that was met", _range(runs), "No run recorded what it met."),
-        ("energy", "Energies", "Energies", _energies(runs), ""),
-        ("cells", "Plant cells", "Plant cells", _plant_cells(runs),
-         f"No look into the plant cells in the folders; make one with: {look}"),
-        ("events", "Events", "Events", _events(runs), ""),
-        ("origin", "Provenance", "Configuration and provenance", _origin(runs), ""),
+    sections = (
+        Section("displacement", "Displacement", "Displacement", _displacement(runs, comparison)),
+        Section(
+            "curves", "Curves", "Forces over displacements", _responses(runs),
+            "No motion, surface load or body whose force and displacement both change.",
+        ),
+        Section("cost", "Time and speed-up", "Time and speed-up", _cost(runs, compared)),
+        Section(
+            "fallback", "Fallbacks", "Where the cache fell back", _fallback(shown),
+            "No run through a cache, so nothing fell back.",
+        ),
+        Section(
+            "audit", "Audits", "Audits", _audits(runs),
+            "No run through a cache, so nothing was audited.",
+        ),
+        Section(
+            "range", "Range", "Range that was met", _range(runs), "No run recorded what it met."
+        ),
+        Section("energy", "Energies", "Energies", _energies(runs)),
+        Section(
+            "cells", "Plant cells", "Plant cells", _plant_cells(runs),
+            f"No look into the plant cells in the folders; make one with: {look}",
+        ),
+        Section("events", "Events", "Events", _events(runs)),
+        Section("origin", "Provenance", "Configuration and provenance", _origin(runs)),
     )  # fmt: skip
-    """Key, link, heading, parts, and what is said where there are none."""
-    html, css, js = (
-        files("surrofe2.report").joinpath(f"page.{kind}").read_text("utf-8")
-        for kind in ("html", "css", "js")
-    )
+    html = _packaged("page.html")
+    css = _packaged("page.css")
+    js = _packaged("page.js")
     page = Template(html).substitute(
         title=escape("surrofe2: " + ", ".join(run.name for run in runs)),
         css=css,
         css_digest=_base64(hashlib.sha256(css.encode()).digest()),
         js=js,
         js_digest=_base64(hashlib.sha256(js.encode()).digest()),
-        links="".join(f'<li><a href="#{key}">{name}</a></li>' for key, name, *_ in sections),
+        links="".join(
+            f'<li><a href="#{section.key}">{section.link}</a></li>' for section in sections
+        ),
         headlines="".join(_headlines(runs, compared)),
         stills="".join(stills),
-        sections="\n".join(
-            f'<section id="{key}"><h2>{heading}</h2>{"".join(parts) or _missing(none)}</section>'
-            for key, _, heading, parts, none in sections
-        ),
+        sections="\n".join(section.html() for section in sections),
         # a JSON string has no "<" that could end the element early
         data=json.dumps({"runs": motion}).replace("<", "\\u003c"),
     )
@@ -130,8 +165,13 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> Path:
     return Path(out)
 
 
+def _packaged(name: str) -> str:
+    """Read a text that lies beside this module."""
+    return files("surrofe2.report").joinpath(name).read_text("utf-8")
+
+
 def fields_of(run: StoredRun) -> StoredFields | None:
-    """What the page shows of the elements of a run."""
+    """Read what the page shows of the elements of a run; None where its folder has no fields."""
     if not (run.folder / f"{FIELDS}.h5").exists():
         return None
     shown = VON_MISES, SOURCE_NAME, WALL_STRETCH, BEYOND_NAME
@@ -143,7 +183,7 @@ def _base64(content: bytes) -> str:
 
 
 def _headlines(runs: Sequence[StoredRun], compared: Sequence[ComparedRun]) -> Iterator[str]:
-    """What was run, and what came out of it."""
+    """Yield sentences on what was run, and with which result."""
     yield _paragraph("; ".join(comparison_title(runs).split("\n")))
     for run in compared:
         faster = run.speed_up["wall_time"]
@@ -163,7 +203,7 @@ def _headlines(runs: Sequence[StoredRun], compared: Sequence[ComparedRun]) -> It
 
 
 def _displacement(runs: Sequence[StoredRun], comparison: Comparison | str) -> Iterator[str]:
-    """Curves of all runs, their differences and the forces on the tissue."""
+    """Yield curves of all runs, their differences and the forces on the tissue."""
     caption = "Displacement of the watched point" + (" by all runs" if len(runs) > 1 else "")
     figures = [_chart(panel, caption) for panel in displacement_panels(runs)]
     if isinstance(comparison, str):
@@ -179,27 +219,30 @@ def _displacement(runs: Sequence[StoredRun], comparison: Comparison | str) -> It
 
 
 def _responses(runs: Sequence[StoredRun]) -> Iterator[str]:
-    """Force–displacement curves of supports, loads and bodies, with peak, slope and work."""
-    of_runs = [(run, {(each.name, each.axis): each for each in run.responses}) for run in runs]
+    """Yield force–displacement curves of supports, loads and bodies, with peak, slope and work."""
+    responses_of = [
+        {(response.name, response.axis): response for response in run.responses} for run in runs
+    ]
+    keys = dict.fromkeys(key for responses in responses_of for key in responses)
     figures = []
-    for name, axis in dict.fromkeys(key for _, responses in of_runs for key in responses):
+    for name, axis in keys:
         curves = []
-        for k, (run, responses) in enumerate(of_runs):
-            each = responses.get((name, axis))
-            if each is not None:
-                line = each.displacement, each.force
-                curves.append(Curve("", *line, run.name, markers=False, colour=k))
+        for k, (run, responses) in enumerate(zip(runs, responses_of, strict=True)):
+            response = responses.get((name, axis))
+            if response is not None:
+                u = response.displacement
+                curves.append(Curve("", u, response.force, run.name, markers=False, colour=k))
         panel = Panel("displacement (µm)", "force (µN)", tuple(curves))
         figures.append(_chart(panel, f"{name}, along {axis}"))
     if figures:
         yield _grid(figures)
-    for run, responses in of_runs:
-        for each in responses.values():
-            yield _paragraph(f"{run.name}: {each.sentence}.")
+    for run, responses in zip(runs, responses_of, strict=True):
+        for response in responses.values():
+            yield _paragraph(f"{run.name}: {response.sentence}.")
 
 
 def _cost(runs: Sequence[StoredRun], compared: Sequence[ComparedRun]) -> Iterator[str]:
-    """Seconds of each run and of what was made for it, and from when the cache pays off."""
+    """Yield seconds of each run and of making its cache, and from when on the cache pays off."""
     balances = [(run.name, run.balance) for run in compared if run.balance is not None]
     for name, balance in balances:
         yield _paragraph(f"{name}: {balance.sentence}.", "headline")
@@ -215,37 +258,44 @@ def _cost(runs: Sequence[StoredRun], compared: Sequence[ComparedRun]) -> Iterato
 
 
 def _seconds(run: StoredRun) -> dict[str, float]:
-    """In the law, in the macro scale, loading kernels before it, making what its cache needs."""
+    """Return the seconds of a run by what they were spent on.
+
+    This is law and macro scale, loading kernels before them, and making the surrogate or table.
+    """
     wall = run.record.wall_time
-    law, macro = wall.get("law", 0.0), wall.get("macro", 0.0)
-    seconds = {"law": law, "macro scale": macro}
-    if not law and not macro:
+    law = wall.get("law", 0.0)
+    macro = wall.get("macro", 0.0)
+    if law or macro:
+        seconds = {"law": law, "macro scale": macro}
+    else:  # a full tissue has no such parts
         seconds = {"run": wall.get("total", 0.0)}
     if wall.get("compilation"):
         seconds["kernels"] = wall["compilation"]
-    return seconds | (
-        (run.record.surrogate or {}).get("seconds", {}) if made_for(run.record) else {}
-    )
+    if made_for(run.record):
+        seconds |= (run.record.surrogate or {}).get("seconds", {})
+    return seconds
 
 
 def _fallback(shown: Sequence[RunFields]) -> Iterator[str]:
-    """Where and when the cache fell back on RVEs."""
+    """Yield where and when the cache fell back on RVEs."""
     for run, fields in shown:
-        for of, cache in run.caches.items():
-            hits, fallbacks = cache["accepted"]["hits"], cache["accepted"]["fallbacks"]
-            why = fallback_reasons(cache["accepted"])
-            share = percent(3)(fallbacks / max(hits + fallbacks, 1))
+        for name, cache in run.caches.items():
+            hits = cache["accepted"]["hits"]
+            fallbacks = cache["accepted"]["fallbacks"]
+            reasons = fallback_reasons(cache["accepted"])
+            fraction = percent(3)(fallbacks / max(hits + fallbacks, 1))
             counts = (
                 f"{hits:,} answers of accepted steps came from the cache, {fallbacks:,} from RVEs"
             )
-            yield _paragraph(f"{of}: {counts}{why}, {share}.")
+            yield _paragraph(f"{name}: {counts}{reasons}, {fraction}.")
             for event in cache["trust"]["events"]:
-                yield _paragraph(f"{of}, step {event['step']}: {event['finding']}.")
+                yield _paragraph(f"{name}, step {event['step']}: {event['finding']}.")
         if fields is not None and SOURCE_NAME in fields.values:
             yield _over_time_and_mesh(run, fields)
 
 
 def _over_time_and_mesh(run: StoredRun, fields: StoredFields) -> str:
+    """Draw the sources of stress over the stored times, and where RVEs were needed."""
     source = fields.values[SOURCE_NAME]
     by_rve = ~np.isin(source, _CACHE)
     if not by_rve.any():
@@ -270,43 +320,43 @@ def _over_time_and_mesh(run: StoredRun, fields: StoredFields) -> str:
 
 
 def _audits(runs: Sequence[StoredRun]) -> Iterator[str]:
-    """Audited errors with the tolerance, and what the closing audits guarantee."""
-    for of, cache in (each for run in runs for each in run.caches.items()):
-        worst = cache["audit"]["worst"]
-        yield _paragraph(f"{of}: audited: {audit_sentence(cache)}.")
-        if isinstance(worst, Mapping):
-            where = f"step {worst['step']}, point {worst['point']}"
-            risk = f"where the risk was {number(worst['risk'])} ({where})"
-            error = f"{number(worst['error'])} µN/µm"
-            yield _paragraph(f"{of}: the worst error is {error}, {risk}.")
-        sentence = closing_sentence(cache)
-        if sentence:
-            yield _paragraph(f"{of}: closing audit: {sentence}.")
-    yield _grid(
-        [
-            _chart(panel, f"{run.name}: audited errors")
-            for run in runs
-            for panel in audit_panels([run])
-        ]
-    )
+    """Yield audited errors with the tolerance, and what the closing audits guarantee."""
+    charts = []
+    for run in runs:
+        for name, cache in run.caches.items():
+            worst = cache["audit"]["worst"]
+            yield _paragraph(f"{name}: audited: {audit_sentence(cache)}.")
+            if isinstance(worst, Mapping):
+                where = f"step {worst['step']}, point {worst['point']}"
+                risk = f"where the risk was {number(worst['risk'])} ({where})"
+                error = f"{number(worst['error'])} µN/µm"
+                yield _paragraph(f"{name}: the worst error is {error}, {risk}.")
+            sentence = closing_sentence(cache)
+            if sentence:
+                yield _paragraph(f"{name}: closing audit: {sentence}.")
+        for panel in audit_panels([run]):
+            charts.append(_chart(panel, f"{run.name}: audited errors"))
+    yield _grid(charts)
 
 
 def _range(runs: Sequence[StoredRun]) -> Iterator[str]:
-    """What each run met at any point and step, beside the range of the samples."""
+    """Yield a table of what each run met at any point and step, beside the range of the samples."""
     limits = runs[0].record.recipe.get("range") or {}
     ranges = [*((run.name, run.record.met) for run in runs), ("range of samples", limits)]
-    rows = [
-        [name, "{:.4g} … {:.4g}".format(*of["stretch"]), number(of["shear"]), number(of["rate"])]
-        for name, of in ranges
-        if {"stretch", "shear", "rate"} <= of.keys()
-    ]
+    rows = []
+    for name, met in ranges:
+        if {"stretch", "shear", "rate"} <= met.keys():
+            low, high = met["stretch"]
+            stretch = f"{low:.4g} … {high:.4g}"
+            rows.append([name, stretch, number(met["shear"]), number(met["rate"])])
     if rows:
         yield _table(["met at any point and step", "stretch (1)", "shear (1)", "rate (1/µs)"], rows)
 
 
 def _energies(runs: Sequence[StoredRun]) -> list[str]:
-    """Energies over time and how well they balance."""
-    figures, lacking = [], []
+    """Return figures of energies over time, with how well they balance."""
+    figures = []
+    lacking = []
     for run in runs:
         named = {name: e for name, e in run.energies.items() if np.isfinite(e).any()}
         if not named:
@@ -324,7 +374,7 @@ def _energies(runs: Sequence[StoredRun]) -> list[str]:
 
 
 def _plant_cells(runs: Sequence[StoredRun]) -> Iterator[str]:
-    """The plant cells that `surrofe2 zoom` looked into."""
+    """Yield pictures of the plant cells that `surrofe2 zoom` looked into."""
     for run in runs:
         for path in sorted(run.folder.glob("zoom-*/zoom.png"))[:_MOST_PICTURES]:
             of = f"{run.name}, {path.parent.name}: the plant cells there"
@@ -336,7 +386,7 @@ def _plant_cells(runs: Sequence[StoredRun]) -> Iterator[str]:
 
 
 def _events(runs: Sequence[StoredRun]) -> Iterator[str]:
-    """The events of all runs, the last ones where there are many."""
+    """Yield the events of all runs, the last ones where there are many."""
     for run in runs:
         path = run.folder / EVENTS
         events = read_bytes(path).decode("utf-8").splitlines() if path.exists() else []
@@ -358,7 +408,7 @@ def _short(value: Any) -> str:
 
 
 def _origin(runs: Sequence[StoredRun]) -> Iterator[str]:
-    """Settings, by what and when each run was made, and the digests of its files."""
+    """Yield settings, by what and when each run was made, and the digests of its files."""
     names = [run.name for run in runs]
     settings = _side_by_side([flat(run.record.recipe) for run in runs])
     apart = [row for row in settings if len(set(row[1:])) > 1]
@@ -403,8 +453,10 @@ def _provenance(run: StoredRun) -> dict[str, Any]:
 
 STOPS = [to_hex(colormaps["viridis"](k / 9)) for k in range(10)]
 """Viridis, evenly from lowest to highest."""
-LEVELS, UNKNOWN = 254, 255
-"""Numbers are stored as 0 … LEVELS; UNKNOWN is none."""
+LEVELS = 254
+"""Values are stored as whole numbers from 0 to this."""
+UNKNOWN = 255
+"""The number that stands for an unknown value."""
 SOURCES: dict[int, tuple[str, str]] = {
     SURROGATE: ("network", "#3b82c4"),
     TABLE: ("table", "#3aa37f"),
@@ -412,18 +464,19 @@ SOURCES: dict[int, tuple[str, str]] = {
     Status.NOT_FINITE: ("RVE: not finite", "#8c5bb0"),
     Status.NOT_TRUSTED: ("RVE: risk above the limit", "#c2413b"),
 }
-"""By the codes of `stress_law.Sources`: what people read, and the colour."""
+"""Words and colour of each source of stress, by the codes of `stress_law.Sources`."""
+# Bytes of all animations together, before base64.
 _BUDGET = 1_200_000
-"""Bytes of all animations together, before base64."""
+# The largest displacement is drawn with about this fraction of the tissue's size at first, by one
+# of the factors.
 _SHOWN = 0.08
-"""Fraction of the tissue's size that the largest displacement is drawn with at first, about."""
 _FACTORS = (1, 2, 5, 10, 20, 50, 100)
+# Width of a picture of the tissue, inches.
 _WIDTH = 4.4
-"""Of a picture of the tissue, inches."""
 
 
 def motion_section(shown: Sequence[RunFields]) -> tuple[list[str], list[dict[str, Any]]]:
-    """Pictures for paper and without the script, and what the script needs of each run."""
+    """Return pictures for paper and without the script, and what the script needs of each run."""
     known = [(run, fields) for run, fields in shown if fields is not None]
     data = [_arrays(run, fields, _BUDGET // len(known)) for run, fields in known]
     lacking = [
@@ -439,31 +492,38 @@ def motion_section(shown: Sequence[RunFields]) -> tuple[list[str], list[dict[str
 
 
 def _quantities(fields: StoredFields) -> dict[str, tuple[str, Array]]:
-    """By name: unit and (m, e) values to colour by."""
+    """Return unit and values (m, e) of the quantities to colour elements by, by name."""
     size = np.linalg.norm(fields.displacement, axis=2)
-    found = {"displacement": ("µm", size[:, fields.cells].mean(axis=2))}
+    quantities = {"displacement": ("µm", size[:, fields.cells].mean(axis=2))}
     for name, unit, key in (
         ("von Mises stress", "µN/µm", VON_MISES),
         ("largest wall stretch", "length / rest length", WALL_STRETCH),
         ("stress source", "", SOURCE_NAME),
         ("beyond a bifurcation", "elements with such a point", BEYOND_NAME),
     ):
-        if key not in fields.values or (key == BEYOND_NAME and not fields.values[key].any()):
+        if key not in fields.values:
             continue
-        found[name] = unit, fields.values[key]
-    return found
+        if key == BEYOND_NAME and not fields.values[key].any():  # nothing would be seen
+            continue
+        quantities[name] = unit, fields.values[key]
+    return quantities
 
 
 def _arrays(run: StoredRun, fields: StoredFields, budget: int) -> dict[str, Any]:
-    """A run for the script, as many times as the budget has room for, as bytes in base64:
-    displacements are 16-bit fractions of the largest component, values 8-bit levels."""
+    """Return a run for the script, at as many times as the budget of bytes has room for.
+
+    Arrays are bytes in base64: displacements are 16-bit fractions of the largest component, values
+    8-bit levels.
+    """
     quantities = _quantities(fields)
-    each = 4 * len(fields.points) + len(quantities) * len(fields.cells)
-    kept = max(2, min(len(fields.t), budget // max(each, 1)))
-    at = np.unique(np.linspace(0, len(fields.t) - 1, kept).round().astype(int))
+    bytes_of_a_time = 4 * len(fields.points) + len(quantities) * len(fields.cells)
+    times = max(2, min(len(fields.t), budget // max(bytes_of_a_time, 1)))
+    at = np.unique(np.linspace(0, len(fields.t) - 1, times).round().astype(int))
     u = fields.displacement[at]
     largest = float(abs(u).max()) or 1.0
-    order, bodies, factor = rim(fields), bodies_of(run, fields), 1
+    order = rim(fields)
+    bodies = bodies_of(run, fields)
+    factor = 1
     if not bodies:  # multiplied, a gap to a body closes before it should
         size = float(np.ptp(fields.points, axis=0).max())
         farthest = float(np.linalg.norm(fields.displacement, axis=2).max()) or size
@@ -497,7 +557,8 @@ def _colour(name: str, unit: str, values: Array) -> dict[str, Any]:
         words = {code: shown[code] for code in shown if (codes == code).any()}
         return {"name": name, "sources": words, "data": _base64(codes.tobytes())}
     colours = Colours.of(unit, values)
-    low, high = colours.low, colours.high
+    low = colours.low
+    high = colours.high
     fraction = np.clip((np.nan_to_num(values, nan=low) - low) / (high - low), 0.0, 1.0)
     stored = np.rint(LEVELS * fraction).astype(np.uint8)
     stored[~np.isfinite(values)] = UNKNOWN
@@ -506,14 +567,14 @@ def _colour(name: str, unit: str, values: Array) -> dict[str, Any]:
 
 
 def bodies_of(run: StoredRun, fields: StoredFields) -> list[DrawnBody]:
-    """The rigid bodies of a run at the times of its fields."""
+    """Return the rigid bodies of a run at the times of its fields."""
     stated = run.record.recipe.get("bodies", {})
     bodies = [RigidBody.read(f"bodies.{name}", table) for name, table in stated.items()]
     return drawn_bodies(bodies, run.curve.t, run.history, fields)
 
 
 def _still(run: StoredRun, fields: StoredFields, factor: int) -> str:
-    """The tissue where it has moved farthest, by stress, for paper and without the script."""
+    """Draw the tissue where it has moved farthest, by stress, for paper and without the script."""
     k = int(np.linalg.norm(fields.displacement, axis=2).max(axis=1).argmax())
     quantities = _quantities(fields)
     what = "von Mises stress" if "von Mises stress" in quantities else "displacement"
@@ -535,7 +596,7 @@ def _tissue(
     caption: str,
     factor: float = 1.0,
 ) -> str:
-    """The tissue of a run at time k coloured by the values of its elements, with a colour bar."""
+    """Draw the tissue of a run at time k by the values of its elements, with a colour bar."""
     bodies = bodies_of(run, fields)
     low, high = box(fields.points + factor * fields.displacement[k], bodies)
     height = float(np.clip((high - low)[1] / ((high - low)[0] or 1.0), 0.3, 1.5)) * (_WIDTH - 1.0)
