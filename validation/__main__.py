@@ -28,6 +28,7 @@ STUDIES: Mapping[str, tuple[str, str, str]] = {
     "irregular": ("irregular", "irregular", "moduli over the plant cells of an RVE, both fluids"),
     "wilting": ("wilting", "wilting", "moduli of wilting tissue against published tests"),
     "locking": ("locking", "locking", "elements of nearly incompressible tissue"),
+    "branches": ("branches", "branches", "irregular cells: states that leave their branch"),
     "ablation": ("ablation", "ablation", "what each part of the surrogate is worth"),
     "worst-answer": ("worst_answer", "worst_answer", "the worst states that the cache accepts"),
 }

@@ -30,7 +30,7 @@ FEWEST_VORONOI = 4
 _ARRANGEMENT = ("arrangement", "cells", "arrangement_seed")
 _UNIFORM = ("fluid", "sap_bulk_modulus")
 _SHAPE = ("area_variation", "elongation", "elongation_direction")
-_AS_LAID_OUT = {"area_variation": 0.0, "elongation": 1.0}
+_AS_LAID_OUT = {"area_variation": 0.0, "elongation": 1.0, "elongation_direction": 0.0}
 LEAST_VARIATION = 0.1
 
 
@@ -45,7 +45,8 @@ class CellParameters:
     """Plant cells of an RVE: walls of bonded particles around fluid.
 
     One square plant cell unless `arrangement` says otherwise. The wall rest length is not among
-    them: it follows from zero stress at F = I.
+    them: it follows from zero stress at F = I. `dataclasses.replace` keeps the fluid; with
+    `fluid="auto"` it takes that of the new arrangement.
     """
 
     cell_side: float = _constant(25.0, LENGTH, "side of a square with a plant cell's area")
@@ -151,7 +152,7 @@ class CellParameters:
                 "cell.sap_bulk_modulus",
                 f"{self.sap_bulk_modulus}; with fluid sph it must be 0: take fluid uniform",
             )
-        for name in _SHAPE[:2]:
+        for name in _SHAPE:
             if getattr(self, name) != _AS_LAID_OUT[name] and self.arrangement != "voronoi":
                 raise InputError(
                     f"cell.{name}",

@@ -11,11 +11,11 @@ A step down is Newton's, with the modulus of every eigenvalue of the Hessian H =
     δx = Σ q (q·f)/|λ|,  halved until E falls,        f = −∂E/∂x
 
 Where H is positive definite that is H⁻¹ f, and eigenvalues need not be known. At rest in a saddle f
-says nothing, and the kick is the part of a fixed pattern w that lies in the unstable directions,
-δx ∝ Σ_{λ<0} |λ| q (q·w): it depends neither on the sign nor on the choice of eigenvectors that
-numpy returns. w is fixed in material coordinates, so a rotated RVE leaves along the rotated
-direction. Which of two mirrored branches is reached is w's choice, and a reflected RVE may choose
-the other.
+says nothing, and the kick is along the softest mode, to the side of lower energy: a rotated or
+mirrored RVE leaves to the rotated or mirrored side. Sides of one energy are images of each other
+by a symmetry of the RVE. Among them, and among modes of one stiffness, a pattern w that is fixed in
+material coordinates chooses, δx ∝ Σ |λ| q (q·w) over these modes: it depends neither on the sign
+nor on the choice of eigenvectors that numpy returns.
 
 Forces and Hessian are by x of all particles but the held one, ordered x₁, y₁, x₂, … as everywhere.
 """
@@ -35,15 +35,19 @@ from surrofe2.base.tensors import rotation, transpose
 from surrofe2.plant_cell.block_matrices import dense_pattern
 from surrofe2.plant_cell.forces import elastic_energy, fold_images, local_forces
 from surrofe2.plant_cell.neighbours import Topology
+from surrofe2.plant_cell.pair_laws import Constants
 from surrofe2.plant_cell.pair_sums import difference, make_workspace
-from surrofe2.rve.newton import ASTRAY, SEEK, SEEK_LIMIT, move, set_elastic_jacobian
-from surrofe2.rve.rve_state import place, place_images
+from surrofe2.rve.newton import ASTRAY, SEEK, SEEK_LIMIT, move, renew, set_elastic_jacobian
+from surrofe2.rve.rve_state import Drive, Factors, place, place_images, stored_energy
 from surrofe2.rve.unit_cell import Equilibria, UnitCell, relax
 
 LONGEST, SHORTEST = 0.05, 0.004
-"""Longest step, and the one that is not halved any further: largest change of an entry of F."""
-SHORTEST_UNIFORM = 0.0005
+"""Longest step, and the one that is not halved any further: largest change of an entry of Rᵀ F."""
+SHORTEST_UNIFORM = 2e-5
 """The latter with a uniform fluid: slack walls bow within a short part of the path, and stably."""
+BEND = 0.02
+"""With a uniform fluid: distance of a particle from where the slopes at both ends of a step lead,
+µm times `Constants.scale`, within which the two lie on one branch."""
 JUMP = 1.0
 """Material displacement of a particle, µm times `Constants.scale`, that no step along one branch
 makes; so are the lengths below, but that of fluid particles."""
@@ -54,6 +58,9 @@ RESTING = 1e-4
 """Mean particle force below which a minimum is left to Newton's method, µN."""
 KICK = 0.2
 """Longest displacement of a particle out of a saddle, µm."""
+ALIKE, EVEN = 1e-3, 1e-5
+"""Relative difference of the stiffness of unstable modes that count as one, and of the energies on
+the two sides of a saddle, over their fall, that do."""
 DOWN = 0.4
 """Longest displacement of a particle in one step down, µm."""
 PAIRED = 0.02
@@ -79,13 +86,17 @@ class Continuation:
         effort: (m,) what it took, in Newton iterations. solves: (m,) of Newton's method.
         left: (m,) whether a branch was left.
         unstable: (m,) whether the last equilibrium met was unstable.
+        predicts: whether steps begin where the slope of the branch leads, and are checked by it.
+        slope: (m, 2, n) ∂z/∂(part of the path) at z; zero where it is not used.
     """
 
     def __init__(self, unit: UnitCell, tolerance: float, start: Array, end: Array, z: Array):
         self.unit, self.tolerance = unit, tolerance
-        self.start, self.end = rotation(end) @ transpose(rotation(start)) @ start, end
+        turned = rotation(end)
+        self.start, self.end = turned @ transpose(rotation(start)) @ start, end
         self.z, self.done = z.copy(), np.zeros(len(z))
-        length = np.abs(self.end - self.start).max(axis=(1, 2))
+        # the change of F as the material sees it, the same for a rotated RVE
+        length = np.abs(transpose(turned) @ (self.end - self.start)).max(axis=(1, 2))
         shortest = SHORTEST_UNIFORM if unit.topology.pressures else SHORTEST
         self.longest, self.shortest = (
             change / np.maximum(length, change) for change in (LONGEST, shortest)
@@ -93,6 +104,8 @@ class Continuation:
         self.step = np.minimum(self.longest, 0.5)
         self.effort, self.solves = np.zeros((2, len(z)), dtype=np.int_)
         self.left, self.unstable = np.zeros((2, len(z)), dtype=np.bool_)
+        self.predicts = unit.topology.pressures > 0
+        self.slope = self._slopes(np.arange(len(z)), self.start, self.z)
 
     @property
     def arrived(self) -> Flags:
@@ -104,12 +117,12 @@ class Continuation:
         """Lead all points towards the end of the path, as far as `EFFORT` goes.
 
         `active` numbers points of the path. What one step finds is numbered as `active` is: F, z,
-        trial, good (a step on the same branch) and `stuck`, those whose branch has ended.
+        trial, slope there, good (a step on the same branch) and `stuck`, whose branch has ended.
         """
         active = np.arange(len(self.z))
         while len(active):
             z = self.z[active]
-            F, trial, good = self._next(active)
+            F, trial, slope, good = self._next(active)
             step, shortest = self.step[active], self.shortest[active]
             part, there = np.minimum(self.done[active] + step, 1.0), trial.z
             self.solves[active] += 1
@@ -122,20 +135,23 @@ class Continuation:
                 self.effort[ended] += OF_STEP_DOWN * tried
                 self.solves[ended] += 1
                 self.left[ended] |= good[stuck]
+                slope[stuck] = self._slopes(ended, F[stuck], there[stuck])
             ahead = active[good]
             self.z[ahead], self.done[ahead] = there[good], part[good]
+            self.slope[ahead] = slope[good]
             step = step * np.where(good, 2.0, 0.5)
             self.step[active] = np.clip(step, shortest, self.longest[active])
             keeps_on = ~self.arrived[active] & (self.effort[active] < EFFORT)
             keeps_on[stuck] &= good[stuck]
             active = active[keeps_on]
 
-    def _next(self, active: Index) -> tuple[Array, Equilibria, Flags]:
+    def _next(self, active: Index) -> tuple[Array, Equilibria, Array, Flags]:
         """The next step of the `active` points, halved as often as a tile has room to try at once.
 
         Returns:
-            F and what was found there, and whether that is the next equilibrium of the branch;
-            the path's step is the one that was taken, its effort that of all before it, too.
+            F, what was found there, the slope there, and whether that is the next equilibrium of
+            the branch; the path's step is the one that was taken, its effort that of all before it,
+            too.
         """
         # a tile solves eight points for the price of one: its free lanes try shorter steps at once
         count, tries, shortest = len(active), max(TILE // len(active), 1), self.shortest[active]
@@ -143,16 +159,33 @@ class Continuation:
         part = np.minimum(self.done[active, None] + step, 1.0)[:, :, None, None]
         F = (1.0 - part) * self.start[active, None] + part * self.end[active, None]
         z = np.repeat(self.z[active], tries, axis=0)
-        trial = seek(self.unit, F.reshape(-1, 2, 2), z, self.tolerance)
-        good = (trial.stable & ~_jumped(trial.z, z, self.unit.constants.scale)).reshape(
-            count, tries
-        )
+        before = np.repeat(self.slope[active], tries, axis=0)
+        moved = (part[:, :, 0, 0] - self.done[active, None]).reshape(-1, 1, 1)
+        trial = seek(self.unit, F.reshape(-1, 2, 2), z + moved * before, self.tolerance)
+        scale = self.unit.constants.scale
+        follows = trial.stable & ~_jumped(trial.z, z, scale)
+        slope = self._slopes(np.repeat(active, tries), F.reshape(-1, 2, 2), trial.z)
+        if self.predicts:
+            bend = trial.z - z - 0.5 * moved * (before + slope)
+            follows &= _farthest(bend) <= scale * BEND
+        good = follows.reshape(count, tries)
         effort = self.effort[active, None] + trial.iterations.reshape(count, tries).cumsum(axis=1)
         last = good | (step <= shortest[:, None]) | (effort >= EFFORT)
         last[:, -1] = True
         taken, every = last.argmax(axis=1), np.arange(count)
         self.step[active], self.effort[active] = step[every, taken], effort[every, taken]
-        return F[every, taken], trial.take(tries * every + taken), good[every, taken]
+        row = tries * every + taken
+        return F[every, taken], trial.take(row), slope[row], good[every, taken]
+
+    def _slopes(self, index: Index, F: Array, z: Array) -> Array:
+        """∂z/∂(part of the path) (m, 2, n) of the points `index` at equilibria z at F."""
+        slope = np.zeros_like(z)
+        if self.predicts:
+            change = (self.end - self.start)[index].reshape(-1, 1, 4)
+            by_F = np.nan_to_num(elastic_slopes(self.unit, F, z))  # not finite: of no equilibrium
+            own = (by_F * change).sum(axis=2).reshape(len(z), -1, 2)
+            slope[:, :, 1:] = own.transpose(0, 2, 1)
+        return slope
 
     def _leave(
         self, F: Array, z: Array, trial: Equilibria, spare: Index
@@ -181,9 +214,25 @@ def seek(unit: UnitCell, F: Array, z: Array, tolerance: float) -> Equilibria:
     return found._replace(iterations=count)
 
 
+def elastic_slopes(unit: UnitCell, F: Array, z: Array) -> Array:
+    """(m, free, 4) ∂z/∂F_xx, xy, yx, yy of elastic equilibria z (m, 2, n) at F (m, 2, 2)."""
+    tensors, tiles = pack(F), pack(z)
+    topology = unit.neighbours.near(tensors, tiles, 0.0).topology
+    drive = Drive(tensors, np.zeros_like(tensors))
+    factors = Factors.empty(drive, tiles, topology)
+    every = np.ones(len(tiles), dtype=np.bool_)
+    renew(drive, tiles, factors.address, every, topology, unit.constants)
+    return unpack(factors.slopes(topology), len(z))[:, :, :4]
+
+
 def _jumped(z: Array, before: Array, scale: float) -> Flags:
-    jumped: Flags = np.abs(z - before).max(axis=(1, 2)) > scale * JUMP
-    return jumped
+    """(m,) whether a particle moved farther than it does along one branch."""
+    return _farthest(z - before) > scale * JUMP
+
+
+def _farthest(way: Array) -> Array:
+    """(m,) the longest of the displacements (m, 2, n)."""
+    return np.asarray(np.sqrt((way * way).sum(axis=1)).max(axis=1))
 
 
 def _paired(topology: Topology, F: Array, z: Array) -> Flags:
@@ -312,7 +361,8 @@ def descend(
             for k in np.flatnonzero(continues).tolist():
                 tile, lane = divmod(k, TILE)
                 forces, hessian = here.forces[tile, :, lane], -here.slope[tile, :, lane]
-                step[k], found[active[k]] = _step(F[active[k]], forces, hessian, scale)
+                at = F[active[k]], moving[tile, :, :, lane]
+                step[k], found[active[k]] = _step(*at, forces, hessian, topology, unit.constants)
                 tried[active[k]] += 1
                 continues[k] = not found[active[k]]
         z[active], energy[active] = unpack(moving, count), unpack(here.energy, count)[:, 0]
@@ -320,7 +370,9 @@ def descend(
     return z, found, tried
 
 
-def _step(F: Array, forces: Array, values: Array, scale: float) -> tuple[Array, bool]:
+def _step(
+    F: Array, z: Array, forces: Array, values: Array, topology: Topology, c: Constants
+) -> tuple[Array, bool]:
     """(2n − 2,) Newton's step, or the kick out of a saddle at rest; whether this is a minimum."""
     hessian = _without_pressures(values, len(forces))
     resting = bool(_lengths(forces[None]).mean() < RESTING)
@@ -330,9 +382,20 @@ def _step(F: Array, forces: Array, values: Array, scale: float) -> tuple[Array, 
             return forces, True
         step = scipy.linalg.lapack.dpotrs(factor, forces)[0]
     else:
-        step = over_saddle(F, forces, hessian, resting, scale * KICK)
-    step = step * min(scale * DOWN / max(_lengths(step[None]).max(), 1e-300), 1.0)
+        step = over_saddle(F, forces, hessian, resting, c.scale * KICK)
+        if resting and _rises(F, z, step, topology, c):
+            step = -step
+    step = step * min(c.scale * DOWN / max(_lengths(step[None]).max(), 1e-300), 1.0)
     return step, False
+
+
+def _rises(F: Array, z: Array, step: Array, topology: Topology, c: Constants) -> bool:
+    """Whether E is higher after the step δx (2n − 2,) from z (2, n) than after its opposite."""
+    moved = np.zeros_like(z)
+    moved[:, 1:] = np.linalg.solve(F, step.reshape(-1, 2).T)
+    sides = np.array([z - moved, z, z + moved])
+    before, here, after = stored_energy(np.broadcast_to(F, (3, 2, 2)), sides, topology, c)
+    return bool(after - before > EVEN * abs(before + after - 2.0 * here))
 
 
 def _without_pressures(values: Array, free: int) -> Array:
@@ -348,12 +411,14 @@ def _without_pressures(values: Array, free: int) -> Array:
 def over_saddle(
     F: Array, forces: Array, hessian: Array, resting: bool, kick: float = KICK
 ) -> Array:
-    """H⁻¹ f with the sign of the unstable modes turned, or, `resting`, the kick along these."""
+    """H⁻¹ f with the sign of the unstable modes turned, or, `resting`, a kick along the softest."""
     # The unstable modes alone: all of them take twice as long, and a solution does for the others.
     stiffness, modes = scipy.linalg.eigh(
         hessian, subset_by_value=(-np.inf, 0.0), driver="evr", check_finite=False
     )
     if resting:
+        softest = stiffness < (1.0 - ALIKE) * stiffness[0]
+        stiffness, modes = stiffness[softest], modes[:, softest]
         # displacements that single out one of mirrored branches, whatever F
         angle = np.arange(1, len(forces) // 2 + 1) * np.sqrt(2.0)
         pattern = (F @ np.stack([np.cos(angle), np.sin(2.0 * angle)])).T.ravel()

@@ -58,6 +58,9 @@ LONGEST_STEP = 0.4
 ASTRAY = 1.2
 """Material displacement of a particle, in the same unit, at which an equilibrium nearby is not
 sought on."""
+ASIDE = 0.05
+"""With a uniform fluid: distance of a particle from its prediction, in the same unit, beyond which
+a solution with kept factors may lie on another branch."""
 PATIENCE = 6
 """From so many evaluations on the residual is to be halved by each while such is sought."""
 
@@ -158,13 +161,17 @@ def hold(step, iterations):
 
 @kernel
 def limit_step(step, longest_step):
-    """Shorten the step of each lane to a longest one; a step that is not finite to nothing."""
+    """Shorten each lane's step to one of a longest displacement; one not finite to nothing.
+
+    The length of a displacement, unlike its components, is the same for a rotated RVE.
+    """
     for k in range(TILE):
         longest = 0.0
-        for i in range(step.shape[0]):
-            longest = max(longest, abs(step[i, k])) if step[i, k] == step[i, k] else np.inf
-        if longest > longest_step:
-            factor = longest_step / longest
+        for i in range(0, step.shape[0], 2):
+            square = step[i, k] * step[i, k] + step[i + 1, k] * step[i + 1, k]
+            longest = max(longest, square) if square == square else np.inf
+        if longest > longest_step * longest_step:
+            factor = longest_step / np.sqrt(longest)
             for i in range(step.shape[0]):
                 step[i, k] = factor * step[i, k] if longest < np.inf else 0.0
 
@@ -255,6 +262,26 @@ def chord_loop(work, drive, is_affine, lu, topology, c, stop, answer):
         correct(lu, work.f, step, iterations, drive.F, work.z, topology)
 
 
+@kernel
+def prediction(z, topology):
+    """A copy of own particles' z for `give_up_aside`; of none with SPH fluid, which needs none."""
+    copied = np.empty((2, topology.particles if topology.pressures > 0 else 0, TILE))
+    copy_particles(z, copied)
+    return copied
+
+
+@kernel
+def give_up_aside(z, predicted, aside, iterations):
+    """iterations −1 where a particle is farther than `aside`, µm, from where it should be."""
+    for k in range(TILE):
+        farthest = 0.0
+        for i in range(predicted.shape[1]):
+            dx, dy = z[0, i, k] - predicted[0, i, k], z[1, i, k] - predicted[1, i, k]
+            farthest = max(farthest, dx * dx + dy * dy)
+        if farthest > aside * aside:
+            iterations[k] = -1
+
+
 @parallel_kernel
 def chord(drive, z, before, factors, topology, c, tolerance, answer):
     """Solve in place from z (tiles, 2, n, TILE), known at `before`, where iterations are 0.
@@ -276,7 +303,9 @@ def _chord_tile(drive, z, at, factors, topology, c, tolerance, answer):
     lu, slopes = kept_factors(factors, topology)
     predict(z, drive, at, slopes, work.z)
     stop = Stop(tolerance, CONTRACTION, CHORD_LIMIT, z, False)
+    predicted = prediction(work.z, topology)
     chord_loop(work, drive, True, lu, topology, c, stop, answer)
+    give_up_aside(work.z, predicted, c.scale * ASIDE, answer.iterations)
     for k in range(TILE):
         if answer.iterations[k] > 0:
             keep_lane(work.z, k, z)

@@ -28,6 +28,8 @@ PARAMETERS = (
     "repulsion_strength", "repulsion_cutoff", "smoothing_length", *DASHPOTS, "cell_side",
 )  # fmt: skip
 """Those that enter the stress smoothly."""
+OF_UNIFORM_FLUID = ("sap_bulk_modulus",)
+"""More of them where the fluid is uniform."""
 _STEP, _DASHPOT_STEP = 1e-5, 2e-3
 """Relative; dashpots act little and almost linearly."""
 
@@ -47,9 +49,12 @@ class StressGradients:
 
 
 def parameter_gradients(
-    law: RveLaw, F: Any, F_dot: Any, names: Sequence[str] = PARAMETERS
+    law: RveLaw, F: Any, F_dot: Any, names: Sequence[str] | None = None
 ) -> StressGradients:
     """Stress at n points, its tangents, and its gradients by some of `PARAMETERS`.
+
+    Args:
+        names: of parameters; None: all that the plant cell has.
 
     They are of no use where a pair of particles is within the difference of the cut-off.
 
@@ -57,9 +62,11 @@ def parameter_gradients(
         InputError: another parameter, as of `respond`, the law has no tangents, or its plant cells
             are irregular, whose reference state may jump.
     """
+    known = PARAMETERS + (OF_UNIFORM_FLUID if law.cell.has_uniform_fluid else ())
+    names = known if names is None else names
     for name in names:
-        if name not in PARAMETERS:
-            raise InputError(f"names: {quoted(name)}; it must be among {', '.join(PARAMETERS)}")
+        if name not in known:
+            raise InputError(f"names: {quoted(name)}; it must be among {', '.join(known)}")
     require_tangents(law, "parameter_gradients")
     if law.cell.arrangement == "voronoi":
         raise InputError("law: voronoi; gradients by parameters need squares or hexagons")
@@ -87,7 +94,7 @@ def _difference(law: RveLaw, F: Array, F_dot: Array, name: str) -> Array:
 def path_gradients(
     law: RveLaw,
     path: StressPath,
-    names: Sequence[str] = PARAMETERS,
+    names: Sequence[str] | None = None,
     *,
     free: Sequence[tuple[int, int]] = (),
 ) -> dict[str, Array]:

@@ -34,7 +34,9 @@ class Particles:
             shift of the image of j that is meant.
         tension: (n, b) µN. stretch: (n, b) length of each spring over its rest length.
         contact_pressure: (n, walls) largest force of the fluid on one side of the wall particle
-            per length of wall, µN/µm.
+            per length of wall, µN/µm: the rest length with SPH fluid, whose particles push at a
+            few places, and the stretched one with a uniform fluid, whose pressure it then is but
+            for viscosity.
         area_ratio: (n, cells) area within the walls over that in the reference.
         stress: (n, 2, 2) Cauchy stress as the virial of all pairs, µN/µm; wall_stress and
             fluid_stress: what pairs of two wall or of two fluid particles are of it.
@@ -133,7 +135,7 @@ def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Arr
         density, forces = _sph_fluid(unit, fluid)
         pressure = cell.sound_speed**2 * density
         fluid_stress = act(fluid, forces).sum(axis=1)
-        pushed = _push_on_walls(topology, contacts, pushes, fluid_cell)
+        pushed = _push_on_walls(topology, contacts, pushes, fluid_cell) / unit.rest_length
     rims = rim_areas(arrangement.rims, x, F @ lattice)
     at_rest = rim_areas(arrangement.rims, unit.position, lattice)
     return Particles(
@@ -148,7 +150,7 @@ def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Arr
         bond_shift=bonds.shift,
         tension=tension,
         stretch=bonds.length / unit.rest_length,
-        contact_pressure=pushed / unit.rest_length,
+        contact_pressure=pushed,
         area_ratio=rims / at_rest,
         stress=bond_stress + contact_stress.sum(axis=1) + fluid_stress,
         wall_stress=bond_stress + contact_stress[:, between_walls].sum(axis=1),
@@ -187,7 +189,7 @@ def _contact_tension(unit: UnitCell, pairs: _Pairs) -> Array:
 def _uniform_fluid(
     unit: UnitCell, x: Array, v: Array, F: Array, rate: Array, force: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """(n, cells) densities and pressures, (n, 2, 2) stress, (n, walls) largest push on a wall.
+    """(n, cells) densities and pressures, (n, 2, 2) stress, (n, walls) largest pressure on a wall.
 
     Adds to `force` (n, p, 2).
     """
@@ -210,7 +212,8 @@ def _uniform_fluid(
         push = normal @ stress
         force += _summed(rim[:, 0].astype(np.int64), push, topology.particles)
         virial -= np.einsum("nka,nkb->nab", push, corner)
-        sides = np.linalg.norm(push, axis=2)
+        # across the wall, over the length that the particle stands for, stretched as it is
+        sides = (push * normal).sum(axis=2) / (normal * normal).sum(axis=2)
         np.maximum.at(pushed.T, rim[:, 0], sides.T)
     return density, pressure, virial / (np.linalg.det(F) * topology.area)[:, None, None], pushed
 

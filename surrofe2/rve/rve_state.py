@@ -97,6 +97,11 @@ class Factors:
         """Of all blocks, each counted once."""
         return len(np.unique(self.address)) * self.blocks[0].nbytes
 
+    def slopes(self, topology: Topology) -> Array:
+        """(tiles, free, 8, TILE) ∂z/∂(F, Ḟ) where the factors were made."""
+        shape = (2 * topology.particles - 2, SLOPES, TILE)
+        return np.stack([block[topology.size :].reshape(shape) for block in self.blocks])
+
     def repeated(self, tiles: int) -> Factors:
         """The first tile's factors for `tiles` tiles."""
         F, rate, z = (np.repeat(each[:1], tiles, axis=0) for each in (*self.drive, self.z))

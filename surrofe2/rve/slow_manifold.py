@@ -38,6 +38,7 @@ from surrofe2.plant_cell.derivatives import elastic_forces_and_rates
 from surrofe2.plant_cell.forces import fold_images, local_forces
 from surrofe2.plant_cell.pair_sums import make_workspace
 from surrofe2.rve.newton import (
+    ASIDE,
     NEWTON_LIMIT,
     Stop,
     add_slopes,
@@ -45,9 +46,11 @@ from surrofe2.rve.newton import (
     check_stable,
     chord_loop,
     correct,
+    give_up_aside,
     keep_slopes,
     newton_loop,
     predict,
+    prediction,
     set_residual,
     settle,
 )
@@ -109,8 +112,10 @@ def _follow_tile(drive, moving, at, factors, topology, c, tolerance, answer):
     predict(elastic, Drive(drive.F, still), Drive(at.F, still), slopes, work.z)
     add_slopes(slopes, 0, drive.rate, y)
     copy_particles(work.z, relaxed)
+    predicted = prediction(relaxed, topology)
     stop = Stop(tolerance, CONTRACTION, LIMIT, z, False)
     _find_velocities(work, y, drive, lu, topology, c, stop, relaxed, count)
+    give_up_aside(relaxed, predicted, c.scale * ASIDE, count)
     for axis in range(2):
         for i in range(z.shape[1]):
             offset = load(z, axis, i) - load(elastic, axis, i)

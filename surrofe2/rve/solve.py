@@ -220,16 +220,27 @@ def _solve(solved: Solved) -> None:
 
 
 def _solve_open(solved: Solved) -> None:
-    """Newton's method in lanes that are open, from z; where it fails, along a path."""
-    iterations, far = solved.answer.iterations, solved.cold & is_far(solved.drive.F)
-    iterations[far] = PASSED_OVER
-    _newton(solved, renewed=solved.cold)
-    iterations[far] = OPEN  # the path has to lead there
+    """Newton's method in lanes that are open, from z; where it fails or may jump, along a path."""
+    iterations, led = solved.answer.iterations, _are_led(solved)
+    iterations[led] = PASSED_OVER
+    _newton(solved, renewed=~led.all(axis=1) & solved.cold)
+    iterations[led] = OPEN  # the path has to lead there
     astray = (iterations < 0) | (solved.status == Status.UNSTABLE)
     if astray.any():
         _follow_path(solved, np.flatnonzero(unpack(astray, solved.start.points)))
     failed = (solved.answer.iterations < 0) & (solved.status == _OK)
     solved.status[failed] = Status.NOT_CONVERGED
+
+
+def _are_led(solved: Solved) -> Flags:
+    """(tiles, TILE) which lanes are too far from where they begin for one step.
+
+    With a uniform fluid all that are open: walls of an irregular tissue have other stable states
+    nearby, to which Newton's method jumps unnoticed. SPH fluid has more of them than paths avoid.
+    """
+    if solved.unit.cell.has_uniform_fluid:
+        return np.asarray(solved.answer.iterations < 0)
+    return is_far(solved.drive.F) if solved.cold else np.zeros_like(solved.answer.stable)
 
 
 def is_far(F: Array) -> Flags:
@@ -239,17 +250,21 @@ def is_far(F: Array) -> Flags:
     return pack(np.abs(U - np.eye(2)).max(axis=(1, 2)) > FAR)
 
 
-def _newton(solved: Solved, renewed: bool = False) -> None:
-    """Solve lanes that are open; check stability there, or everywhere with new factors."""
+def _newton(solved: Solved, renewed: Flags | bool = False) -> None:
+    """Solve lanes that are open; check stability there, or everywhere with new factors.
+
+    renewed: (tiles,) which tiles get new factors in any case.
+    """
     failed = solved.answer.iterations < 0
     solved.newton_solves += int(unpack(failed, solved.start.points).sum())
+    renewed = np.asarray(renewed)
     tiles = np.asarray(failed.any(axis=1)) | renewed
     factors = solved.state.factors.renewed(tiles)
     task = np.where(tiles, SOLVE, SKIP).astype(np.int8)
     solved.answer.stable[:] = True
     z, tolerance = solved.state.z, solved.settings.tolerance
     newton(solved.felt, z, factors.address, task, *solved.law, tolerance, solved.answer)
-    solved.status[(failed | renewed) & ~solved.answer.stable] = Status.UNSTABLE
+    solved.status[(failed | renewed[..., None]) & ~solved.answer.stable] = Status.UNSTABLE
     solved.state = replace(solved.state, factors=factors.made_at(tiles, solved.felt, z))
 
 

@@ -27,7 +27,6 @@ from surrofe2.plant_cell.block_matrices import (
     factorise,
     make_matrices,
     solve_columns,
-    solved_columns,
 )
 from surrofe2.plant_cell.derivatives import add_force_gradients, add_stiffness_rates
 from surrofe2.plant_cell.forces import fold_images, local_forces
@@ -37,8 +36,10 @@ from surrofe2.rve.rve_state import Drive, drive_of, entries, inverse, map_affine
 
 KINDS = ("constrained-runs", "elastic", "cauchy-born")
 _ELASTIC, _CAUCHY_BORN = 1, 2
-REFINEMENTS = 3
-"""Of an adjoint solution; each adds three digits or more."""
+REFINEMENTS = 30
+"""Of a solution, at most; each adds three digits or more but where tissue is crushed."""
+REFINED, GOOD_ENOUGH = 1e-12, 1e-8
+"""Residual over the right-hand side that ends refinement, and above which there is no solution."""
 
 
 @parallel_kernel
@@ -94,12 +95,12 @@ def _slow_tile(drive, z, relaxed, topology, c, tangents):
     modes = equilibrium_modes(work, F, topology, c, matrices)
     units = unit_velocities(work.z, modes, F, topology)
     work.v[:] = along(units, F_dot)
-    slopes = velocity_slopes(work, units, topology, c, matrices.matrix)
+    slopes = velocity_slopes(work, units, F, topology, c, matrices.matrix)
     place(work, z, F, topology)
     affine = affine_fields(work.z)
     weights = affine.copy()
     by_x, by_v = stress_gradients(work, weights, topology, c)
-    still = Drive(F, np.zeros((2, 2, TILE)))
+    still = standing(F)
     load_of_stress = adjoint_load(work, by_x, by_v, still, topology, c)
     set_jacobian(work, still, topology, c, matrices.matrix, matrices.no_columns)
     factorise(matrices.matrix, topology, False)
@@ -166,24 +167,54 @@ def _pulled_back(by_x, by_v, f, drive, topology):
 
 @kernel
 def solve_adjoint(lu, load_of_stress, work, drive, topology, c):
-    """λ (4, 2n − 2, TILE) of (A11), Jᵀ λ = load, with lu of J at work.x and work.v.
-
-    With a uniform fluid J lacks contacts of far walls and a small part of the viscosity. Products
-    of λ lack nothing, and their residual corrects it.
-    """
+    """λ (4, 2n − 2, TILE) of (A11), Jᵀ λ = load, with lu of J at work.x and work.v."""
     adjoint = load_of_stress.copy()
     solve_columns(lu, adjoint, topology, True)
+    refine(lu, load_of_stress, adjoint, work, drive, topology, c)
+    return adjoint
+
+
+@kernel
+def refine(lu, right, solution, work, drive, topology, c):
+    """Correct a solution of Jᵀ λ = right (4, 2n − 2, TILE) until its residual is small.
+
+    With a uniform fluid J lacks contacts of far walls and a small part of the viscosity. Products
+    of λ lack nothing. A lane whose residual stays large becomes NaN.
+    """
     if topology.pressures == 0:
-        return adjoint
-    no_force = np.zeros_like(work.f)
+        return
+    no_force, size = np.zeros_like(work.f), np.empty(TILE)
+    whole, before = np.empty(TILE), np.full(TILE, np.inf)
+    largest_of(right, whole)
     for _ in range(REFINEMENTS):
         weights = np.zeros((COLUMNS, *work.x.shape))
-        subtract_columns(adjoint, topology, weights)
+        subtract_columns(solution, topology, weights)
         by_x, by_v = stress_gradients(work, weights, topology, c)
-        residual = load_of_stress + _pulled_back(by_x, by_v, no_force, drive, topology)
+        residual = right + _pulled_back(by_x, by_v, no_force, drive, topology)
+        largest_of(residual, size)
+        open_lanes = 0
+        for k in range(TILE):
+            if size[k] > REFINED * whole[k] and size[k] < 0.5 * before[k]:
+                open_lanes += 1
+            before[k] = size[k]
+        if open_lanes == 0:
+            break
         solve_columns(lu, residual, topology, True)
-        adjoint += residual
-    return adjoint
+        solution += residual
+    for k in range(TILE):
+        if not before[k] <= GOOD_ENOUGH * whole[k]:
+            solution[:, :, k] = np.nan
+
+
+@kernel
+def largest_of(columns, largest):
+    """largest (TILE,): the largest modulus in each lane of columns (4, rows, TILE)."""
+    largest[:] = 0.0
+    for m in range(columns.shape[0]):
+        for i in range(columns.shape[1]):
+            for k in range(TILE):
+                value = abs(columns[m, i, k])
+                largest[k] = max(largest[k], value) if value == value else np.inf
 
 
 @kernel
@@ -207,11 +238,23 @@ def equilibrium_modes(work, F, topology, c, matrices):
     map_affine(F, work.z, work.x)
     set_elastic_jacobian(work, F, topology, c, matrices.matrix, matrices.columns)
     factorise(matrices.matrix, topology, True)
-    steps = solved_columns(matrices, 0, topology)
+    right = np.empty((COLUMNS, *matrices.step.shape))
+    for m in range(COLUMNS):
+        for i in range(right.shape[1]):
+            store(-load(matrices.columns, i + 2, m), right, m, i)
+    steps = right.copy()
+    solve_columns(matrices.matrix, steps, topology, False)
+    refine(matrices.matrix, right, steps, work, standing(F), topology, c)
     modes = np.zeros((COLUMNS, 2, topology.particles, TILE))
     for m in range(COLUMNS):
         move(steps[m], F, modes[m])
     return modes
+
+
+@kernel
+def standing(F):
+    """The `Drive` without motion at F."""
+    return Drive(F, np.zeros((2, 2, TILE)))
 
 
 @kernel
@@ -251,13 +294,19 @@ def unit_velocities(z, modes, F, topology):
 
 
 @kernel
-def velocity_slopes(work, units, topology, c, lu):
+def velocity_slopes(work, units, F, topology, c, lu):
     """(4, 2, local, TILE) = ∂v/∂F_m at work.x of v = Σ Ḟ_n V_n in work.v; lu of K."""
     slopes, rates = np.zeros_like(units), np.zeros_like(units)
     add_stiffness_rates(work, units, rates, topology, c)
-    steps = np.empty((COLUMNS, 2 * topology.particles - 2, TILE))
-    fold_columns(rates, topology, steps)
+    right = np.empty((COLUMNS, 2 * topology.particles - 2, TILE))
+    fold_columns(rates, topology, right)
+    steps = right.copy()
     solve_columns(lu, steps, topology, False)
+    if topology.pressures > 0:
+        moving = work.v.copy()
+        work.v[:] = 0.0  # K is the Jacobian of the forces at rest
+        refine(lu, right, steps, work, standing(F), topology, c)
+        work.v[:] = moving
     subtract_columns(steps, topology, slopes)
     return slopes
 

@@ -65,7 +65,7 @@ def scale_warnings(recipe: Recipe, halvings: int = 0) -> Iterator[str]:
     for name, part in recipe.parts().items():
         cell, smallest = part.cell, float(elements[name].widths.min()) / 2**halvings
         where = f" of {name}" if name else ""
-        width = cell.cell_side * math.sqrt(cell.cells)
+        width = float(np.linalg.norm(cell.tessellation.lattice, axis=0).max())
         if smallest < cell.cell_side * (1.0 - _ROUNDING):
             yield (
                 f"an element{where} is {smallest:.3g} µm wide, a plant cell {cell.cell_side:.3g}"

@@ -186,6 +186,13 @@ def test_a_recipe_without_a_range_is_for_rves(invoke, changed_recipe):
             ('preset = "printed"', 'preset = "printed"\narrangement = "voronoi"\ncells = 9'),
             "an RVE is 75 µm wide, an element 50 µm",
         ),
+        (
+            (
+                'preset = "printed"',
+                'preset = "printed"\narrangement = "voronoi"\ncells = 4\nelongation = 2.0',
+            ),
+            "an RVE is 69.",  # a box of 50 µm, stretched
+        ),
     ],
 )
 def test_elements_smaller_than_a_plant_cell_or_an_rve_are_warned_of(

@@ -61,6 +61,10 @@ def test_cells_that_are_not_shaped_are_as_before():
             "with arrangement hexagon it must be 0",
         ),
         ({"elongation": 2.0, "arrangement": "square"}, "with arrangement square it must be 1"),
+        (
+            {"elongation_direction": 30.0, "arrangement": "hexagon"},
+            "elongation_direction: 30.0; with arrangement hexagon it must be 0",
+        ),
         ({"area_variation": 0.05}, "area_variation: 0.05; it must be 0, or 0.1 to 0.6"),
         ({"area_variation": 0.7}, r"area_variation: 0.7; it must be within \[0, 0.6\]"),
         ({"elongation": 1.05}, "elongation: 1.05; Voronoi cells have 1.* without being stretched"),

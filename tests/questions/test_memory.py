@@ -38,6 +38,14 @@ def test_verdict_turns_where_the_past_matters(found):
     assert strict.verdict.endswith("do not cache them")
 
 
+def test_an_rve_with_a_uniform_fluid_is_asked_in_the_same_way():
+    """Walls ring across themselves almost undamped: the difference swings, and stays bounded."""
+    uniform = CellParameters.preset("water", fluid="uniform")
+    found = memory.memory(uniform, after=1.0, micro_step=2e-3)
+    assert np.isfinite(found.difference).all()
+    assert 0.0 < found.largest < 0.1 * found.scale
+
+
 def test_fading_time():
     t = np.linspace(0.0, 10.0, 1001)
     fading = memory.Memory(17.0, t, np.exp(-t / 2.0), 1.0)

@@ -14,7 +14,7 @@ from surrofe2 import (
 from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import Status
 from surrofe2.rve import INITIALISATIONS
-from surrofe2.rve.parameter_gradients import DASHPOTS
+from surrofe2.rve.parameter_gradients import DASHPOTS, PARAMETERS
 from surrofe2.rve.unit_cell import resettled
 from tests.laws import tangents_by_differences
 from tests.numerics import differences
@@ -98,16 +98,22 @@ UNITS = {
     "repulsion_cutoff": (0, 1, 0),
     "smoothing_length": (0, 1, 0),
     "cell_side": (0, 1, 0),
+    "sap_bulk_modulus": (1, 0, -2),
 }
 """Powers of mass, length and time."""
+CELLS_IN_UNITS = {
+    "square": CellParameters(),
+    "hexagon": CellParameters(arrangement="hexagon", fluid="sph"),
+    "undrained": CellParameters(arrangement="hexagon", sap_bulk_modulus=50.0),
+}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arrangement", ["square", "hexagon"])
+@pytest.mark.parametrize("arrangement", CELLS_IN_UNITS)
 @pytest.mark.parametrize("initialisation", INITIALISATIONS)
 def test_other_units_change_no_physics(initialisation, arrangement):
     """P has units ng/µs²: Euler's identity of each unit, whose sum is of P and of the rate."""
-    cell = CellParameters(arrangement=arrangement, fluid="sph")
+    cell = CELLS_IN_UNITS[arrangement]
     this = RveLaw(cell, initialisation=initialisation)
     F, F_dot = deformations("printed", n=24, corners=False)
     F = np.eye(2) + (1.0 if arrangement == "square" else 0.1) * (F - np.eye(2))
@@ -115,7 +121,7 @@ def test_other_units_change_no_physics(initialisation, arrangement):
     P, given = piola(this, F, F_dot), this.cell.to_dict()
     by_rate = np.einsum("nabcd,ncd->nab", found.answer.tangents.P_by_F_dot, F_dot)
     for unit, expected in enumerate((P, 0.0 * P, by_rate - 2.0 * P)):
-        parts = [powers[unit] * given[k] * found.P_by[k] for k, powers in UNITS.items()]
+        parts = [UNITS[k][unit] * given[k] * found.P_by[k] for k in found.P_by if k in UNITS]
         error = abs(sum(parts) - expected).max(axis=(1, 2))
         # a length may move a pair over the cut-off, where P has a kink
         assert np.quantile(error, 0.9) < 1e-7 * np.abs(parts).max(), unit
@@ -159,6 +165,22 @@ def test_a_path_creeps_otherwise_with_other_parameters():
     assert np.abs(found - whole).max() < 1e-5 * np.abs(whole).max()
     held = path_gradients(RveLaw(cell), path, ("viscosity",))["viscosity"]
     assert np.abs(held - whole).max() > 0.02 * np.abs(whole).max()
+
+
+def test_the_sap_of_a_uniform_fluid_has_a_gradient_from_zero_on():
+    """Of drained sap the difference is one-sided; it is what a little stiffness adds."""
+    F, F_dot = deformations("printed", n=8, corners=False)
+    drained, stiffer = (
+        CellParameters(fluid="uniform", sap_bulk_modulus=modulus) for modulus in (0.0, 1e-3)
+    )
+    this = RveLaw(drained)
+    found = parameter_gradients(this, F, F_dot)
+    assert set(found.P_by) == {*PARAMETERS, "sap_bulk_modulus"}
+    change = (piola(RveLaw(stiffer), F, F_dot) - piola(this, F, F_dot)) / 1e-3
+    slope = found.P_by["sap_bulk_modulus"]
+    np.testing.assert_allclose(slope, change, rtol=0, atol=1e-4 * abs(slope).max())
+    with pytest.raises(InputError, match="names: 'sap_bulk_modulus'; it must be among"):
+        parameter_gradients(law("printed"), F, F_dot, ["sap_bulk_modulus"])
 
 
 def test_what_has_no_gradients_says_so():

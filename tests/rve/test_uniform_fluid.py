@@ -1,5 +1,6 @@
 """RVEs with a uniform fluid: closed forms, exact tangents, stability, objectivity, one branch."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -8,14 +9,15 @@ import pytest
 from surrofe2.base.errors import InputError
 from surrofe2.base.simd import TILE, pack
 from surrofe2.law.stress_law import Status
-from surrofe2.plant_cell.arrangement import rim_areas
+from surrofe2.plant_cell.arrangement import make_arrangement, rim_areas
 from surrofe2.plant_cell.block_matrices import dense_pattern
+from surrofe2.plant_cell.neighbours import make_neighbours
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.rve.newton import CHECK, newton
 from surrofe2.rve.particles import look_into
 from surrofe2.rve.rve_state import Drive, Factors, empty_answer, stored_energy
-from surrofe2.rve.unit_cell import relax
+from surrofe2.rve.unit_cell import relax, unit_around
 from tests.numerics import assert_near, fine_slope_along, turn
 
 RVES = {
@@ -131,6 +133,18 @@ def test_a_look_into_an_rve_agrees_with_the_kernels(name):
     assert seen.pressure.shape == seen.density.shape == seen.area_ratio.shape
     assert (seen.contact_pressure > 0.0).all()
     assert seen.extremes()["highest_fluid_pressure_uN_per_um"].shape == (8,)
+
+
+def test_contact_pressure_is_the_pressure_beyond_the_wall():
+    """Between plant cells of unequal pressures a wall bears the higher one; viscosity is off."""
+    this = law("undrained")
+    seen = this.particles(F, 0.0 * F_DOT)
+    for k, rim in enumerate(seen.rims):
+        assert (seen.contact_pressure[:, rim[:, 0]] > seen.pressure[:, k, None] * (1 - 1e-12)).all()
+    highest = np.zeros_like(seen.contact_pressure)
+    for k, rim in enumerate(seen.rims):
+        np.maximum.at(highest.T, rim[:, 0], np.tile(seen.pressure[:, k], (len(rim), 1)))
+    np.testing.assert_allclose(seen.contact_pressure, highest, rtol=1e-12)
 
 
 def test_constitutive_law_of_the_sap():
@@ -250,3 +264,55 @@ def test_reference_is_free_of_stress(name):
     this, rest = law(name), np.eye(2)[None]
     stress = this.respond(rest, 0.0 * rest).stress
     assert abs(stress).max() < 1e-9 * this.cell.fluid_density * this.cell.sound_speed**2
+
+
+WATER = {"arrangement": "voronoi", "cells": 9, "arrangement_seed": 2, "sap_bulk_modulus": 2200.0}
+
+
+@cache
+def undrained_water():
+    """Walls pre-stretched by a little, and sap as stiff as water: the case that bends most."""
+    cell = CellParameters.preset("water", **WATER)
+    return RveLaw(cell, initialisation="elastic")
+
+
+def mirrored(this):
+    """The law of the mirror image of an RVE: x turned around, rims run the other way."""
+    unit, flip = this.unit_cell, np.array([-1.0, 1.0])
+    arrangement = make_arrangement(this.cell)
+    turned_around = replace(arrangement, rims=tuple(rim[::-1] for rim in arrangement.rims))
+    position, lattice = unit.position * flip, unit.reference.lattice * flip[:, None]
+    neighbours = make_neighbours(this.cell, position, lattice, arrangement=turned_around)
+    other = RveLaw(this.cell, this.settings, reference=this.reference)
+    reference = replace(this.reference, position=position, lattice=lattice)
+    other.unit_cell = unit_around(this.cell, reference, neighbours)
+    return other
+
+
+def test_large_steps_keep_to_the_branch_or_say_that_they_left_it():
+    """From a state 8 % away kept factors lead to an equilibrium, but not always to this branch."""
+    this = undrained_water()
+    F, _ = deformations(24, 0.08, seed=2)
+    answer = this.respond(F, 0.0 * F)
+    assert (answer.status == Status.OK).all()
+    assert answer.left_bifurcation is None
+    sheared = F.copy()
+    sheared[:, 0, 0], sheared[:, 1, 1] = 1.0, 1.0
+    there = this.respond(F, 0.0 * F, this.respond(sheared, 0.0 * F).state)
+    pressure = this.cell.fluid_density * this.cell.sound_speed**2
+    np.testing.assert_allclose(there.stress, answer.stress, rtol=0, atol=1e-9 * pressure)
+
+
+def test_rotated_and_mirrored_rves_take_the_rotated_and_mirrored_branch():
+    """Far beyond where branches end; compared where they do and where they do not."""
+    this, Q, M = undrained_water(), turn(0.7), np.diag([-1.0, 1.0])
+    F, _ = deformations(24, 0.3, seed=3)
+    answer = this.respond(F, 0.0 * F)
+    assert answer.left_bifurcation.sum() >= 4
+    pressure = this.cell.fluid_density * this.cell.sound_speed**2
+    rotated, image = this.respond(Q @ F, 0.0 * F), mirrored(this).respond(M @ F @ M, 0.0 * F)
+    for other, back in ((rotated, Q.T), (image, M)):
+        np.testing.assert_array_equal(other.status, answer.status)
+        np.testing.assert_array_equal(other.left_bifurcation, answer.left_bifurcation)
+        stress = back @ other.stress @ back.T
+        np.testing.assert_allclose(stress, answer.stress, rtol=0, atol=1e-9 * pressure)
