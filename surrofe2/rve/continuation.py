@@ -383,13 +383,13 @@ def _step(
         step = scipy.linalg.lapack.dpotrs(factor, forces)[0]
     else:
         step = over_saddle(F, forces, hessian, resting, c.scale * KICK)
-        if resting and _rises(F, z, step, topology, c):
+        if resting and rises(F, z, step, topology, c):
             step = -step
     step = step * min(c.scale * DOWN / max(_lengths(step[None]).max(), 1e-300), 1.0)
     return step, False
 
 
-def _rises(F: Array, z: Array, step: Array, topology: Topology, c: Constants) -> bool:
+def rises(F: Array, z: Array, step: Array, topology: Topology, c: Constants) -> bool:
     """Whether E is higher after the step δx (2n − 2,) from z (2, n) than after its opposite."""
     moved = np.zeros_like(z)
     moved[:, 1:] = np.linalg.solve(F, step.reshape(-1, 2).T)

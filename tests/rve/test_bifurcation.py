@@ -10,7 +10,7 @@ import pytest
 
 from surrofe2.base.simd import pack, unpack
 from surrofe2.law.stress_law import Status, describe
-from surrofe2.rve.continuation import KICK, ROAM, descend, over_saddle
+from surrofe2.rve.continuation import KICK, ROAM, descend, over_saddle, rises
 from surrofe2.rve.rve_state import stored_energy
 from tests.numerics import turn
 from tests.rve import rves
@@ -180,7 +180,7 @@ def test_contacts_are_looked_at_one_by_one_where_the_bound_is_too_coarse():
 
 @pytest.mark.parametrize("below", [[-2.0, -1.0], [-1.0], [-1.0, -1.0]])
 def test_steps_over_a_saddle_go_down_unstable_modes(below):
-    """By (A15); at rest along these modes alone, whatever their eigenvectors' signs."""
+    """By (A15); at rest along the softest alone, whatever their eigenvectors' signs."""
     rng = np.random.default_rng(1)
     values = np.array([*below, *range(1, 21 - len(below))])
     modes, _ = np.linalg.qr(rng.normal(size=(len(values), len(values))))
@@ -189,10 +189,29 @@ def test_steps_over_a_saddle_go_down_unstable_modes(below):
     expected = modes @ ((modes.T @ forces) / np.abs(values))
     np.testing.assert_allclose(step, expected, rtol=0, atol=1e-10)
     kick = over_saddle(np.eye(2), 0.0 * forces, matrix, resting=True)
-    stable = modes[:, len(below) :]
-    np.testing.assert_allclose(stable.T @ kick, 0.0, atol=1e-12)
+    others = modes[:, below.count(below[0]) :]
+    np.testing.assert_allclose(others.T @ kick, 0.0, atol=1e-12)
     lengths = np.linalg.norm(kick.reshape(-1, 2), axis=1)
     assert lengths.max() == pytest.approx(KICK, rel=1e-12)
+
+
+def test_a_kick_goes_to_the_lower_side_and_knows_sides_that_are_images():
+    """A step that the point reflection of the square cell turns around has sides of one energy."""
+    unit, rng = law("printed").unit_cell, np.random.default_rng(4)
+    rest = np.eye(2), unit.position.T
+    step = 0.2 * rng.normal(size=(unit.topology.particles - 1, 2))
+    rises = [rises(*rest, sign * step.ravel(), unit.topology, unit.constants) for sign in (1, -1)]
+    sides = unit.position[1:] + step, unit.position[1:] - step
+    z = np.array([np.vstack([[0.0, 0.0], side]).T for side in sides])
+    F = np.broadcast_to(np.eye(2), (2, 2, 2))
+    energy = stored_energy(F, z, unit.topology, unit.constants)
+    assert rises == [energy[0] > energy[1], energy[1] > energy[0]]
+    apart = unit.position[1:] + unit.position[1:, None]
+    apart -= 25.0 * np.rint(apart / 25.0)
+    partner = np.argmin((apart**2).sum(axis=2), axis=0)
+    odd = (step + step[partner]).ravel()
+    for sign in (1, -1):
+        assert not rises(*rest, sign * odd, unit.topology, unit.constants)
 
 
 def test_far_points_alone_have_the_bits_of_a_batch():
