@@ -223,7 +223,7 @@ def _solve_open(solved: Solved) -> None:
     """Newton's method in lanes that are open, from z; where it fails or may jump, along a path."""
     iterations, led = solved.answer.iterations, _are_led(solved)
     iterations[led] = PASSED_OVER
-    _newton(solved, renewed=~led.all(axis=1) & solved.cold)
+    _newton(solved, renewed=np.logical_and(~led.all(axis=1), solved.cold))
     iterations[led] = OPEN  # the path has to lead there
     astray = (iterations < 0) | (solved.status == Status.UNSTABLE)
     if astray.any():
