@@ -96,10 +96,13 @@ class Continuation:
         self.start, self.end = turned @ transpose(rotation(start)) @ start, end
         self.z, self.done = z.copy(), np.zeros(len(z))
         # the change of F as the material sees it, the same for a rotated RVE
-        length = np.abs(transpose(turned) @ (self.end - self.start)).max(axis=(1, 2))
+        change = transpose(turned) @ (self.end - self.start)
+        length = np.abs(change).max(axis=(1, 2))
+        if unit.cell.symmetry == "D6":  # a hexagon's own turns change entries, but no stretches
+            length = np.linalg.norm(change, ord=2, axis=(1, 2))
         shortest = SHORTEST_UNIFORM if unit.topology.pressures else SHORTEST
         self.longest, self.shortest = (
-            change / np.maximum(length, change) for change in (LONGEST, shortest)
+            limit / np.maximum(length, limit) for limit in (LONGEST, shortest)
         )
         self.step = np.minimum(self.longest, 0.5)
         self.effort, self.solves = np.zeros((2, len(z)), dtype=np.int_)

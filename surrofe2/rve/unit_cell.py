@@ -153,7 +153,13 @@ def settle_reference(cell: CellParameters) -> ReferenceState:
         return replace(drained, fingerprint=cell.fingerprint)
     irregular = cell.arrangement == "voronoi"
     one_square = replace(
-        cell, arrangement="square", cells=1, arrangement_seed=1, area_variation=0.0, elongation=1.0
+        cell,
+        arrangement="square",
+        cells=1,
+        arrangement_seed=1,
+        area_variation=0.0,
+        elongation=1.0,
+        elongation_direction=0.0,
     )
     guess = _FIRST_GUESS * cell.spring_length
     if not cell.is_one_square:

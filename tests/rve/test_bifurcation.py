@@ -10,6 +10,8 @@ import pytest
 
 from surrofe2.base.simd import pack, unpack
 from surrofe2.law.stress_law import Status, describe
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.rve import RveLaw
 from surrofe2.rve.continuation import KICK, ROAM, descend, over_saddle, rises
 from surrofe2.rve.rve_state import stored_energy
 from tests.numerics import turn
@@ -280,3 +282,19 @@ def test_far_answers_are_minima_or_failures(preset):
     answer = law(preset).respond(F, np.zeros_like(F))
     assert_stable(preset, F, answer)
     assert (answer.status == Status.OK).mean() > {"printed": 0.75, "water": 0.55}[preset]
+
+
+def test_rotated_and_mirrored_hexagons_take_the_rotated_and_mirrored_branch():
+    """Of `water`, where a quarter of all states at 4 % leave theirs; turns of the hexagon, too."""
+    cell = CellParameters.preset("water", arrangement="hexagon", fluid="sph")
+    this = RveLaw(cell, initialisation="elastic")
+    Q, M, G = turn(0.7), np.diag([-1.0, 1.0]), turn(np.pi / 3.0)
+    F = np.eye(2) + 0.04 * np.random.default_rng(5).uniform(-1.0, 1.0, (24, 2, 2))
+    F = F[this.respond(F, 0.0 * F).state.left_points]
+    assert len(F) >= 4
+    answer = this.respond(F, 0.0 * F)
+    for copies, back in ((Q @ F, Q.T), (M @ F @ M, M), (F @ G, np.eye(2))):
+        other = this.respond(copies, 0.0 * F)
+        np.testing.assert_array_equal(other.status, answer.status)
+        assert other.left_bifurcation.all()
+        np.testing.assert_allclose(back @ other.stress @ back.T, answer.stress, rtol=0, atol=1e-8)

@@ -308,7 +308,7 @@ def test_rotated_and_mirrored_rves_take_the_rotated_and_mirrored_branch():
     this, Q, M = undrained_water(), turn(0.7), np.diag([-1.0, 1.0])
     F, _ = deformations(24, 0.3, seed=3)
     answer = this.respond(F, 0.0 * F)
-    assert answer.left_bifurcation.sum() >= 4
+    assert answer.left_bifurcation.sum() >= 2
     pressure = this.cell.fluid_density * this.cell.sound_speed**2
     rotated, image = this.respond(Q @ F, 0.0 * F), mirrored(this).respond(M @ F @ M, 0.0 * F)
     for other, back in ((rotated, Q.T), (image, M)):
