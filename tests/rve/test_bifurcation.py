@@ -202,12 +202,12 @@ def test_a_kick_goes_to_the_lower_side_and_knows_sides_that_are_images():
     unit, rng = law("printed").unit_cell, np.random.default_rng(4)
     rest = np.eye(2), unit.position.T
     step = 0.2 * rng.normal(size=(unit.topology.particles - 1, 2))
-    rises = [rises(*rest, sign * step.ravel(), unit.topology, unit.constants) for sign in (1, -1)]
+    higher = [rises(*rest, sign * step.ravel(), unit.topology, unit.constants) for sign in (1, -1)]
     sides = unit.position[1:] + step, unit.position[1:] - step
     z = np.array([np.vstack([[0.0, 0.0], side]).T for side in sides])
     F = np.broadcast_to(np.eye(2), (2, 2, 2))
     energy = stored_energy(F, z, unit.topology, unit.constants)
-    assert rises == [energy[0] > energy[1], energy[1] > energy[0]]
+    assert higher == [energy[0] > energy[1], energy[1] > energy[0]]
     apart = unit.position[1:] + unit.position[1:, None]
     apart -= 25.0 * np.rint(apart / 25.0)
     partner = np.argmin((apart**2).sum(axis=2), axis=0)
