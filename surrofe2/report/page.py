@@ -611,17 +611,17 @@ def _tissue(
 
 
 def _paragraph(text: str, kind: str = "") -> str:
-    """A sentence or more."""
+    """Return a paragraph of HTML, of a class `kind`."""
     return f'<p class="{kind}">{escape(text)}</p>' if kind else f"<p>{escape(text)}</p>"
 
 
 def _missing(text: str) -> str:
-    """What is left out, and why."""
+    """Return a sentence on what is left out, and why."""
     return _paragraph(text, "missing")
 
 
 def _figure(picture: bytes, words: str, caption: str, form: str = "png") -> str:
-    """A picture, "png" or "svg+xml", with its caption; words for those who do not see it."""
+    """Return a picture, "png" or "svg+xml", with caption, and words for those who do not see it."""
     words = re.sub(
         r"\$([^$]*)\$", lambda symbol: symbol[1].replace("_", ""), " ".join(words.split())
     )
@@ -631,7 +631,7 @@ def _figure(picture: bytes, words: str, caption: str, form: str = "png") -> str:
 
 
 def _chart(panel: Panel, caption: str) -> str:
-    """The curves of a panel with its axes and legend."""
+    """Draw the curves of a panel with its axes and legend."""
     named = ", ".join(dict.fromkeys(curve.label for curve in panel.curves if curve.label))
     what = f"{panel.title or panel.y_label} over {panel.x_label}"
     words = f"{what}: {named}" if named else what
@@ -640,18 +640,18 @@ def _chart(panel: Panel, caption: str) -> str:
 
 
 def _grid(figures: Sequence[str]) -> str:
-    """Figures beside each other where there is room."""
+    """Put figures beside each other where there is room."""
     return f'<div class="grid">{"".join(figures)}</div>' if figures else ""
 
 
 def _folded(summary: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table of words that is shown when asked for."""
+    """Return a table of words that is folded until a reader opens it."""
     table = _table(headings, rows, words=True)
     return f"<details><summary>{escape(summary)}</summary>{table}</details>"
 
 
 def _table(headings: Sequence[str], rows: Sequence[Sequence[str]], *, words: bool = False) -> str:
-    """A table that scrolls by itself where it is wider than the page; words: of text, wrapped."""
+    """Return a table that scrolls where it is wider than the page; `words` of text are wrapped."""
     head = "".join(f'<th scope="col">{escape(each)}</th>' for each in headings)
     body = "".join(
         f'<tr><th scope="row">{escape(name)}</th>'

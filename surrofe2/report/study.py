@@ -1,4 +1,4 @@
-"""What a study hands over: panels of one figure, one table, its numbers, and their files.
+"""The results of a study: panels of one figure, one table, its numbers, and their files.
 
 Plain data, so that a study draws nothing and a drawing computes nothing.
 """
@@ -31,16 +31,23 @@ class NamedCell:
 
     @classmethod
     def of(cls, name: str) -> NamedCell:
-        """The plant cell of a preset, or of a recipe where the name ends in .toml."""
+        """Return the plant cell of a preset, or of a recipe where the name ends in .toml."""
         if not name.endswith(".toml"):
             return cls(CellParameters.preset(name), name)
         recipe = load_recipe(name)
         return cls(recipe.cell, Path(name).stem, "recipe")
 
     def identity(self, asked: Mapping[str, Any]) -> dict[str, Any]:
-        """What numbers about it depend on; asked: what was wanted besides the cell."""
-        known = {"version": version("surrofe2"), self.source: self.name}
-        return {**known, "cell": self.cell.to_dict(), "asked": asked}
+        """Return all on which numbers about the cell depend.
+
+        asked: settings of the study besides the cell.
+        """
+        return {
+            "version": version("surrofe2"),
+            self.source: self.name,
+            "cell": self.cell.to_dict(),
+            "asked": asked,
+        }
 
     def __str__(self) -> str:
         return f"{self.source} “{self.name}”"
@@ -51,10 +58,11 @@ class Study:
     """A finished study.
 
     Attributes:
-        title: of the figure.
-        panels: row by row; `columns` of them in a row.
-        drawing: instead of panels, what is no chart.
-        table: what people read; also in JSON as "rows".
+        title: title of the figure.
+        panels: charts of the figure, row by row.
+        columns: number of panels in a row.
+        drawing: a figure that is no chart and takes the place of panels.
+        table: the table for people; in JSON it is "rows".
         results: further numbers for JSON.
     """
 
@@ -66,7 +74,7 @@ class Study:
     results: Mapping[str, Any] = field(default_factory=dict)
 
     def to_csv(self) -> str:
-        """All points of the panels, else the table."""
+        """Return all points of the panels as CSV; without panels, the table."""
         if not self.panels:
             return self.table.to_csv()
         rows = (
@@ -95,11 +103,15 @@ def keep_study(
     Raises:
         MismatchError: it is there by other settings, and not `fresh`.
     """
-    stem, known = f"{name}-{of.name}", of.identity(asked)
-    png, csv, md, json = paths = [out / f"{stem}.{kind}" for kind in ("png", "csv", "md", "json")]
-    studies: list[Study] = []
+    stem = f"{name}-{of.name}"
+    png = out / f"{stem}.png"
+    csv = out / f"{stem}.csv"
+    md = out / f"{stem}.md"
+    json = out / f"{stem}.json"
+    studies: list[Study] = []  # the study, once it is made
 
     def compute() -> dict[str, Any]:
+        """Make the study, write its other files, and return the entries of the last, the JSON."""
         study = make()
         studies.append(study)
         write_text(md, study.table.to_markdown())
@@ -115,5 +127,5 @@ def keep_study(
             "fingerprint": of.cell.fingerprint,
         }
 
-    keep(json, known, compute, fresh=fresh)
-    return next(iter(studies), None), paths
+    keep(json, of.identity(asked), compute, fresh=fresh)
+    return next(iter(studies), None), [png, csv, md, json]
