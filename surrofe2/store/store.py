@@ -202,7 +202,7 @@ def remove_tree(folder: Path) -> None:
 
 
 def sealed(content: bytes) -> bytes:
-    """Return content with its digest in the place of `NO_DIGEST`, which it must have once."""
+    """Return content with its digest instead of `NO_DIGEST`, which it must have once."""
     begin, end = _place(content)
     if content[begin:end] != NO_DIGEST.encode():
         raise ValueError("no place for the digest")
