@@ -25,10 +25,13 @@ from validation.tissues import ALONG, DURATION, RAMP, STRIP
 
 PER_RVE, SEEDS = 16, (1, 2, 3)
 """Voronoi cells of an RVE, and their arrangements."""
-ACROSS, MESH, STRETCH = (8, 16), 4, 0.03
-"""Strips: plant cells across, and what they are pulled by; elements per side of the bar."""
+ACROSS, STRETCH = (8, 16), 0.03
+"""Strips: plant cells across, and what they are pulled by."""
 WIDE = 4
 """Plant cells along an element of a strip, which is as wide as an RVE."""
+COARSE, FINE = 4, 8
+"""Elements per side of bars. On the fine mesh elements are half as wide as RVEs of Voronoi cells:
+it is for small loads, where RVEs cost nothing, and for squares."""
 SMALL, LOAD = "bar, a tenth of the load", "bar, full load"
 FACTORS = {SMALL: 0.1, LOAD: 1.0}
 SQUARES = "squares"
@@ -55,7 +58,7 @@ def sides(cell: CellParameters, along: int, across: int) -> tuple[float, float]:
     return float(lattice[0, 0] * along / per_side), float(lattice[1, 1] * across / per_side)
 
 
-def bar(of: NamedCell, name: str, method: str, mesh: int = MESH) -> Case:
+def bar(of: NamedCell, name: str, method: str, mesh: int = COARSE) -> Case:
     """The paper's bar at its load or a tenth of it, watched by the mean motion of its free end."""
     width, height = sides(of.cell, ALONG, ALONG)
     table = {
@@ -105,15 +108,16 @@ def strip(of: NamedCell, n: int, method: str) -> Case:
     )  # fmt: skip
 
 
-def cases(
-    of: NamedCell, sizes: Sequence[int] = ACROSS, mesh: int = MESH, loads: Sequence[str] = ()
-) -> list[Case]:
-    """Both runs of bars and strips of each arrangement."""
+def cases(of: NamedCell, sizes: Sequence[int] = ACROSS) -> list[Case]:
+    """All runs of bars and strips of each arrangement."""
     found = []
     for each in kinds_of(of):
-        bars = [bar(each, name, way, mesh) for name in loads or FACTORS for way in (TISSUE, FE2)]
-        strips = [strip(each, n, way) for n in sizes for way in (TISSUE, FE2)]
-        found += bars + strips
+        for name in FACTORS:
+            is_quick = name == SMALL or each.cell.cells == 1
+            meshes = (COARSE, FINE) if is_quick else (COARSE,)
+            found.append(bar(each, name, TISSUE))
+            found += [bar(each, name, FE2, mesh) for mesh in meshes]
+        found += [strip(each, n, way) for n in sizes for way in (TISSUE, FE2)]
     return found
 
 
@@ -124,6 +128,7 @@ class Line:
     problem: str
     arrangement: str
     across: int
+    run: str
     measure: str
     value: float | None
     tissue: float | None
@@ -135,6 +140,7 @@ LINES: tuple[Quantity[Line], ...] = (
     Quantity("problem", "", "", lambda line: line.problem),
     Quantity("cells", "", "", lambda line: line.arrangement),
     Quantity("plant cells across", "", "d", lambda line: line.across),
+    Quantity("run", "", "", lambda line: line.run),
     Quantity("measure", "µm, µs, µN", "", lambda line: line.measure),
     Quantity("value", "", ".5g", lambda line: line.value),
     Quantity("full tissue", "", ".5g", lambda line: line.tissue),
@@ -146,28 +152,27 @@ LINES: tuple[Quantity[Line], ...] = (
 def lines_of(rows: Sequence[Row]) -> list[Line]:
     """Rows of FE², and behind them mean and standard deviation over the seeds of each problem."""
     found = []
-    seeds: dict[tuple[str, int, str], list[float]] = {}
+    seeds: dict[tuple[str, int, str, str], list[float]] = {}
     for row in rows:
         if row.off is None:
             continue
         problem, _, cells = row.case.problem.rpartition(", ")
         problem = problem.rpartition(", ")[0]
-        line = Line(problem, cells, row.case.across, row.measure, row.value, row.tissue, row.off)
-        found.append(line)
+        what = row.case.across, row.run_name, row.measure
+        found.append(Line(problem, cells, *what, row.value, row.tissue, row.off))
         if cells != SQUARES:
-            seeds.setdefault((problem, line.across, line.measure), []).append(row.off)
-    for (problem, across, measure), off in seeds.items():
+            seeds.setdefault((problem, *what), []).append(row.off)
+    for (problem, across, run, measure), off in seeds.items():
         if len(off) > 1:
             mean, scatter = float(np.mean(off)), float(np.std(off, ddof=1))
             name = f"Voronoi, {len(off)} seeds"
-            found.append(Line(problem, name, across, measure, None, None, mean, scatter))
+            found.append(Line(problem, name, across, run, measure, None, None, mean, scatter))
     return found
 
 
 def irregular_tissue(setting: Setting) -> Study:
     """How far FE² is from tissues of Voronoi cells and of squares."""
-    mesh = (setting.meshes or (MESH,))[0]
-    runs = setting.runs(cases(setting.of, setting.sizes or ACROSS, mesh))
+    runs = setting.runs(cases(setting.of, setting.sizes or ACROSS))
     rows = compare(runs)
     drawn = [
         (run.case.problem, run.case.across) for run in runs if run.case.problem.startswith(BAR)

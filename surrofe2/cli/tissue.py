@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from surrofe2.cli import console
 from surrofe2.workflow.laws import open_study, recipe_notes
-from surrofe2.workflow.tissue import run_tissue, tissue_summary
+from surrofe2.workflow.tissue import run_tissue, step_notes, tissue_summary
 
 
 def tissue(
@@ -27,6 +27,7 @@ def tissue(
     """
     study = open_study(recipe, threads)
     console.show_notes(recipe_notes(study))
+    console.show_notes(step_notes(study))
     with console.running("full tissue", study.duration, "µs", out) as report:
         record = run_tissue(study, out, fresh=fresh, report=report)
     console.done(out, tissue_summary(record), timed=False)

@@ -11,7 +11,6 @@ place on the grid of walls, moved by its displacement, does.
 from __future__ import annotations
 
 import hashlib
-import logging
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -52,7 +51,6 @@ Cells = CellParameters | Sequence[CellParameters]
 References = ReferenceState | Sequence[ReferenceState]
 
 DEFAULTS = TissueSettings()
-_log = logging.getLogger(__name__)
 _STATE = 4
 """Version of what a state holds."""
 
@@ -390,8 +388,6 @@ def simulate_tissue(
     dynamics = held_and_loaded(conditions, settings)
     recorder = Recorder(conditions, settings, dynamics, keep_frame)
     if resume is None:
-        if any(each.sap_bulk_modulus > 0.0 for each in conditions.tissue.types):
-            _log.info(step_note(settings, conditions))
         if progress is not None:
             progress(0.0, problem.duration)
         meet_bodies(dynamics, conditions, relax(dynamics, settings.residual))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from surrofe2.tissue.simulation import (
     Particles,
     make_conditions,
     plant_cells_within,
+    step_note,
     with_step,
 )
 from surrofe2.workflow.run import new_record
@@ -49,6 +51,15 @@ def tissue_of(
         middles = middles_of(cells[0], reference, origin, inside.shape[:2])
         kind[inside] = kinds_of_cells(problem, recipe.cells, middles[inside])
         return problem, cells, kind
+
+
+def step_notes(recipe: Recipe) -> Iterator[tuple[str, bool]]:
+    """A message on the step that undrained sap makes a tissue take, and that it is no warning."""
+    problem, cells, kind = tissue_of(recipe)
+    if any(cell.sap_bulk_modulus > 0.0 for cell in cells):
+        references = [kept_reference(cell) for cell in cells]
+        conditions = make_conditions(problem, cells, references, kind)
+        yield step_note(with_step(recipe.tissue, conditions), conditions), False
 
 
 def run_tissue(

@@ -83,6 +83,22 @@ def test_step_that_is_too_long(with_step, folder):
     assert not (folder / "run.json").exists()
 
 
+def test_irregular_tissue_with_undrained_sap_names_its_step(changed_recipe, folder):
+    """And has the plant cells of one RVE, in the files that squares have."""
+    recipe = changed_recipe(
+        "= 4.0", "= 0.5",
+        'preset = "printed"',
+        'preset = "printed"\narrangement = "voronoi"\ncells = 16\nsap_bulk_modulus = 2200.0',
+    )  # fmt: skip
+    done = invoke(recipe, "--out", folder)
+    assert "undrained sap (sap_bulk_modulus 2200 MPa) bears 0.00" in done.stdout
+    assert "drained sap would bear 0.00" in done.stdout
+    assert sorted(path.name for path in folder.iterdir()) == TISSUE_FILES
+    run = read_run(folder)
+    assert run.curve.displacement[-1, 1] < -0.01
+    assert run.energies["dissipated"][-1] > 0.0
+
+
 STATED = """
 [cells.skin]
 preset = "water"
