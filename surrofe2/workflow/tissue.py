@@ -55,11 +55,12 @@ def tissue_of(
 
 def step_notes(recipe: Recipe) -> Iterator[tuple[str, bool]]:
     """A message on the step that undrained sap makes a tissue take, and that it is no warning."""
+    if not any(part.cell.sap_bulk_modulus > 0.0 for part in recipe.parts().values()):
+        return
     problem, cells, kind = tissue_of(recipe)
-    if any(cell.sap_bulk_modulus > 0.0 for cell in cells):
-        references = [kept_reference(cell) for cell in cells]
-        conditions = make_conditions(problem, cells, references, kind)
-        yield step_note(with_step(recipe.tissue, conditions), conditions), False
+    references = [kept_reference(cell) for cell in cells]
+    conditions = make_conditions(problem, cells, references, kind)
+    yield step_note(with_step(recipe.tissue, conditions), conditions), False
 
 
 def run_tissue(
