@@ -91,8 +91,8 @@ def test_irregular_tissue_with_undrained_sap_names_its_step(changed_recipe, fold
         'preset = "printed"\narrangement = "voronoi"\ncells = 16\nsap_bulk_modulus = 2200.0',
     )  # fmt: skip
     done = invoke(recipe, "--out", folder)
-    assert "undrained sap (sap_bulk_modulus 2200 MPa) bears 0.00" in done.stdout
-    assert "drained sap would bear 0.00" in done.stdout
+    assert "undrained sap (sap_bulk_modulus 2200 MPa) bears 0.0" in done.stdout
+    assert "drained sap would bear 0.0" in done.stdout
     assert sorted(path.name for path in folder.iterdir()) == TISSUE_FILES
     run = read_run(folder)
     assert run.curve.displacement[-1, 1] < -0.01
