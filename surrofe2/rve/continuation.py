@@ -420,6 +420,8 @@ def over_saddle(
         hessian, subset_by_value=(-np.inf, 0.0), driver="evr", check_finite=False
     )
     if resting:
+        if len(stiffness) == 0:  # rounding alone has made the factorisation fail
+            return np.zeros_like(forces)
         softest = stiffness < (1.0 - ALIKE) * stiffness[0]
         stiffness, modes = stiffness[softest], modes[:, softest]
         # displacements that single out one of mirrored branches, whatever F

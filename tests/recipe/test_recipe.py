@@ -27,6 +27,9 @@ def message(error, path):
 @pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.name)
 def test_shipped_recipes_load(path):
     recipe = load_recipe(path)
+    if recipe.samples.file is None:  # a press at rest, by RVEs
+        assert path.name.startswith("apple-press")
+        return
     assert recipe.data_path().parent == path.parent
     assert recipe.training_path().resolve().parent == path.parents[1] / "training"
 

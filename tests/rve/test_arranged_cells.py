@@ -1,18 +1,15 @@
 """RVEs of several plant cells: squares over again, hexagons with D6, Voronoi with no symmetry."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import Status
 from surrofe2.plant_cell.block_matrices import dense_pattern
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import INITIALISATIONS, RveLaw, RveSettings
 from surrofe2.rve.unit_cell import relax
-from surrofe2.tissue.layout import make_tissue
 from tests.numerics import assert_tangents_near, turn
 from tests.rve import rves
 
@@ -91,12 +88,3 @@ def test_sparse_and_dense_matrices_find_the_same_equilibrium():
     np.testing.assert_allclose(found[0].energy, found[1].energy, rtol=1e-13)
     np.testing.assert_array_equal(found[0].stable, found[1].stable)
     assert found[0].stable.all()
-
-
-def test_a_tissue_of_other_cells_is_refused():
-    one = law("square", 1)
-    for cell in (replace(one.cell, arrangement="hexagon"), replace(one.cell, cells=4)):
-        with pytest.raises(
-            InputError, match=r"^cell.arrangement: \d of \w+; a full tissue must be"
-        ):
-            make_tissue([cell], [one.reference], np.zeros((2, 2), dtype=int))
