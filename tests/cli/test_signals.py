@@ -74,7 +74,8 @@ def struck(process, number, instant, folder):
     cause = "interrupted" if number == signal.SIGINT else f"interrupted by {number.name}"
     while_starting = "interrupted: nothing was changed"  # before any work
     assert told.startswith(f"{cause}: ") or told == while_starting, said
-    assert took < SOON * (1 + os.getloadavg()[0] / 2)
+    load = max(os.getloadavg()[0], 2.0)  # which lags behind: two workers of pytest at least
+    assert took < SOON * (1 + load / 2)
     assert not [*folder.rglob("*.lock"), *folder.rglob("*.partial")]
     for path in folder.rglob("run.json"):
         assert read_record(path.parent).status in ("interrupted", "finished")
