@@ -59,7 +59,7 @@ def record(folder: Path) -> dict[str, Any]:
 def compared(reference: Path, *folders: Path, out: Path) -> dict[str, dict[str, Any]]:
     """What `surrofe2 compare` finds of runs against a reference, by the name of their folder."""
     surrofe2("compare", reference, *folders, "--out", out, "--fresh")
-    found = json.loads((out / "comparison" / "comparison.json").read_text(encoding="utf-8"))
+    found = json.loads((out / "comparison.json").read_text(encoding="utf-8"))
     return {each["name"]: each for each in found["runs"]}
 
 
