@@ -242,7 +242,9 @@ def _learn(part: Recipe, last: int, fresh: bool, stage: Stage) -> None:
         return
     data, trained = learn(part, fresh=fresh, stage=stage)
     console.print_line(f"1/{last} data set {data.path}: {data_summary(data)}")
-    console.print_line(f"2/{last} surrogate {path}: {training_summary(trained)}; {trained.bound}")
+    console.print_line(f"2/{last} surrogate {path}: {training_summary(trained)}")
+    for line in trained.bound.splitlines():
+        console.print_line(line)
     warning = large_errors(part, trained)
     if warning is not None:
         console.print_warning(warning)

@@ -23,6 +23,7 @@ def test_everything_by_one_command(invoke, recipe_path, tmp_path):
     assert _largest_difference(out) < 1e-3
     steps = re.findall(r"^(\d)/4 ", done.stdout, re.M)
     assert steps == ["1", "2", "3", "4"]
+    assert "\\n" not in done.stdout, "an end of a line that was escaped"
     assert "including data and training" in done.stdout
     law = SoftLaw()
     again = invoke("study", recipe_path, "--out", out, law=law)
