@@ -1,4 +1,4 @@
-"""What every room stands on.
+"""The foundation of all other rooms.
 
 In reading order:
 

@@ -1,4 +1,4 @@
-"""What annotations call arrays: numbers, indices, truths."""
+"""Names of arrays in annotations: numbers, indices, truths."""
 
 from __future__ import annotations
 

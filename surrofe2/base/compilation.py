@@ -1,4 +1,4 @@
-"""How every kernel is compiled: one place for numba's flags.
+"""The compilation of all kernels: one place for numba's flags.
 
 numba gives each kernel copies of the functions that it calls, under names that all kernels share.
 Of equal names the one that comes first into a process serves all, and copies that were optimised
@@ -37,11 +37,11 @@ if environment.is_taken and _BLAS not in sys.modules:
 
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}  # not nnan, ninf: isnan must stay true
 OPTIONS = {"error_model": "numpy", "fastmath": FAST}
-"""Of all that is compiled; `numba.extending.overload` takes them as jit_options."""
+"""Options of all that is compiled; `numba.extending.overload` takes them as jit_options."""
 
 
 CACHE_LINE = 64
-"""Bytes."""
+"""Bytes of a line of the processor's cache."""
 
 
 class OwnCode(JITCodeLibrary):
@@ -65,19 +65,20 @@ def _relink(module: Any, before: str, after: str) -> None:
 
 @contextmanager
 def own_code(codegen: Any) -> Iterator[None]:
-    """Kernels compiled or read within are `OwnCode`; other people's are left as they are.
+    """Make kernels compiled or read within `OwnCode`; other people's stay as they are.
 
     Arrays that they make begin at a line of the cache: of others, numbers of eight lanes lie across
     two, and solves of RVEs take up to a fifth longer, by chance.
     """
-    usual, usual_place = codegen._library_class, BaseContext.get_preferred_array_alignment
+    usual_class = codegen._library_class
+    usual_alignment = BaseContext.get_preferred_array_alignment
     codegen._library_class = OwnCode
     BaseContext.get_preferred_array_alignment = lambda *_: CACHE_LINE
     try:
         yield
     finally:
-        codegen._library_class = usual
-        BaseContext.get_preferred_array_alignment = usual_place
+        codegen._library_class = usual_class
+        BaseContext.get_preferred_array_alignment = usual_alignment
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -96,7 +97,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def _own(dispatcher: Any) -> Any:
-    """The same kernel, whose machine code depends on no other kernel of the process."""
+    """Return the same kernel, whose machine code depends on no other kernel of the process."""
     compile_or_load = dispatcher.compile
 
     def own(signature: Any) -> Any:
@@ -121,11 +122,11 @@ pair_law = numba.njit(inline="always", **OPTIONS)
 
 @cache
 def _libraries() -> Any:
-    """The libraries that are loaded; to look for them takes milliseconds."""
+    """Return the libraries that are loaded; to look for them takes milliseconds."""
     return ThreadpoolController()
 
 
 def one_blas_thread() -> AbstractContextManager[Any]:
-    """BLAS works on one thread in the block: its matrices are small, and kernels need the cores."""
+    """Let BLAS work on one thread in the block: matrices are small, and kernels need the cores."""
     limited: AbstractContextManager[Any] = _libraries().limit(limits=1, user_api="blas")
     return limited

@@ -1,4 +1,4 @@
-"""What a process may use of the machine, and what the command line sets in a process of its own.
+"""Cores that a process may use, and settings that the command line makes in its own process.
 
 Importing the package and computing stresses change nothing of the process that does it. A program
 that is all surrofe2 calls `take_process` before numba is loaded, as the command line does: kernels

@@ -38,7 +38,7 @@ class InputError(Surrofe2Error, ValueError):
         )
 
     def within(self, where: str) -> InputError:
-        """The same error of settings that stand elsewhere: `where` replaces their own name."""
+        """Return the same error of settings that stand elsewhere: `where` replaces their name."""
         if not self.where or self.where.startswith(where):
             return self
         _, dot, key = self.where.partition(".")
@@ -62,13 +62,13 @@ class SimulationError(Surrofe2Error, RuntimeError):
 
 
 def shortened(text: str, most: int = LONGEST) -> str:
-    """Beginning and end of a text of more than `most` characters."""
+    """Return beginning and end of a text, where it has more than `most` characters."""
     begin = 2 * most // 3
     return text if len(text) <= most else f"{text[:begin]}…{text[1 + begin - most :]}"
 
 
 def printable(text: str) -> str:
-    """A text with escapes instead of what a terminal obeys or does not show.
+    """Return a text with escapes in place of signs that a terminal obeys or does not show.
 
     Control characters, escape sequences, marks that change the direction of writing, other
     invisible characters, line breaks and bytes that are no UTF-8 become \\x1b, \\u202e, \\n and so
@@ -82,7 +82,7 @@ def printable(text: str) -> str:
 
 
 def quoted(value: object) -> str:
-    """A value as a sentence quotes it, whatever it is."""
+    """Return a value as a sentence quotes it, whatever it is."""
     try:
         return shortened(repr(value), _LONGEST_VALUE)
     except (ValueError, RecursionError):  # an integer of thousands of digits; deep nesting

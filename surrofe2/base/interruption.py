@@ -68,12 +68,12 @@ def watch() -> None:
 
 
 def begin_work() -> None:
-    """From now on there may be work to keep."""
+    """Say that from now on there may be work to keep."""
     _state.is_working = True
 
 
 def end_work() -> None:
-    """The command is over, and nothing can interrupt it any more."""
+    """Ignore these signals from now on; the command is over."""
     signal.setitimer(signal.ITIMER_REAL, 0.0)
     for number in SIGNALS:
         if signal.getsignal(number) is _take:
@@ -90,13 +90,13 @@ def fill_standard_streams() -> None:
 
 
 def end_by(end: Callable[[int], Any]) -> None:
-    """From now on a second signal ends the process by this call with its exit code."""
+    """Let a second signal end the process by this call with its exit code, from now on."""
     _state.end = end
 
 
 @contextmanager
 def uncaught() -> Iterator[None]:
-    """A signal ends the process at once, also within a library that does not come back."""
+    """Let a signal end the process at once, also within a library that does not come back."""
     taken = [number for number in SIGNALS if signal.getsignal(number) is _take]
     for number in taken:
         signal.signal(number, signal.SIG_DFL)
@@ -108,7 +108,7 @@ def uncaught() -> Iterator[None]:
 
 
 def received() -> int:
-    """The signal that interrupts this process, or 0."""
+    """Return the signal that interrupts this process, or 0."""
     return _state.number
 
 
@@ -120,15 +120,19 @@ def pass_on(number: int, source: str) -> None:
 
 
 def cause() -> str:
-    """How a message says that the command was interrupted, and by what if not by Ctrl-C."""
-    if _state.number in (0, signal.SIGINT) and not _state.source:
+    """Say for a message that the command was interrupted, and by what if not by Ctrl-C."""
+    return _interrupted_by(_state.number or signal.SIGINT, _state.source)
+
+
+def _interrupted_by(number: int, source: str = "") -> str:
+    if number == signal.SIGINT and not source:
         return "interrupted"
-    return f"interrupted by {signal.Signals(_state.number or signal.SIGINT).name}{_state.source}"
+    return f"interrupted by {signal.Signals(number).name}{source}"
 
 
 @contextmanager
 def held() -> Iterator[None]:
-    """An interruption waits until the block is over, and a moment longer."""
+    """Let an interruption wait until the block is over, and a moment longer."""
     _state.held += 1
     try:
         yield
@@ -138,8 +142,11 @@ def held() -> Iterator[None]:
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """An error that ends the block after a signal counts as the interruption, for machine code
-    that has called Python, numpy's too, may turn that into a TypeError or a SystemError."""
+    """Take an error that ends the block after a signal for the interruption.
+
+    Machine code that has called Python, numpy's too, may turn a KeyboardInterrupt into a TypeError
+    or a SystemError.
+    """
     try:
         yield
     except Exception as error:
@@ -149,13 +156,13 @@ def interruptible() -> Iterator[None]:
 
 
 def exit_code() -> int:
-    """128 and the number of the signal, as shells have it."""
+    """Return 128 and the number of the signal, as shells have it."""
     return 128 + (_state.number or signal.SIGINT)
 
 
 def _take(number: int, frame: FrameType | None) -> None:
     if not _state.is_working:
-        os.write(2, b"interrupted: nothing was changed\n")
+        os.write(2, f"{_interrupted_by(number)}: nothing was changed\n".encode())
         os._exit(128 + number)
     if not _state.number:
         _state.number = number
@@ -182,21 +189,24 @@ def _raise_again(number: int, frame: FrameType | None) -> None:
 
 def _end_at_the_second(receiver: int) -> None:
     """End the process at the second signal that asks for it; a thread, which nothing holds up."""
-    first: float | None = None
+    first = 0  # the first signal, and when it came
+    begin = 0.0
     is_reported = False
     while True:
-        waiting = first is not None and not (_state.number or is_reported)
-        if not select([receiver], [], [], _PATIENCE if waiting else None)[0]:
+        is_waiting = first != 0 and not (_state.number or is_reported)
+        if not select([receiver], [], [], _PATIENCE if is_waiting else None)[0]:
             is_reported = True
             if not _state.number:
-                os.write(2, b"interrupted: waiting for work; another signal ends it at once\n")
+                line = f"{_interrupted_by(first)}: waiting for work; another signal ends it at once"
+                os.write(2, f"{line}\n".encode())
             continue
         for number in os.read(receiver, 64):
             if number not in ENDING:
                 continue
-            if first is None:
-                first = monotonic()
-            elif monotonic() - first >= _APART:
+            if not first:
+                first = number
+                begin = monotonic()
+            elif monotonic() - begin >= _APART:
                 os.write(2, b"ended at once; files are whole, and what was kept last stays\n")
                 sleep(HEARD)
                 _state.end(128 + number)

@@ -191,7 +191,7 @@ class _Place:
 
 
 class _Kernel(CompileResultCacheImpl):
-    """How numba writes and reads the machine code of a kernel, with the names of its files.
+    """Writes and reads the machine code of a kernel as numba does, under names of its own.
 
     Its own constructor is left out: it would choose a place by settings of the process.
     """

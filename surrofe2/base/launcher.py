@@ -21,7 +21,7 @@ _RANKS = ("PMI_RANK", "OMPI_COMM_WORLD_RANK", "MV2_COMM_WORLD_RANK", "PMIX_RANK"
 
 
 def world_size() -> int:
-    """How many ranks were started with this process; 1 without MPI."""
+    """Return how many ranks the launcher has started, this process included; 1 without MPI."""
     if os.environ.get(ALONE):
         return 1
     known = [os.environ[name] for name in _SIZES if name in os.environ]
@@ -31,7 +31,7 @@ def world_size() -> int:
 
 
 def rank() -> int:
-    """Number of this process among the ranks, before MPI is loaded; 0 where no launcher says it."""
+    """Return the number of this process among the ranks, without MPI; 0 without a launcher."""
     known = [os.environ[name] for name in _RANKS if name in os.environ]
     return int(known[0]) if known and known[0].isdigit() else 0
 

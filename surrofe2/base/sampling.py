@@ -1,4 +1,4 @@
-"""At which deformations the stress is sampled: ranges and sequences of points in them.
+"""Deformations at which the stress is sampled: ranges and sequences of points in them.
 
 A constant rotation leaves σ(F, Ḟ) unchanged but for the rotation, so with the polar decomposition
 F = R U seven inputs are left: the stretch U (symmetric) and the rate A = RᵀḞ (any 2 × 2).
@@ -19,10 +19,10 @@ from surrofe2.base.tensors import INPUTS, transpose, unrotated
 from surrofe2.base.units import RATE
 
 NEAREST = 0.03
-"""Of the size of a sample: how near to rest it is drawn, at most."""
+"""Fraction of its size to which a sample is drawn towards rest, at most."""
 SLACK = 1e-12  # rounding of the polar decomposition at the edge of the range
 SEQUENCE = "Sobol, every third drawn to rest"
-"""Name of what `training_points` gives, stored in data sets so that others are recognised."""
+"""Name of the points of `training_points`, by which data sets of others are recognised."""
 _DRAWN = 3  # every so many samples of a data set, one
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # multiples of it, without their integers, are even in [0, 1)
 _MOST_SAMPLES = 2**30  # points of the scrambled Sobol sequence
@@ -55,13 +55,14 @@ class SamplingRange:
 
     @property
     def ends(self) -> tuple[Array, Array]:
-        """(7,) lowest and highest of each of `QUANTITIES`."""
-        (low, high), both = self.stretch, np.array([self.shear, *[self.rate] * 4])
+        """Lowest and highest value (7,) of each of `QUANTITIES`."""
+        low, high = self.stretch
+        both = np.array([self.shear, *[self.rate] * 4])
         return np.array([low, low, *-both]), np.array([high, high, *both])
 
 
 def sample(range: SamplingRange, count: int, seed: int, start: int = 0) -> tuple[Array, Array]:
-    """Points `start` to `start + count` of a scrambled Sobol sequence over the range.
+    """Draw points `start` to `start + count` of a scrambled Sobol sequence over the range.
 
     Returns:
         F (count, 2, 2) symmetric, so F = U, and F_dot (count, 2, 2) in 1/µs. The same seed gives
@@ -83,7 +84,7 @@ def sample(range: SamplingRange, count: int, seed: int, start: int = 0) -> tuple
 def training_points(
     range: SamplingRange, count: int, seed: int, start: int = 0
 ) -> tuple[Array, Array]:
-    """Points of a data set: those of `sample`, the very first at rest, every third drawn to it.
+    """Draw points of a data set: of `sample`, the first put at rest, every third drawn towards it.
 
     A point is drawn by a factor whose logarithm is uniform down to that of `NEAREST`. A tissue is
     mostly near rest, and there are few points of seven inputs where all are small.
@@ -99,9 +100,11 @@ def training_points(
 
 
 def contains(range: SamplingRange, F: Array, F_dot: Array) -> Flags:
-    """(n,) whether U and RᵀḞ of each point are within the range; False where anything is NaN."""
-    F, F_dot = np.asarray(F, dtype=np.float64), np.asarray(F_dot, dtype=np.float64)
-    (lower, upper), slack = range.ends, SLACK * np.array([1.0, 1.0, 1.0, *[range.rate] * 4])
+    """Return (n,) whether U and RᵀḞ of points are in the range; False where anything is NaN."""
+    F = np.asarray(F, dtype=np.float64)
+    F_dot = np.asarray(F_dot, dtype=np.float64)
+    lower, upper = range.ends
+    slack = SLACK * np.array([1.0, 1.0, 1.0, *[range.rate] * 4])
     with np.errstate(all="ignore"):
         values = _quantities(F, F_dot)
         inside = (values >= lower - slack) & (values <= upper + slack)
@@ -109,32 +112,35 @@ def contains(range: SamplingRange, F: Array, F_dot: Array) -> Flags:
 
 
 QUANTITIES = ("U₁₁", "U₂₂", "U₁₂", "(RᵀḞ)₁₁", "(RᵀḞ)₁₂", "(RᵀḞ)₂₁", "(RᵀḞ)₂₂")
-"""What a range bounds."""
+"""The quantities that a range bounds."""
 
 
 def _quantities(F: Array, F_dot: Array) -> Array:
-    """(n, 7) `QUANTITIES` of n points."""
+    """Return the `QUANTITIES` of n points, (n, 7)."""
     U, A, _ = unrotated(F, F_dot)
     return np.concatenate([U.reshape(-1, 4)[:, [0, 3, 1]], A.reshape(-1, 4)], axis=1)
 
 
 def farthest_out(range: SamplingRange, F: Array, F_dot: Array) -> tuple[Index, Array, Array]:
-    """Which of `QUANTITIES` is farthest beyond its bound, by its half width, at n finite points.
+    """Find the quantity that is farthest beyond its bound, by its half width, at n finite points.
 
     Returns:
-        its number (n,), −1 where all are within; its value (n,) and the bound that it passed (n,).
+        Its number (n,) among `QUANTITIES`, −1 where all are within; its value (n,) and the bound
+        that it passed (n,).
     """
-    values, (lower, upper) = _quantities(F, F_dot), range.ends
+    values = _quantities(F, F_dot)
+    lower, upper = range.ends
     bound = np.where(values > 0.5 * (upper + lower), upper, lower)
     half = np.maximum(0.5 * (upper - lower), SLACK)
     beyond = np.abs(values - 0.5 * (upper + lower)) / half
-    which, rows = beyond.argmax(axis=1), np.arange(len(F))
+    which = beyond.argmax(axis=1)
+    rows = np.arange(len(F))
     inside = contains(range, F, F_dot)
     return np.where(inside, -1, which), values[rows, which], bound[rows, which]
 
 
 def out_of_range(quantity: str, value: float, bound: float) -> str:
-    """By how much a quantity is beyond its bound, in words."""
+    """Say by how much a quantity is beyond its bound."""
     side = "most" if value > bound else "least"
     return (
         f"{quantity} = {value:.6g} of at {side} {bound:g} after the rotation is taken out, "
@@ -143,10 +149,11 @@ def out_of_range(quantity: str, value: float, bound: float) -> str:
 
 
 def range_holding(range: SamplingRange, F: Array, F_dot: Array) -> SamplingRange:
-    """The least range that holds another one and these points, (n, 2, 2) each."""
+    """Return the least range that holds another one and these points, (n, 2, 2) each."""
     if contains(range, F, F_dot).all():
         return range
-    values, (low, high) = _quantities(F, F_dot), range.stretch
+    values = _quantities(F, F_dot)
+    low, high = range.stretch
     return SamplingRange(
         stretch=(min(low, float(values[:, :2].min())), max(high, float(values[:, :2].max()))),
         shear=max(range.shear, float(np.abs(values[:, 2]).max())),
@@ -157,7 +164,7 @@ def range_holding(range: SamplingRange, F: Array, F_dot: Array) -> SamplingRange
 def neighbours(
     range: SamplingRange, F: Array, F_dot: Array, count: int, seed: int, distance: float = 0.1
 ) -> tuple[Array, Array]:
-    """`count` points (F, F_dot) about the given ones, (n, 2, 2) each, n ≥ 1, taken in turn.
+    """Draw `count` points (F, F_dot) about others, (n, 2, 2) each, n ≥ 1, taken in turn.
 
     U and RᵀḞ of each are drawn evenly within `distance` times the half widths of the range from
     those of its point; F is symmetric, as of `sample`.
@@ -172,7 +179,7 @@ def neighbours(
 
 
 def half_widths(range: SamplingRange) -> Array:
-    """(7,) half the width of the range in each input of `tensors`; 1 where the range has none."""
+    """Return half the width of the range in each input of `tensors`, (7,); 1 where it has none."""
     low, high = range.stretch
     widest = max(1.0 - low, high - 1.0)
     widths = 2.0 * np.array([widest, widest, range.shear, *[range.rate] * 4])
@@ -180,7 +187,7 @@ def half_widths(range: SamplingRange) -> Array:
 
 
 def _sobol(count: int, seed: int, start: int) -> Array:
-    """(count, 7) points in [0, 1) of scipy's scrambled sequence."""
+    """Draw points (count, 7) in [0, 1) of scipy's scrambled sequence."""
     from scipy.stats import qmc  # here, since it takes longer to load than a cached run
 
     # Where scipy reads its table it swallows an interruption, and draws other points from then on.

@@ -26,8 +26,8 @@ from surrofe2.base.units import NONE, with_micro_sign
 
 T = TypeVar("T")
 
+# Characters of a list of names in an error message.
 _LONGEST_LIST = 150
-"""Characters of a list of names in an error message."""
 REMOVED: dict[str, str] = {
     "training.form": "leave it out; the network always gives the whole stress",
     "training.energy_hidden": "leave it out; the network always gives the whole stress",
@@ -41,25 +41,28 @@ REMOVED: dict[str, str] = {
     "calibration.share": "call it calibration.alpha",
 }
 """Keys that recipes had in earlier versions, as "section.key", and what to do instead."""
-_SMALLEST, _LARGEST, _ENDS = 1e-60, 1e30, (0.0, math.inf, -math.inf)
-"""Numbers beyond these are mistakes, whose products overflow."""
+# Numbers beyond these, other than the ends, are mistakes, whose products overflow.
+_SMALLEST = 1e-60
+_LARGEST = 1e30
+_ENDS = (0.0, math.inf, -math.inf)
 
 
 def setting(default: Any = MISSING, about: str = "", unit: str = NONE, **bounds: Any) -> Any:
-    """A field of a settings dataclass.
+    """Make a field of a settings dataclass.
 
     Args:
-        bounds: of numbers, also those in a list: `least`, `most`, `above`, `below`, and `inf=True`
-            where infinity is allowed; of a text: `one_of`, and `is_file=True` where it is a name on
-            the disk, which stays as it is. `read` (name, entry) gives the value of an entry that a
-            recipe states otherwise.
+        bounds: for numbers, also those in a list: `least`, `most`, `above`, `below`, and `inf=True`
+            where infinity is allowed; for a text: `one_of`, and `is_file=True` where it is a name
+            on the disk, which stays as it is. `read` (name, entry) returns the value of an entry
+            that a recipe states otherwise.
     """
     return field(default=default, metadata={"about": about, "unit": unit, **bounds})
 
 
 def check_settings(settings: Any, section: str) -> None:
-    """Check types and bounds of all fields made by `setting`; integers become the floats, lists
-    the tuples they are.
+    """Check types and bounds of all fields made by `setting`.
+
+    Integers become floats, and lists become tuples, where the type says so.
 
     Raises:
         InputError: naming section, field, value and what is allowed.
@@ -80,14 +83,14 @@ class Faults:
 
     @contextmanager
     def noted(self) -> Iterator[None]:
-        """Errors of the block are noted, and the work continues behind it."""
+        """Note errors of the block, and let the work continue behind it."""
         try:
             yield
         except (FileError, InputError) as error:
             self.errors += error.faults or [error]
 
     def take(self, make: Callable[..., T], *args: Any) -> T:
-        """What a call gives; None where it fails, and `check` will raise."""
+        """Return the result of a call; None where it fails, and `check` will raise."""
         with self.noted():
             return make(*args)
         return None  # type: ignore[return-value, unused-ignore]
@@ -108,10 +111,10 @@ def build(
     of: type | None = None,
     **fixed: Any,
 ) -> T:
-    """The settings that the entries of a table state, with those in it that are tables themselves.
+    """Build the settings that the entries of a table state; entries may be tables themselves.
 
     Args:
-        kind: the dataclass, or what makes it of its fields; `dict` gives these alone.
+        kind: the dataclass, or a function that makes it of its fields; `dict` returns these alone.
         where: dotted name of the table.
         extras: keys that it may have besides, which are read elsewhere.
         of: the dataclass, where `kind` is none.
@@ -123,7 +126,9 @@ def build(
     check_table(where, table)
     form: Any = of or kind
     items = {item.name: item for item in fields(form) if item.metadata and item.name not in fixed}
-    hints, faults, values = hints_of(form), Faults(), dict(fixed)
+    hints = hints_of(form)
+    faults = Faults()
+    values = dict(fixed)
     prefix = f"{where}." if where else ""
     for key, value in table.items():
         name = f"{prefix}{key}"
@@ -134,11 +139,10 @@ def build(
             if key not in items:
                 raise unknown(name, key, "key", [*items, *extras])
             read = items[key].metadata.get("read")
-            values[key] = (
-                check_value(name, value, hints[key], items[key].metadata)
-                if read is None
-                else read(name, value)
-            )
+            if read is not None:
+                values[key] = read(name, value)
+            else:
+                values[key] = check_value(name, value, hints[key], items[key].metadata)
     for item in items.values():
         if item.default is MISSING and item.name not in table:
             unit = item.metadata["unit"]
@@ -153,7 +157,7 @@ def build(
 
 
 def build_kind(kinds: Mapping[str, type[T]], table: Any, where: str, **fixed: Any) -> T:
-    """The settings of a table whose entry `kind` says what it is; else as `build`."""
+    """Build the settings of a table whose entry `kind` says what it is; else as `build`."""
     check_table(where, table)
     kind = table.get("kind")
     if kind is None:
@@ -166,7 +170,7 @@ def build_kind(kinds: Mapping[str, type[T]], table: Any, where: str, **fixed: An
 
 
 def build_only(kinds: Mapping[str, Any], table: Any, where: str) -> Any:
-    """The settings under the one key of a table, which says what they are.
+    """Build the settings under the one key of a table, which says what they are.
 
     Raises:
         InputError: it has none of the keys, several, or another.
@@ -179,13 +183,17 @@ def build_only(kinds: Mapping[str, Any], table: Any, where: str) -> Any:
         keys = " and ".join(table) if table else "none of them"
         raise InputError(where, f"{keys}; it must have exactly one of {', '.join(kinds)}")
     key = next(iter(table))
-    kind, where, entry = kinds[key], f"{where}.{key}", table[key]
-    # what a class inherits reads its whole family
-    return kind.read(where, entry) if "read" in vars(kind) else build(kind, entry, where)
+    kind = kinds[key]
+    entry = table[key]
+    where = f"{where}.{key}"
+    # a `read` that the class inherits reads its whole family, and would come here again
+    if "read" in vars(kind):
+        return kind.read(where, entry)
+    return build(kind, entry, where)
 
 
 def with_kind(settings: Any, kinds: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
-    """Kind and entries; of a class that recipes do not know, its name alone."""
+    """Return kind and entries of settings; the name alone of a class that recipes do not know."""
     for name, kind in kinds.items():
         if isinstance(settings, kind):
             return name, asdict(settings)
@@ -193,17 +201,17 @@ def with_kind(settings: Any, kinds: Mapping[str, Any]) -> tuple[str, dict[str, A
 
 
 def check_table(where: str, value: Any) -> None:
-    """Refuse what is no table."""
+    """Reject an entry that is no table."""
     if not isinstance(value, Mapping):
         what = f"a section [{where}]" if where.isidentifier() else "a table of entries"
         raise InputError(where, f"{quoted(value)}; it must be {what}")
 
 
 def unknown(where: str, key: str, what: str, known: Iterable[str], shown: str = "") -> InputError:
-    """The error that refuses a key which is not among the known.
+    """Return the error that rejects a key which is not among the known.
 
     Args:
-        shown: the value, where the key is one, as the message begins with it.
+        shown: begin of the message, where the key is the value of an entry.
     """
     close = difflib.get_close_matches(key, known, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
@@ -213,17 +221,17 @@ def unknown(where: str, key: str, what: str, known: Iterable[str], shown: str = 
 
 @cache
 def hints_of(kind: Hashable) -> dict[str, Any]:
-    """Types of a dataclass's fields by name."""
+    """Return the types of a dataclass's fields by name."""
     return get_type_hints(kind)
 
 
 def check_value(name: str, value: Any, hint: Any, bounds: Mapping[str, Any]) -> Any:
-    """The value as its type has it.
+    """Check a value, and return it as its type has it.
 
     Args:
-        name: whose value it is, for the message.
+        name: name of the entry, for the message.
         hint: its type: float, int, bool, str, Literal, settings, a tuple or Mapping of these, or
-            one of them or None. A class may `read` (name, value) what recipes state otherwise.
+            one of them or None. A class may have a function `read` (name, value) of its own.
         bounds: as `setting` takes them.
 
     Raises:
@@ -278,8 +286,10 @@ def _number(name: str, value: Any, kind: type, bounds: Mapping[str, Any]) -> Any
     numeric = isinstance(value, Integral if kind is int else Real)  # numpy's, too
     if not numeric or isinstance(value, bool):
         raise _refusal(name, value, "an integer" if kind is int else "a number", bounds)
-    least, most = bounds.get("least", -math.inf), bounds.get("most", math.inf)
-    above, below = bounds.get("above"), bounds.get("below")
+    least = bounds.get("least", -math.inf)
+    most = bounds.get("most", math.inf)
+    above = bounds.get("above")
+    below = bounds.get("below")
     inside = (above is None or value > above) and (below is None or value < below)
     # comparisons, as an integer may be beyond all floats
     finite = abs(value) < math.inf or (bounds.get("inf", False) and value == value)
@@ -291,7 +301,7 @@ def _number(name: str, value: Any, kind: type, bounds: Mapping[str, Any]) -> Any
 
 
 def allowed_numbers(kind: type, bounds: Mapping[str, Any]) -> str:
-    """Bounds of a number in words."""
+    """Say the bounds of a number."""
     least, most, above, below = (bounds.get(key) for key in ("least", "most", "above", "below"))
     noun = "an integer " if kind is int else ""
     if least is not None and most is not None:

@@ -36,12 +36,12 @@ TILE = 8
 
 
 def tiles_for(points: int) -> int:
-    """Number of tiles that hold `points` points."""
+    """Return the number of tiles that hold `points` points."""
     return -(-points // TILE)
 
 
 def pack(values: NDArray[Any]) -> NDArray[Any]:
-    """(n, …) → (tiles, …, TILE); the last tile is filled up with copies of the last point."""
+    """Pack (n, …) into (tiles, …, TILE); copies of the last point fill up the last tile."""
     n = len(values)
     if n % TILE:
         values = values[np.minimum(np.arange(tiles_for(n) * TILE), n - 1)]
@@ -50,13 +50,13 @@ def pack(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def unpack(tiles: NDArray[Any], points: int) -> NDArray[Any]:
-    """(tiles, …, TILE) → (n, …); inverse of `pack`."""
+    """Unpack (tiles, …, TILE) into (n, …); the inverse of `pack`."""
     lanes = tiles.transpose(0, tiles.ndim - 1, *range(1, tiles.ndim - 1))
     return np.ascontiguousarray(lanes.reshape(-1, *lanes.shape[2:])[:points])
 
 
 def take_points(tiles: NDArray[Any], index: Index) -> NDArray[Any]:
-    """The points `index` of packed `tiles`, packed."""
+    """Return the points `index` of packed `tiles`, packed."""
     return pack(tiles[index // TILE, ..., index % TILE])
 
 

@@ -15,24 +15,24 @@ from surrofe2.base.arrays import Array, Index
 SUM, DIFFERENCE, SHEAR, SPIN = 0, 1, 2, 3
 COMPONENTS = ("sum", "difference", "shear", "spin")
 INPUT_COMPONENTS = (SUM, DIFFERENCE, SHEAR, SUM, DIFFERENCE, SHEAR, SPIN)
-"""Which component each of the seven inputs is, of U − I and then of A."""
+"""The component that each of the seven inputs is, of U − I and then of A."""
 
 _TURN = np.array([1.0, -1.0, -1.0, 1.0])  # of sum, difference, shear, spin
 _REFLECTION = np.array([1.0, 1.0, -1.0, -1.0])
 COMPONENT_SIGNS = np.array([np.ones(4), _TURN, _REFLECTION, _TURN * _REFLECTION])
-"""(4, 4) by which each image flips the components of a tensor; bit 0: turned, bit 1: reflected."""
+"""Signs (4, 4) of the components of a tensor in each image; bit 0: turned, bit 1: reflected."""
 INPUT_SIGNS = COMPONENT_SIGNS[:, INPUT_COMPONENTS]
-"""(4, 7) by which each image flips the inputs."""
+"""Signs (4, 7) of the inputs in each image."""
 
 
 def parity(product: tuple[int, ...]) -> int:
-    """The component whose sign a product of inputs, by their numbers, shares under D4."""
+    """Return the component whose sign a product of inputs, by their numbers, has under D4."""
     signs = INPUT_SIGNS[:, list(product)].prod(axis=1)
     return int(np.flatnonzero((signs == COMPONENT_SIGNS.T).all(axis=1))[0])
 
 
 def canonical_image(x: Array) -> Index:
-    """(n,) the image of each state (n, 7) whose difference and shear of U are at least 0."""
+    """Return the image (n,) of each state (n, 7) that has no negative difference and shear of U."""
     turned = x[:, DIFFERENCE] < 0.0
     shear = np.where(turned, -x[:, SHEAR], x[:, SHEAR])
     return turned + 2 * (shear < 0.0)

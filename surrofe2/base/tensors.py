@@ -25,17 +25,17 @@ INPUTS = 7
 
 
 def det(F: Array) -> Array:
-    """(n,) determinants."""
+    """Return the determinants (n,)."""
     return F[:, 0, 0] * F[:, 1, 1] - F[:, 0, 1] * F[:, 1, 0]
 
 
 def transpose(F: Array) -> Array:
-    """(n, 2, 2) transposes."""
+    """Return the transposes (n, 2, 2)."""
     return np.swapaxes(F, -1, -2)
 
 
 def rotation(F: Array) -> Array:
-    """R of the polar decomposition F = R U, for det F > 0.
+    """Return R of the polar decomposition F = R U, for det F > 0.
 
     In the plane its angle has the tangent (F₂₁ − F₁₂)/(F₁₁ + F₂₂).
     """
@@ -50,64 +50,66 @@ def rotation(F: Array) -> Array:
 
 
 def unrotated(F: Array, F_dot: Array) -> tuple[Array, Array, Array]:
-    """(U, A, R) of F = R U and Ḟ = R A, (n, 2, 2) each."""
+    """Return (U, A, R) of F = R U and Ḟ = R A, (n, 2, 2) each."""
     R = rotation(F)
     return transpose(R) @ F, transpose(R) @ F_dot, R
 
 
 def to_components(T: Array) -> Array:
-    """(…, 4) sum, difference, shear and spin of T (…, 2, 2)."""
+    """Return sum, difference, shear and spin of T (…, 2, 2), as (…, 4)."""
     xx, xy, yx, yy = T[..., 0, 0], T[..., 0, 1], T[..., 1, 0], T[..., 1, 1]
     return np.stack([xx + yy, xx - yy, xy + yx, yx - xy], axis=-1)
 
 
 def from_components(components: Array) -> Array:
-    """T (…, 2, 2) from its sum, difference, shear and spin (…, 4)."""
+    """Return T (…, 2, 2) by its sum, difference, shear and spin (…, 4)."""
     total, difference, shear, spin = (components[..., k] for k in range(4))
     T = np.stack([total + difference, shear - spin, shear + spin, total - difference], axis=-1)
     return 0.5 * T.reshape(*T.shape[:-1], 2, 2)
 
 
 def to_inputs(F: Array, F_dot: Array) -> tuple[Array, Array]:
-    """(x (n, 7), R (n, 2, 2)) of F and Ḟ, rates in 1/µs."""
+    """Return (x (n, 7), R (n, 2, 2)) of F and Ḟ, rates in 1/µs."""
     U, A, R = unrotated(F, F_dot)
     return np.concatenate([to_components(U - np.eye(2))[:, :3], to_components(A)], axis=1), R
 
 
 def from_inputs(x: Array, R: Array) -> tuple[Array, Array]:
-    """F = R U and Ḟ = R A, (n, 2, 2) each; inverse of `to_inputs`."""
+    """Return F = R U and Ḟ = R A, (n, 2, 2) each; the inverse of `to_inputs`."""
     stretch = np.concatenate([x[:, :3], np.zeros((len(x), 1))], axis=1)
     return R @ (np.eye(2) + from_components(stretch)), R @ from_components(x[:, 3:])
 
 
 def stress_error(stress: Array, true: Array) -> Array:
-    """(n,) Frobenius norm of stress − true, (n, 2, 2) each, µN/µm; NaN where either is."""
+    """Return the Frobenius norm (n,) of stress − true, (n, 2, 2) each, µN/µm; NaN if either is."""
     difference: Array = np.sqrt(((stress - true) ** 2).sum(axis=(1, 2)))
     return difference
 
 
 def stress_spread(stress: Array) -> float:
-    """Root mean square of the Frobenius norm of σ − mean σ, σ (n, 2, 2), n ≥ 1, µN/µm."""
+    """Return the RMS of the Frobenius norm of σ − mean σ, σ (n, 2, 2), n ≥ 1, µN/µm."""
     return float(np.sqrt(((stress - stress.mean(axis=0)) ** 2).sum(axis=(1, 2)).mean()))
 
 
 def cofactor(F: Array) -> Array:
-    """J F⁻ᵀ of (n, 2, 2)."""
+    """Return J F⁻ᵀ of F (n, 2, 2)."""
     result = np.empty_like(F)
-    result[:, 0, 0], result[:, 1, 1] = F[:, 1, 1], F[:, 0, 0]
-    result[:, 0, 1], result[:, 1, 0] = -F[:, 1, 0], -F[:, 0, 1]
+    result[:, 0, 0] = F[:, 1, 1]
+    result[:, 0, 1] = -F[:, 1, 0]
+    result[:, 1, 0] = -F[:, 0, 1]
+    result[:, 1, 1] = F[:, 0, 0]
     return result
 
 
 def check_arrays(
     what: str, arrays: Mapping[str, Array], shapes: Mapping[str, tuple[int, ...]]
 ) -> None:
-    """Refuse float64 arrays that are missing, unknown or of another shape.
+    """Reject float64 arrays that are missing, unknown or of another shape.
 
     Raises:
-        InputError: naming the array.
+        InputError: naming the first such array.
     """
-    for name in {*arrays, *shapes}:
+    for name in (*arrays, *shapes):
         if name not in arrays or name not in shapes:
             problem = "unknown" if name in arrays else "missing"
             raise InputError(f"{what}.{shortened(name, 60)}: {problem}")

@@ -46,12 +46,13 @@ def pressure(d: Real, closing: Real, law: tuple[float, float, float]) -> tuple[R
     spring = np.maximum(k * (d - delta * near * (1.0 - 0.5 * near)), 0.0)  # rounding may pull
     dashpot = c * near**2 * (3.0 - 2.0 * near) * closing
     total = np.maximum(spring - np.minimum(dashpot, 0.0), TINY)
-    found = where(dashpot < 0.0, spring**2 / total, spring + dashpot)
+    value = where(dashpot < 0.0, spring**2 / total, spring + dashpot)
     share = spring / total
-    by_dashpot, by_spring = share**2, share * (2.0 - share)
+    by_dashpot = share**2
+    by_spring = share * (2.0 - share)
     growing = c * closing * 6.0 * near * (1.0 - near) / delta
     by_depth = by_spring * k * near + by_dashpot * growing
-    return found, by_depth, by_dashpot * c * near**2 * (3.0 - 2.0 * near)
+    return value, by_depth, by_dashpot * c * near**2 * (3.0 - 2.0 * near)
 
 
 @formula

@@ -157,3 +157,42 @@ def test_warnings_and_repeated_signals_do_not_end_it_at_once():
     signals += [("SIGXCPU", 0.1)]
     out, error = signalled(signals, 128 + signal.SIGUSR1, how="held", seconds=3.0)
     assert (out, error) == ("interrupted by SIGUSR1", "")
+
+
+STARTING = """
+import os, signal, time
+from surrofe2.base import interruption
+
+interruption.watch()
+os.kill(os.getpid(), signal.{name})
+time.sleep(5.0)
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "cause"), [("SIGINT", "interrupted"), ("SIGTERM", "interrupted by SIGTERM")]
+)
+def test_a_signal_before_any_work_is_named_as_later_ones_are(name, cause):
+    done = python("-c", STARTING.format(name=name), code=128 + getattr(signal, name))
+    assert (done.stdout, done.stderr) == ("", f"{cause}: nothing was changed\n")
+
+
+BUSY = """
+import hashlib, os, signal, threading
+from surrofe2.base import interruption
+
+interruption._PATIENCE = 0.1
+interruption.watch()
+interruption.begin_work()
+threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM)).start()
+try:
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 2_000_000)
+except KeyboardInterrupt:
+    print(interruption.cause())
+"""
+
+
+def test_a_signal_that_a_library_holds_up_is_named_while_it_waits():
+    done = python("-c", BUSY)
+    line = "interrupted by SIGTERM: waiting for work; another signal ends it at once\n"
+    assert (done.stdout, done.stderr) == ("interrupted by SIGTERM\n", line)
