@@ -67,8 +67,7 @@ class Problem:
         bodies: rigid bodies that touch it.
         duration: length of the run, µs.
         output_interval: time between rows of the results, µs.
-        times: of rows of the results instead, µs, increasing and within the duration; None: by the
-            interval.
+        times: times of rows that replace the interval, µs, increasing and within the duration.
         watched: reference positions whose displacement is recorded, µm, by name; the first is
             the one of the displacement curve. The tissue's middle if there is none.
         boundaries: further boundaries, by name the part of the plane that holds the ends of their
@@ -101,18 +100,18 @@ class Problem:
             object.__setattr__(self, "watched", {"middle": _middle_node(self.mesh)})
         if not 0.0 < self.duration < np.inf:
             raise InputError(f"problem.duration: {self.duration}; it must be positive, finite (µs)")
-        least = self.duration / MOST_ROWS
-        if not max(least, np.finfo(float).tiny) <= self.output_interval < np.inf:
-            raise InputError(
-                f"problem.output_interval: {self.output_interval}; it must be finite and at least "
-                f"{least:g} µs, a millionth of the duration"
-            )
         self._check_times()
         self._check_names()
 
     def _check_times(self) -> None:
-        """Check that output times increase from above 0 up to at most the duration."""
+        """Check that rows of results are not too many, and are at times within the run."""
         if self.times is None:
+            least = self.duration / MOST_ROWS
+            if not max(least, np.finfo(float).tiny) <= self.output_interval < np.inf:
+                raise InputError(
+                    f"problem.output_interval: {self.output_interval}; it must be finite and at "
+                    f"least {least:g} µs, a millionth of the duration"
+                )
             return
         steps = np.diff([0.0, *self.times])
         if not (len(self.times) and (steps > 0.0).all() and self.times[-1] <= self.duration):
@@ -218,7 +217,7 @@ class Problem:
         return [name for name in self.mesh.boundaries or {} if name in places]
 
     def cells_inside(self, name: str, middles: Array) -> Flags:
-        """(n,) which plant cells, by their middles (n, 2) in µm, a region holds.
+        """Return (n,) whether a region holds plant cells, by their middles (n, 2) in µm.
 
         Raises:
             InputError: there is no region of that name.
@@ -241,8 +240,10 @@ class Problem:
         return min((amplitude.resolved_by for amplitude in self.amplitudes()), default=np.inf)
 
     def output_times(self) -> Array:
-        """Return the times (m,) in µs of results: 0, multiples of the interval or those that are
-        stated, and the end."""
+        """Return the times (m,) in µs of rows of results.
+
+        These are 0, the stated times or multiples of the interval, and the end.
+        """
         if self.times is not None:
             last = self.times[-1]
             end = () if np.isclose(last, self.duration) else (self.duration,)
@@ -314,7 +315,6 @@ def supports_of(problem: Problem, places_of: Callable[[Condition], Index]) -> li
     """Make a support for each condition that holds or moves something; they may share unknowns.
 
     Args:
-        problem: the problem with the conditions.
         places_of: returns the places, nodes or particles, on which a condition acts.
     """
     supports = []

@@ -167,7 +167,10 @@ class TimeSettings:
         None, "times of rows of results, instead of an interval", TIME, above=0.0
     )
     outputs_per_decade: int | None = setting(
-        None, "rows in each decade of time, at equal ratios, from output_interval on", least=1
+        None,
+        "rows in each decade of time, at equal ratios, from output_interval on",
+        least=1,
+        most=1000,
     )
     frames: int | None = setting(
         None, "number of times at which whole fields are kept; as macro.frames", least=2
@@ -175,33 +178,44 @@ class TimeSettings:
 
     def __post_init__(self) -> None:
         check_settings(self, "time")
-        if self.output_interval is None:
+        if self.output_times is not None:
+            self._check_output_times(self.output_times)
+        elif self.output_interval is None:
             object.__setattr__(self, "output_interval", self.duration / 500.0)
         elif self.output_interval > self.duration:
             raise InputError(
                 "time.output_interval",
                 f"{self.output_interval}; it must be at most the duration, {self.duration} µs",
             )
-        if self.output_times is not None and self.outputs_per_decade is not None:
-            raise InputError("time.outputs_per_decade", "not with output_times; leave one out")
-        if self.output_times is not None:
-            steps = np.diff([0.0, *self.output_times])
-            if not (steps.size and (steps > 0.0).all() and self.output_times[-1] <= self.duration):
-                raise InputError(
-                    "time.output_times",
-                    f"{quoted(list(self.output_times))}; they must increase, up to at most the "
-                    f"duration, {self.duration} µs",
-                )
+
+    def _check_output_times(self, times: tuple[float, ...]) -> None:
+        """Check that times of rows increase within the duration, and that nothing else states them.
+
+        Raises:
+            InputError: naming the entry that is not so.
+        """
+        for name in ("output_interval", "outputs_per_decade"):
+            if getattr(self, name) is not None:
+                raise InputError(f"time.{name}", "not with output_times; leave one out")
+        steps = np.diff([0.0, *times])
+        if not (steps.size and (steps > 0.0).all() and times[-1] <= self.duration):
+            raise InputError(
+                "time.output_times",
+                f"{quoted(list(times))}; they must increase, up to at most the duration, "
+                f"{self.duration} µs",
+            )
 
     @property
     def times(self) -> tuple[float, ...] | None:
         """Times of rows of results, µs; None where they are multiples of the interval."""
         if self.outputs_per_decade is None or self.output_interval is None:
             return self.output_times
+        if self.output_interval == self.duration:
+            return (self.duration,)
         decades = np.log10(self.duration / self.output_interval)
+        # a whole number of rows: the last one is at the end, and ratios are nearly those asked for
         count = max(1, round(decades * self.outputs_per_decade))
-        first, last = self.output_interval, self.duration
-        return tuple(np.geomspace(first, last, count + 1).tolist()) if last > first else (last,)
+        return tuple(np.geomspace(self.output_interval, self.duration, count + 1).tolist())
 
 
 def _conditions(where: str, entry: Any) -> tuple[Condition, ...]:
@@ -288,15 +302,12 @@ class CellType:
 
     Attributes:
         preset: name of the preset of its parameters.
-        cell: its parameters.
         names_fluid: whether the recipe names its fluid, and does not leave it to the preset.
         overruled: constants in the recipe that are not taken, each with the measurement beside it
             that determines it.
         regions: regions of the mesh that it fills; empty for [cell], which fills all of them.
         training_file: file of its surrogate, relative to the recipe.
         range: range of (F, Ḟ) in which its stress is sampled and learnt.
-        samples: samples of this range.
-        training: training of its surrogate.
     """
 
     preset: str
@@ -380,8 +391,6 @@ def _cell_type(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]])
     """Read the cell of [cell], whose name is "", or of [cells.NAME].
 
     Args:
-        name: name of the cell.
-        entries: its table.
         shared: the recipe's sections of `CELL_SECTIONS`, for keys that the cell's leave out.
     """
     is_named = name != ""
@@ -445,7 +454,12 @@ def _takes_rest(cell: CellType, known: Container[str]) -> bool:
 
 
 def kinds_of_cells(problem: Problem, types: Mapping[str, CellType], middles: Array) -> Index:
-    """(n,) which of the types each plant cell of a full tissue is, by its middle (n, 2), µm.
+    """Return the number (n,) of the type of each plant cell of a full tissue.
+
+    Args:
+        problem: the problem, with the regions that the types fill.
+        types: the types of plant cell by name.
+        middles: (n, 2) middles of the tissue's plant cells, µm.
 
     Raises:
         InputError: a plant cell is of none, or of two.
@@ -704,7 +718,6 @@ class Recipe:
 
         Args:
             section: section that states the file.
-            file: the file as it is stated there.
             content: words for its content, in errors.
 
         Raises:
@@ -782,7 +795,6 @@ def load_recipe(path: str | Path, changes: Mapping[str, Any] = MappingProxyType(
     """Read and check a study recipe.
 
     Args:
-        path: the file.
         changes: values by dotted name of the entry, {"cell.wall_stiffness": 3000.0}, that replace
             those in the file.
 
