@@ -51,6 +51,14 @@ def test_run_folder(short, folder):
     assert done.stdout.startswith(f"{folder}: 1 µs of 181 particles in ")
 
 
+def test_a_tissue_is_in_time_though_its_recipe_states_a_rest(short, folder, written):
+    path = written(short.read_text(encoding="utf-8") + "\n[rest]\nload_steps = 2\n", "rest.toml")
+    invoke(path, "--out", folder)
+    run = read_run(folder)
+    assert not run.is_rest
+    assert run.curve.t[-1] == 1.0
+
+
 @pytest.fixture
 def with_step(short, written):
     """with_step(µs): the recipe with a step of its own, as another file."""
