@@ -105,17 +105,20 @@ class FelupeMaterial:
         self._report(response.left_bifurcation)
         return self._last
 
-    def _report(self, left: Flags | None) -> None:
-        if left is None:
+    def _report(self, is_beyond: Flags | None) -> None:
+        """Warn of points that are beyond a bifurcation since now; None: the law does not tell."""
+        if is_beyond is None:
             return
-        known = np.zeros_like(left) if self.left_bifurcation is None else self.left_bifurcation
-        new = np.flatnonzero(left & ~known)
+        known = self.left_bifurcation
+        if known is None:
+            known = np.zeros_like(is_beyond)
+        new = np.flatnonzero(is_beyond & ~known)
         if new.size:
-            self.left_bifurcation = known | left
+            self.left_bifurcation = known | is_beyond
             warnings.warn(
-                f"law: {new.size} of {left.size} points left their branch at a bifurcation, the "
-                f"first is point {new[0]}; the stress is that of a stable equilibrium, but depends "
-                "on the way: compare with shorter substeps",
+                f"law: {new.size} of {is_beyond.size} points left their branch at a bifurcation, "
+                f"the first is point {new[0]}; the stress is that of a stable equilibrium, but "
+                "depends on the way: compare with shorter substeps",
                 RuntimeWarning,
                 stacklevel=2,
             )

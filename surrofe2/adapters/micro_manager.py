@@ -155,16 +155,17 @@ class MicroSimulation(PointSimulation):
 
 
 class Switching:
-    """The switching function, with what it must know of points: where they left the surrogate.
+    """The switching function, which remembers in which window points went over to the RVE.
 
     Attributes:
         window: begin of the time window under way.
-        left: by location, the window in which the point left the surrogate; of points that were
-            asked for in this window or the last one.
+        switched: by location, the window in which the point went over to the RVE, NaN where it has
+            not; of points that were asked for in this window or the last one.
     """
 
     def __init__(self) -> None:
-        self.window, self.left = np.nan, dict[bytes, float]()
+        self.window = np.nan
+        self.switched: dict[bytes, float] = {}
         self._last: dict[bytes, float] = {}
 
     def __call__(
@@ -176,25 +177,29 @@ class Switching:
         point that comes from another rank as an RVE may have changed in this window.
         """
         if t != self.window:
-            self.window, self._last, self.left = t, self.left, {}
+            self.window = t
+            self._last = self.switched
+            self.switched = {}
         here = np.asarray(location, dtype=np.float64).tobytes()
-        if here not in self.left:
-            self.left[here] = self._last.get(here, t if resolution == 1 else np.nan)
+        if here not in self.switched:
+            self.switched[here] = self._last.get(here, t if resolution == 1 else np.nan)
         status, _ = the_bound().status_and_risk(*deformation_of(input), 1.0)
         if resolution == 0 and status[0]:
-            self.left[here] = t
+            self.switched[here] = t
             return 1
-        return -1 if resolution == 1 and not status[0] and self.left[here] != t else 0
+        is_trusted_again = resolution == 1 and not status[0]
+        if is_trusted_again and self.switched[here] != t:
+            return -1
+        return 0
 
 
 switching_function = Switching()
 
 
 def deformation_of(data: Mapping[str, Any]) -> tuple[Array, Array]:
-    """F and Ḟ (1, 2, 2) from their rows by name."""
-    F, F_dot = (
-        np.array([[_vector(data, f"{name}-{row}") for row in _ROWS]]) for name in ("F", "F-dot")
-    )
+    """Return F and Ḟ (1, 2, 2) from their rows by name."""
+    F = np.array([[_vector(data, f"F-{row}") for row in _ROWS]])
+    F_dot = np.array([[_vector(data, f"F-dot-{row}") for row in _ROWS]])
     return F, F_dot
 
 
@@ -209,11 +214,11 @@ def _vector(data: Mapping[str, Any], name: str) -> Array:
 
 
 def written(answer: StressResponse) -> dict[str, Array]:
-    """Stress and tangents of the only point by name."""
+    """Return stress and tangents of the only point by name."""
     tangents = answer.tangents
     assert tangents is not None
-    found = {f"Stress-{a}": answer.stress[0, a - 1] for a in _ROWS}
+    data = {f"Stress-{a}": answer.stress[0, a - 1] for a in _ROWS}
     for name, slope in (("F", tangents.P_by_F), ("F-dot", tangents.P_by_F_dot)):
         for a, b, c in product(_ROWS, repeat=3):
-            found[f"P-{a}{b}-by-{name}-{c}"] = slope[0, a - 1, b - 1, c - 1]
-    return found
+            data[f"P-{a}{b}-by-{name}-{c}"] = slope[0, a - 1, b - 1, c - 1]
+    return data

@@ -49,8 +49,8 @@ def lock(file: IOBase, path: Path) -> bool:
     return not reason
 
 
+# Warnings that this process has printed, each of the first folder that it concerned.
 _warnings = set[str]()
-"""Those that this process has printed; each is of the first folder that it meets."""
 _NO_LOCKS = "%s: its file system keeps no locks (%s); let one process at a time write there"
 _NO_SYNC = (
     "%s: its file system cannot bring names of files to the disk (%s), which may be a fault of the "
@@ -59,6 +59,7 @@ _NO_SYNC = (
 
 
 def _warn_once(warning: str, folder: Path, reason: str) -> None:
+    """Log a warning of a folder and a reason, where this process has not logged it yet."""
     if warning not in _warnings:
         _warnings.add(warning)
         log.warning(warning, folder, reason)
@@ -76,8 +77,8 @@ def write(file: FileIO, content: bytes | memoryview) -> None:
 def sync(path: Path) -> None:
     """Wait until a file, or the names in a folder, are on the disk.
 
-    A folder that cannot be synchronised is left as it is; with one warning where that may be a
-    fault of the disk.
+    A folder that cannot be synchronised stays as it is, with one warning where that may be a fault
+    of the disk.
     """
     is_folder = path.is_dir()
     try:

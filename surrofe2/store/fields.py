@@ -32,31 +32,39 @@ Values = Mapping[str, NDArray[Any]]
 """Values at one time by name: numbers (n,), vectors (n, 2) or tensors (n, 2, 2)."""
 Series = Mapping[str, NDArray[Any]]
 """Values over time by name: numbers (m, n), vectors (m, n, 2) or tensors (m, n, 2, 2)."""
-F_NAME, F_DOT_NAME = "deformation_gradient", "deformation_rate_1_per_us"
-STRESS_NAME, SOURCE_NAME = "cauchy_stress_uN_per_um", "stress_source"
+F_NAME = "deformation_gradient"
+F_DOT_NAME = "deformation_rate_1_per_us"
+STRESS_NAME = "cauchy_stress_uN_per_um"
+SOURCE_NAME = "stress_source"
 BEYOND_NAME = "beyond_bifurcation"
 RISK_NAME = "risk"
-DISPLACEMENT_NAME, VELOCITY_NAME = "displacement_um", "velocity_um_per_us"
+DISPLACEMENT_NAME = "displacement_um"
+VELOCITY_NAME = "velocity_um_per_us"
+PRESSURE_NAME = "fluid_pressure_uN_per_um"
 CELL = "plant_cell"
 _MOTION = (DISPLACEMENT_NAME, VELOCITY_NAME)
 _TENSORS = (STRESS_NAME, F_NAME, F_DOT_NAME)
 FIELDS_FILE = Kind("fields", 2)
 FRAME_FILE = Kind("frame", 1, {"centres": dict})
-FIELDS, POINTS, PLANT_CELLS = "fields", "points", "plant-cells"
-"""Names of the files of elements or particles, of points of the law, and of plant cells."""
+FIELDS = "fields"
+"""Name of the files of elements or particles."""
+POINTS = "points"
+"""Name of the files of points of the law."""
+PLANT_CELLS = "plant-cells"
+"""Name of the files of plant cells."""
 FRAMES = "frames"
 """The folder of the frames of all of them."""
-_MOST_WAITING, _LONGEST_WAIT = 4e6, 2.0
-"""Bytes and seconds of frames that wait to be written together: small ones come quickly."""
-PRESSURE_NAME = "fluid_pressure_uN_per_um"
+# Bytes and seconds of frames that wait to be written together: small ones come quickly.
+_MOST_WAITING = 4e6
+_LONGEST_WAIT = 2.0
+# The beginning of the time of a frame in XDMF.
 _TIME = "<Time Value="
-"""How the time of a frame begins in XDMF."""
+# Names in XDMF of cells of so many points; those of six have the middles of their sides.
 _KINDS = {1: "Polyvertex", 2: "Polyline", 3: "Triangle", 4: "Quadrilateral", 6: "Triangle_6"}
-"""What XDMF calls cells of so many points; those of six have the middles of their sides."""
 
 
 def fields_of_elements(frames: Frames, k: int = 0) -> tuple[Values, Values]:
-    """What nodes and elements have at the k-th of the frames, by name."""
+    """Return the values of nodes and of elements at the k-th of the frames, by name."""
     at_nodes = {DISPLACEMENT_NAME: frames.displacement[k], VELOCITY_NAME: frames.velocity[k]}
     in_elements = {
         STRESS_NAME: frames.stress[k],
@@ -74,7 +82,7 @@ def fields_of_elements(frames: Frames, k: int = 0) -> tuple[Values, Values]:
 def element_writer(
     folder: Path, nodes: Array, elements: NDArray[np.integer], cell: Array | None = None
 ) -> FrameWriter:
-    """The writer of fields.xdmf: a mesh in µm and what its nodes and elements have.
+    """Return the writer of fields.xdmf: a mesh in µm with values of its nodes and elements.
 
     Args:
         nodes: (n, 2) µm.
@@ -99,11 +107,16 @@ def write_fields(
 
 
 def invariants(stress: Array) -> dict[str, Array]:
-    """Of (…, 2, 2) stresses in the plane, µN/µm, free across it: pressure −(σ₁ + σ₂)/2,
-    √(σ₁² − σ₁σ₂ + σ₂²) of von Mises, largest shear (σ₁ − σ₂)/2.
+    """Compute invariants of stresses (…, 2, 2) in the plane, µN/µm, by the name of each.
+
+    They are the pressure −(σ₁ + σ₂)/2, the stress √(σ₁² − σ₁σ₂ + σ₂²) of von Mises, free across the
+    plane, and the largest shear (σ₁ − σ₂)/2.
     """
-    xx, yy, off = stress[..., 0, 0], stress[..., 1, 1], stress[..., 0, 1] + stress[..., 1, 0]
-    mean, shear = 0.5 * (xx + yy), 0.5 * np.hypot(xx - yy, off)
+    xx = stress[..., 0, 0]
+    yy = stress[..., 1, 1]
+    off = stress[..., 0, 1] + stress[..., 1, 0]
+    mean = 0.5 * (xx + yy)
+    shear = 0.5 * np.hypot(xx - yy, off)
     return {
         "pressure_in_plane_uN_per_um": -mean,
         "von_mises_in_plane_uN_per_um": np.sqrt(mean**2 + 3.0 * shear**2),
@@ -114,7 +127,7 @@ def invariants(stress: Array) -> dict[str, Array]:
 def particle_writer(
     folder: Path, position: Array, bonds: NDArray[np.integer], is_wall: Flags
 ) -> FrameWriter:
-    """The writer of fields.xdmf of a tissue of particles.
+    """Return the writer of fields.xdmf of a tissue of particles.
 
     Points are particles at `position` (particles, 2) in µm, unloaded; wall springs `bonds` (b, 2)
     are lines between them; `wall` is 1 on wall particles, 0 on fluid.
@@ -124,7 +137,7 @@ def particle_writer(
 
 
 def fields_of_particles(frames: ParticleFrames) -> tuple[Values, Values]:
-    """What particles and springs have at the first of the frames, by name."""
+    """Return the values of particles and of springs at the first of the frames, by name."""
     at_points = {
         DISPLACEMENT_NAME: frames.displacement[0],
         VELOCITY_NAME: frames.velocity[0],
@@ -133,8 +146,10 @@ def fields_of_particles(frames: ParticleFrames) -> tuple[Values, Values]:
 
 
 def point_writer(folder: Path, position: Array, per_element: int) -> FrameWriter:
-    """The writer of points.xdmf: what the law was asked and answered at its points (n, 2), µm,
-    those of an element one after the other."""
+    """Return the writer of points.xdmf: deformation and stress at points of the law.
+
+    position: (n, 2) µm, the points of an element one after the other.
+    """
     each = np.arange(len(position))
     element = {"element": (each // per_element).astype(np.float64)}
     return FrameWriter(folder, position, each[:, None], POINTS, at_points=element)
@@ -167,8 +182,15 @@ def write_series(
 
 
 class Entry(NamedTuple):
-    """An array that XDMF names: its place ``file:/name``, shape and type, and for values their name
-    and whether "Node" or "Cell" has them."""
+    """An array that XDMF names.
+
+    Attributes:
+        place: its place, ``file:/name``.
+        shape: its shape.
+        dtype: type of its numbers.
+        name: name of the values; empty for arrays of the mesh.
+        centre: "Node" or "Cell", which the values belong to; empty for arrays of the mesh.
+    """
 
     place: str
     shape: tuple[int, ...]
@@ -178,9 +200,11 @@ class Entry(NamedTuple):
 
 
 class FrameWriter:
-    """Writes values of points and cells over time: NAME.h5 has the mesh and what does not change,
-    frames/NAME-0000.h5 and so on what does; NAME.xdmf names all frames, NAME-last.xdmf the last one
-    alone, for programs that read a single mesh.
+    """Writes values of points and cells over time.
+
+    NAME.h5 has the mesh and values that do not change, frames/NAME-0000.h5 and so on those that do.
+    NAME.xdmf names all frames, NAME-last.xdmf the last one alone, for programs that read a single
+    mesh.
 
     A frame that is written again replaces those behind it, as where a run goes back. A checkpoint
     may still count these: they are no longer named, but stay until `remove_surplus`. Small frames
@@ -188,9 +212,11 @@ class FrameWriter:
     it is seldom written: that takes at most `loop.SHARE` of the time, but for `flush` and the end.
 
     Args:
-        points: (n, 2) µm. cells: (e, k) points of each cell.
-        at_points, in_cells: values that do not change, by name.
-        name: of the files.
+        points: (n, 2) positions, µm.
+        cells: (e, k) points of each cell.
+        name: name of the files.
+        at_points: values of points that do not change, by name.
+        in_cells: values of cells that do not change, by name.
     """
 
     def __init__(
@@ -202,7 +228,8 @@ class FrameWriter:
         at_points: Values = MappingProxyType({}),
         in_cells: Values = MappingProxyType({}),
     ) -> None:
-        self._folder, self._name = folder, name
+        self._folder = folder
+        self._name = name
         self._times: list[float] = []
         self._waiting: dict[int, bytearray] = {}
         self._flushed = monotonic()
@@ -223,7 +250,7 @@ class FrameWriter:
 
     @property
     def count(self) -> int:
-        """Frames that were written, those that wait included."""
+        """Number of frames that were written, those that wait included."""
         return len(self._times)
 
     def __enter__(self) -> Self:
@@ -234,8 +261,13 @@ class FrameWriter:
             self.close()
 
     def resume(self, times: Sequence[float]) -> None:
-        """Continue behind the frames at these times, which an earlier process wrote; FileError
-        where one is not there. Others are removed."""
+        """Continue behind the frames at these times, which an earlier process wrote.
+
+        Other frames are removed.
+
+        Raises:
+            FileError: one of these is not there.
+        """
         self._times = [*map(float, times)]
         for k in range(self.count):
             if not self._path(k).exists():
@@ -248,8 +280,7 @@ class FrameWriter:
         self.remove_surplus()
 
     def write(self, number: int, t: float, at_points: Values, in_cells: Values) -> None:
-        """Write the frame of this number, at most the `count`; an empty array of values is left
-        out."""
+        """Write the frame of this number, at most the `count`; empty arrays are left out."""
         if number < self.count:
             self._go_back(number)
         arrays: dict[str, NDArray[Any]] = {"t": np.array([t])}
@@ -298,7 +329,7 @@ class FrameWriter:
         self._has_surplus = False
 
     def close(self) -> None:
-        """All frames are there: write what waits, and how many there are."""
+        """Write what waits, and the times of all frames, of which there will be no more."""
         self.flush()
         whole = self._mesh | {"t": np.array(self._times)}
         write(self._folder / f"{self._name}.h5", FIELDS_FILE, {}, whole)
@@ -334,7 +365,7 @@ class FrameWriter:
 
 
 def _frame_file(name: str, number: int) -> str:
-    """A frame's place in its folder."""
+    """Return the place of a frame in its folder."""
     return f"{FRAMES}/{name}-{number:04d}.h5"
 
 
@@ -345,11 +376,13 @@ def frame_files(name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Names:
-    """What the XDMF of a series refers to: the arrays of its mesh, and of every frame.
+    """The arrays that the XDMF of a series names: those of its mesh, and of every frame.
 
     Attributes:
-        name: of the series. mesh: its cells and points. constants: values that do not change.
-        values: those of a frame, their places without the frame's file.
+        name: name of the series.
+        mesh: its cells, then its points.
+        constants: values that do not change.
+        values: values of a frame, whose places are without the frame's file.
     """
 
     name: str
@@ -358,7 +391,7 @@ class Names:
     values: Sequence[Entry]
 
     def series(self, frames: Sequence[tuple[int, float]]) -> str:
-        """The document of all frames, each by its number and time."""
+        """Return the document of all frames, each by its number and time."""
         grids = "".join(
             f'<Grid Name="{k}" GridType="Uniform">\n{_TIME}"{t!r}"/>\n{self._content(k)}</Grid>\n'
             for k, t in frames
@@ -367,7 +400,7 @@ class Names:
         return _document(f"{head}\n{grids}</Grid>\n")
 
     def single(self, number: int) -> str:
-        """The document of one frame. Programs that read a single mesh know no time in it."""
+        """Return the document of one frame, without a time: programs for one mesh know none."""
         content = self._content(number)
         return _document(f'<Grid Name="{number}" GridType="Uniform">\n{content}</Grid>\n')
 
@@ -404,7 +437,7 @@ def _data_item(array: Entry) -> str:
 
 
 def _all_in_space(at_points: Values, in_cells: Values) -> Iterator[tuple[str, str, NDArray[Any]]]:
-    """Name, centre and values in space of all that are not empty."""
+    """Yield name, centre and values in space of all that are not empty."""
     for centre, data in (("Node", at_points), ("Cell", in_cells)):
         for what, values in data.items():
             if len(values):
@@ -412,15 +445,16 @@ def _all_in_space(at_points: Values, in_cells: Values) -> Iterator[tuple[str, st
 
 
 def _entries(frame: Stored) -> Iterator[Entry]:
-    """What a frame that was stored holds."""
+    """Yield the arrays of values in a stored frame."""
     for what, centre in frame.header()["centres"].items():
         item = frame.file[what]
         yield Entry(what, item.shape, item.dtype, what, str(centre))
 
 
 def _in_space(values: NDArray[Any], thickness: float = 0.0) -> NDArray[Any]:
-    """(n, 2) vectors as (n, 3), (n, 2, 2) tensors as (n, 3, 3) with `thickness` as the third
-    diagonal entry, numbers as they are.
+    """Return vectors (n, 2) as (n, 3), tensors (n, 2, 2) as (n, 3, 3), and numbers as they are.
+
+    `thickness` is the third diagonal entry of tensors.
     """
     out = np.pad(values, [(0, 0)] + [(0, 1)] * (values.ndim - 1))
     if values.ndim == 3:
@@ -448,9 +482,11 @@ class SeriesOfFrames:
     """Fields over time on the disk, which are read frame by frame.
 
     Attributes:
-        folder, name: where they are.
-        points: (n, 2) reference positions, µm. cells: (e, k) points of each element or spring.
-        t: (m,) µs; of a rest the factor of the load.
+        folder: the folder of the run.
+        name: name of the files.
+        points: (n, 2) reference positions, µm.
+        cells: (e, k) points of each element or spring.
+        t: (m,) times, µs; factors of the load where it is a rest.
         constants: values by name that are the same at all times, in space.
     """
 
@@ -463,11 +499,11 @@ class SeriesOfFrames:
 
     @property
     def count(self) -> int:
-        """Frames."""
+        """Number of frames."""
         return len(self.t)
 
     def names(self) -> Names:
-        """What its XDMF refers to."""
+        """Return the arrays that its XDMF names."""
         with reading(self.folder / _frame_file(self.name, 0), FRAME_FILE) as first:
             values = [*_entries(first)]
         place = f"{self.name}.h5:/"
@@ -488,11 +524,18 @@ class SeriesOfFrames:
         return Names(self.name, mesh, constants, values)
 
     def frame(self, k: int, needed: Iterable[str], others: Iterable[str] | None = ()) -> Values:
-        """The values of the `needed` names at the k-th time, and of the `others` where they are
-        there (None: of all); FileError where the frame is missing or damaged, or values are
-        needed."""
+        """Read values at the k-th time, by name.
+
+        Args:
+            k: number of the frame.
+            needed: names of values that must be there.
+            others: names of values that are read where they are there; None: all that are there.
+
+        Raises:
+            FileError: the frame is missing or damaged, or lacks values that are needed.
+        """
         path = self.folder / _frame_file(self.name, k)
-        found: dict[str, Array] = {}
+        frame_values: dict[str, Array] = {}
         with reading(path, FRAME_FILE) as frame:
             there = set(frame.header()["centres"]) | self.constants.keys()
             for what in needed:
@@ -502,25 +545,27 @@ class SeriesOfFrames:
                 if what not in there:
                     continue
                 if what in self.constants:
-                    found[what] = self.constants[what]
+                    frame_values[what] = self.constants[what]
                     continue
                 axes = 2 if what in _TENSORS else int(what in _MOTION)
                 count = len(self.points if what in _MOTION else self.cells)
                 in_plane: Any = (..., *(slice(2),) * axes)
-                found[what] = frame.array(what, (count, *(3,) * axes))[in_plane]
-        return found
+                frame_values[what] = frame.array(what, (count, *(3,) * axes))[in_plane]
+        return frame_values
 
 
 def open_fields(folder: Path, name: str = FIELDS) -> SeriesOfFrames:
-    """The mesh of fields.h5, or of points.h5, and the times of the frames beside it: all that a
-    finished run wrote, or those of a run under way so far. FileError where a file is missing or
-    damaged."""
+    """Open the mesh of fields.h5, or of points.h5, and the times of the frames beside it.
+
+    These are all that a finished run wrote, or those of a run under way so far.
+
+    Raises:
+        FileError: a file is missing or damaged.
+    """
     path = folder / f"{name}.h5"
     with reading(path, FIELDS_FILE) as stored:
-        points, cells = (
-            stored.array("points", (None, 3)),
-            stored.array("cells", (None, None), np.int64),
-        )
+        points = stored.array("points", (None, 3))
+        cells = stored.array("cells", (None, None), np.int64)
         if not 0 <= cells.min(initial=0) <= cells.max(initial=0) < len(points):
             raise ValueError("cells: of points that are not there")
         constants = {
@@ -540,8 +585,7 @@ def open_fields(folder: Path, name: str = FIELDS) -> SeriesOfFrames:
 
 
 def _times_so_far(folder: Path, name: str) -> Iterator[float]:
-    """Times of the frames that XDMF names, one after the other: a run that went back may have left
-    more files."""
+    """Yield the times of the frames that XDMF names: a run that went back may have left more."""
     names = folder / f"{name}.xdmf"
     count = read_text(names).count(_TIME) if names.exists() else 0
     for number in range(count):
@@ -554,10 +598,11 @@ class StoredFields:
     """Fields over time, read back.
 
     Attributes:
-        points: (n, 2) reference positions, µm. cells: (e, k) points of each element or spring.
-        t: (m,) µs; of a rest the factor of the load.
-        values: by name, numbers (m, e) and tensors (m, e, 2, 2) of cells, or of points of the law;
-            displacement and velocity (m, n, 2) of points.
+        points: (n, 2) reference positions, µm.
+        cells: (e, k) points of each element or spring.
+        t: (m,) times, µs; factors of the load where it is a rest.
+        values: values by name: numbers (m, e) and tensors (m, e, 2, 2) of cells, or of points of
+            the law; displacement and velocity (m, n, 2) of points.
     """
 
     points: Array
@@ -567,7 +612,7 @@ class StoredFields:
 
     @property
     def displacement(self) -> Array:
-        """(m, n, 2) µm."""
+        """Displacement of the points, (m, n, 2) µm."""
         return self.values[DISPLACEMENT_NAME]
 
 
@@ -579,14 +624,18 @@ def read_fields(
     *,
     only: slice | int = slice(None),
 ) -> StoredFields:
-    """The mesh of fields.h5, or of points.h5, and the values over time of `SeriesOfFrames.frame`,
-    read one frame after the other.
+    """Read the mesh of fields.h5, or of points.h5, and values over time, frame by frame.
 
     Args:
-        only: of the elements or points, which are kept; all by default.
+        folder: the folder of the run.
+        needed: see `SeriesOfFrames.frame`.
+        others: see `SeriesOfFrames.frame`.
+        name: name of the files.
+        only: numbers of the elements or points whose values are kept; all by default.
     """
     series = open_fields(folder, name)
-    wanted, more = [*needed], None if others is None else [*others]
+    wanted = [*needed]
+    more = None if others is None else [*others]
     rows: dict[str, list[Array]] = {}
     for k in range(series.count):
         for what, values in series.frame(k, wanted, more).items():
@@ -602,7 +651,8 @@ def write_rve_fields(folder: Path, seen: Particles, t: Array) -> None:
     across its boundary; lines are the springs. A uniform fluid is in plant-cells.xdmf.
     """
     is_uniform = bool(seen.is_wall.all())
-    particles, walls = seen.position.shape[1], int(seen.is_wall.sum())
+    particles = seen.position.shape[1]
+    walls = int(seen.is_wall.sum())
     across = seen.bond_shift.any(axis=1)
     needed = np.column_stack([seen.bonds[across, 1], seen.bond_shift[across]])
     images, place = np.unique(needed, axis=0, return_inverse=True)
@@ -612,12 +662,13 @@ def write_rve_fields(folder: Path, seen: Particles, t: Array) -> None:
     shift = np.append(np.zeros((particles, 2), np.int64), images[:, 1:], axis=0)  # in periods
 
     def moved(vectors: Array, step: Array) -> Array:
-        """(n, p, 2) vectors of particles (n, particles, 2), of images by `step` a period more."""
+        """Return vectors (n, p, 2) of all points; those of images are by `step` a period more."""
         of_points: Array = vectors[:, owner] + shift @ step.swapaxes(1, 2)
         return of_points
 
     now = moved(seen.position, seen.F @ seen.lattice)
-    pressure, contact = np.zeros((2, len(t), particles))
+    pressure = np.zeros((len(t), particles))
+    contact = np.zeros((len(t), particles))
     contact[:, :walls] = seen.contact_pressure
     if not is_uniform:
         pressure[:, walls:] = seen.pressure
@@ -640,9 +691,11 @@ def write_rve_fields(folder: Path, seen: Particles, t: Array) -> None:
 
 
 def _write_plant_cells(folder: Path, seen: Particles, t: Array) -> None:
-    """Write plant-cells.xdmf: plant cells as triangles from the middle of each,
-    with the pressure of its fluid."""
-    points, triangles, cell_of, first = [], [], [], 0
+    """Write plant-cells.xdmf: plant cells as triangles from their middles, with their pressure."""
+    points = []
+    triangles = []
+    cell_of = []
+    first = 0  # number of the next point
     for k, rim in enumerate(seen.rims):
         offset = (seen.F @ seen.lattice) @ rim[:, 1:].T
         around = seen.position[:, rim[:, 0]] + offset.swapaxes(1, 2)
@@ -652,7 +705,11 @@ def _write_plant_cells(folder: Path, seen: Particles, t: Array) -> None:
         triangles.append(np.stack([here, np.roll(here, -1), middle], axis=1))
         cell_of.append(np.full(len(rim), k))
         first += len(rim) + 1
-    now, of = np.concatenate(points, axis=1), np.concatenate(cell_of)
-    in_cells = {PRESSURE_NAME: seen.pressure[:, of], "cell_area_ratio": seen.area_ratio[:, of]}
+    now = np.concatenate(points, axis=1)
+    owner = np.concatenate(cell_of)
+    in_cells = {
+        PRESSURE_NAME: seen.pressure[:, owner],
+        "cell_area_ratio": seen.area_ratio[:, owner],
+    }
     motion = {DISPLACEMENT_NAME: now - now[0]}
     write_series(folder, now[0], np.concatenate(triangles), t, motion, in_cells, PLANT_CELLS)

@@ -59,7 +59,7 @@ class _Contents:
         names: names of physical groups by dimension and number.
         physical: numbers of physical groups by dimension and number of an entity.
         partitions: partitions that an entity is in, by its dimension and number.
-        n_partitions: number of partitions of the whole mesh.
+        n_partitions: that of the whole mesh.
         tags: (n,) numbers of the nodes.
         points: (n, 3) positions of the nodes.
         blocks: dimension, entity, kind and nodes (m, k) of elements; in format 2.2 the entity is

@@ -124,8 +124,6 @@ def write(path: Path, kind: Kind, header: Mapping[str, Any], arrays: Arrays) -> 
     """Write a file of a kind, whole or not at all.
 
     Args:
-        path: the file.
-        kind: its kind.
         header: entries by name; those that are None are left out.
         arrays: arrays by name; a/b is the array b in the group a.
     """
@@ -187,7 +185,6 @@ class Template:
     part of the time.
 
     Args:
-        kind: kind of the file.
         header: entries of the header, which all files share.
         arrays: arrays by name; none may be empty, for an empty one has no place in the file.
     """
@@ -416,7 +413,6 @@ def check_same_rve(
     Args:
         made: verb or noun of the message, between the path and the setting that differs.
         advice: end of the message; "{}" stands for "these parameters" or "this initialisation".
-        path: the file.
         there: the numbers that were read, with their `cell` and `initialisation`.
         cell: plant cell of the RVE.
         initialisation: initialisation of the RVE.

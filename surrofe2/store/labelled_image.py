@@ -12,23 +12,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.errors import FileError, InputError
+from surrofe2.base.errors import FileError, InputError, shortened
 from surrofe2.store.store import read_bytes
 
 Labels = NDArray[np.int64]
 
+# Above this number labels in an image of floats could not be told apart.
 _MOST_LABEL = 2**53
-"""Above this number labels would not be told apart as floats."""
+# Fewer labels than this are most likely a mask of cells and background.
 _FEWEST = 3
 
 
 def read_labels(path: Path) -> Labels:
-    """(rows, columns) labels of an image's pixels, the first row at the top.
+    """Read the labels (rows, columns) of an image's pixels, the first row at the top.
 
     Raises:
         FileError: the file is not there, or is no image of its kind.
-        InputError: the kind is none of those, it needs the extra `image`, or its pixels are no
-            labels.
+        InputError: the kind is unknown, it needs the extra `image`, or its pixels are no labels.
     """
     kinds = {".npy": _read_npy, ".png": _read_png, ".tif": _read_tiff, ".tiff": _read_tiff}
     read = kinds.get(path.suffix.lower())
@@ -42,7 +42,8 @@ def read_labels(path: Path) -> Labels:
             f"{path}: {error.name} is not installed; it comes with pip install 'surrofe2[image]'"
         ) from None
     except Exception as error:  # readers raise what they like
-        raise FileError(f"{path}: not an image of its kind: {error}") from None
+        reason = shortened(" ".join(str(error).split()), 150)
+        raise FileError(f"{path}: not an image of its kind: {reason}") from None
     return _checked(path, image)
 
 
@@ -63,7 +64,7 @@ def _read_tiff(content: bytes) -> Any:
 
 
 def _checked(path: Path, image: NDArray[Any]) -> Labels:
-    """The image as labels; refused where it has colours, slices, fractions or too few labels."""
+    """Return the image as labels; reject colours, slices, fractions and too few labels."""
     image = image.squeeze()  # files may have one slice, channel or time
     if image.ndim != 2:
         shape = " × ".join(map(str, image.shape))
@@ -77,10 +78,10 @@ def _checked(path: Path, image: NDArray[Any]) -> Labels:
     if image.size and (image.min() < 0 or image.max() > _MOST_LABEL):
         raise InputError(f"{path}: labels must be from 0, between cells, to 2⁵³")
     labels: Labels = image.astype(np.int64)
-    there = np.unique(labels)
-    if (there > 0).sum() < _FEWEST:
+    count = np.count_nonzero(np.unique(labels))
+    if count < _FEWEST:
         raise InputError(
-            f"{path}: {(there > 0).sum()} labels; each cell needs a number of its own: label it "
-            "first, for example by skimage.measure.label"
+            f"{path}: {count} labels; each cell needs a number of its own: label it first, for "
+            "example by skimage.measure.label"
         )
     return labels

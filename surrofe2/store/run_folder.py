@@ -57,9 +57,10 @@ log = logging.getLogger(__name__)
 
 SCHEMA = "surrofe2-run"
 SCHEMA_VERSION = 3
-CHECKPOINT, EVENTS = "checkpoint.h5", "events.jsonl"
+CHECKPOINT = "checkpoint.h5"
+EVENTS = "events.jsonl"
 STATE = Kind("checkpoint", 2, {"of": str})
-"""What a run resumes from: any arrays, `of` a run by a law."""
+"""A state from which a run resumes: any arrays; `of` names the law of the run."""
 CHECKPOINT_INTERVAL = 5.0
 """Seconds between two checkpoints, at least."""
 FILES = (
@@ -67,35 +68,40 @@ FILES = (
     "fields-last.xdmf", "points.xdmf", "points.h5", "points-last.xdmf", CHECKPOINT, "table.h5",
     "harvest.h5", EVENTS,
 )  # fmt: skip
-HARVEST, TABLE = "harvest.h5", "table.h5"
-"""What a cached run has learnt, and a run by a table; of several cells see `of_cell`."""
+HARVEST = "harvest.h5"
+"""The file of stresses that RVEs computed in a cached run; of several cells see `of_cell`."""
+TABLE = "table.h5"
+"""The file of the table that a run by one has learnt; of several cells see `of_cell`."""
 _LEARNT = re.compile(r"(harvest|table)(-[^/]+)?\.h5")
 _FRAMES = (frame_files(FIELDS), frame_files(POINTS))
+# Patterns of files of which a run may have several.
 _SERIES = ("harvest-*.h5", "table-*.h5", *_FRAMES)
-"""Patterns of files of which a run may have several."""
+# Sections of a recipe in which users name the entries.
 _NAMED_ENTRIES = ("cells", "conditions", "bodies", "watch")
-"""Sections of a recipe in which users name what there is."""
 _SECTIONS = (
     "cell", "rve", "mesh", *_NAMED_ENTRIES, "time", "macro", "tissue", "rest", "surface",
 )  # fmt: skip
+# Sections of a cell on which a run depends by its surrogate alone.
 _OF_TRAINING = ("range", "samples", "training")
-"""Sections of a cell that a run does not depend on but by its surrogate."""
 _WITHOUT_CACHE = ("rve", "surrogate", "tissue")
 UNITS = {
     "time": TIME, "length": LENGTH, "energy": ENERGY, "stress": STRESS, "force": FORCE,
     "wall_time": "s",
 }  # fmt: skip
+# Bytes of a CSV file of a run, which is read whole.
 _MOST_OF_A_TABLE = 2**30
-"""Bytes of a table of a run, which is read whole."""
 CURVE_HEADER = ("t_us", "u_x_um", "u_y_um")
+# Beginnings of the names of columns with components of a displacement.
+_COMPONENTS = CURVE_HEADER[1:]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunRecord:
-    """What run.json says: what was computed, by what, how it ended and what it cost.
+    """The content of run.json: what was computed, by what, how it ended and what it cost.
 
     Attributes:
-        status: "running", "finished", "interrupted" or "failed"; error: of a failed run, else None.
+        status: "running", "finished", "interrupted" or "failed".
+        error: message of a failed run, else None.
         recipe: the whole recipe, defaults filled in.
         law: "rve", "surrogate", "cached", "table", or "tissue" for the full microscopic one.
         surrogate: file name, fingerprint and held-out errors of the surrogate, or None.
@@ -106,8 +112,7 @@ class RunRecord:
         cache: of a cached law, `CachedLaw.report`; of several cells, that of each under `cells`.
         met: extremes of F, Ḟ, U and RᵀḞ at all points; `stretch`, `shear`, `rate` as in a
             recipe's range that would hold the run; `displacement`, the largest of watched points
-            and boundaries, µm. Of a rest, also where the `watched` point
-            came to.
+            and boundaries, µm; of a rest also the displacement of the `watched` point.
         problem: counts of the mesh, its names, conditions, bodies and watched points; of a
             run also the largest `penetration` of each body, µm.
         ranks: of a run on several: how many and of how many threads each, how many exchanges,
@@ -146,12 +151,13 @@ class RunRecord:
 
     @property
     def spent(self) -> Mapping[str, int]:
-        """Counts of what stands and of what was rolled back together; those above 0."""
+        """The counts above 0, of steps that stand and of those rolled back together."""
         return dict(Counter(self.counts) + Counter(self.rolled_back))
 
     def compared(self) -> dict[str, Any]:
-        """Everything the numbers depend on, by the names a recipe uses."""
-        recipe, rest = self.recipe, self.recipe.get("rest", {})
+        """Return everything that the numbers depend on, by the names that a recipe uses."""
+        recipe = self.recipe
+        rest = recipe.get("rest", {})
         sections = (*_SECTIONS, *(() if self.law in _WITHOUT_CACHE else ("cache",)))
         return {
             **{f"{name}.{key}": v for name in sections for key, v in recipe.get(name, {}).items()},
@@ -173,14 +179,14 @@ class RunRecord:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class StoredRun(ViewedRun):
-    """A run read back from its folder, with results as `MacroRun` has them; none without a file."""
+    """A run read from its folder, with results as `MacroRun` has them; none without a file."""
 
     folder: Path
     record: RunRecord
 
     @property
     def name(self) -> str:
-        """What people call it: its folder, in characters that can be drawn and printed."""
+        """The name of its folder, in characters that can be drawn and printed."""
         return str(plain(self.folder.name))
 
     @property
@@ -190,7 +196,7 @@ class StoredRun(ViewedRun):
 
     @property
     def clock(self) -> str:
-        """What its curves are over, as an axis of a picture says."""
+        """The label of the axis over which its curves are drawn."""
         return "load factor" if self.is_rest else "time (µs)"
 
     @property
@@ -200,12 +206,13 @@ class StoredRun(ViewedRun):
 
     @property
     def caches(self) -> dict[str, Mapping[str, Any]]:
-        """What its caches reported, by its name and that of the cell where there are several."""
+        """The reports of its caches, by its name and that of the cell where there are several."""
         caches = caches_of(self.record.cache)
         return {f"{self.name}, {cell}" if cell else self.name: caches[cell] for cell in caches}
 
     def facts(self) -> Facts:
-        record, recipe = self.record, self.record.recipe
+        record = self.record
+        recipe = record.recipe
         cells = {"": recipe["cell"]} if "cell" in recipe else recipe.get("cells", {})
         presets = {name: cell.get("preset", "none") for name, cell in cells.items()}
         named = [f"{name}: {preset}" if name else preset for name, preset in presets.items()]
@@ -219,13 +226,17 @@ class StoredRun(ViewedRun):
 
 
 def is_rest(record: RunRecord) -> bool:
-    """Whether a record is of a rest, not of a run in time."""
+    """Return whether a record is of a rest, not of a run in time."""
     return "rest" in record.recipe
 
 
 def earlier_run(folder: Path, record: RunRecord) -> RunRecord | None:
-    """The record of this very run that an earlier call left in a folder, if there is one; FileError
-    where the folder has files but no run, MismatchError where it has a run of other settings."""
+    """Return the record of an earlier call of this very run in a folder, None where there is none.
+
+    Raises:
+        FileError: the folder has files but no run.
+        MismatchError: it has a run of other settings.
+    """
     path = folder / "run.json"
     if not path.exists():
         with reported(folder, "read"):
@@ -240,7 +251,7 @@ def earlier_run(folder: Path, record: RunRecord) -> RunRecord | None:
 
 State = TypeVar("State")
 Store = Callable[[RunRecord, Any], RunRecord]
-"""Writes the files of a result, whole or partial; gives the record with what it cost."""
+"""Writes the files of a result, whole or partial, and returns the record with its cost."""
 
 
 @dataclass(slots=True)
@@ -253,9 +264,9 @@ class RunFolder:
                 run.finish(simulate(…, checkpoint=run.checkpoint, resume=state))
 
     Attributes:
-        record: what run.json says now.
-        partial: what to store where the run ends early and its error carries nothing.
-        cache: what a cached law reported of itself at the last checkpoint.
+        record: the record that run.json has now.
+        partial: result that is stored where the run ends early by an error without one.
+        cache: report of a cached law at the last checkpoint.
         is_finished: whether run.json says that it is finished, as then it stays.
         resumes: whether the run resumes from a checkpoint of an earlier call.
     """
@@ -273,19 +284,21 @@ class RunFolder:
     def open(
         cls, folder: Path, record: RunRecord, store: Store, *, fresh: bool = False
     ) -> Iterator[RunFolder]:
-        """A run that nobody else writes meanwhile; one that an earlier call finished is kept.
+        """Open a run that nobody else writes meanwhile; one that an earlier call finished is kept.
 
-        A run that fails or is interrupted leaves what it computed. Whatever ends the block,
+        The results of a run that fails or is interrupted are stored. Whatever ends the block,
         run.json says how.
 
         Raises:
             FileError: the folder cannot be written, has files but no run, or is in use.
             MismatchError: it has a run of other settings, and not `fresh`.
         """
-        run, state = cls(folder, record, store), folder / CHECKPOINT
+        run = cls(folder, record, store)
+        state = folder / CHECKPOINT
         if fresh:  # which replaces nothing that may be of something else than a run
             check_replaceable(folder / "run.json", "surrofe2 run", SCHEMA)
-            there = [path for each in (*FILES, *_SERIES) for path in sorted(folder.glob(each))]
+            patterns = (*FILES, *_SERIES)
+            there = [path for pattern in patterns for path in sorted(folder.glob(pattern))]
             if there and not (folder / "run.json").exists():
                 name = there[0].relative_to(folder)
                 raise FileError(
@@ -319,12 +332,12 @@ class RunFolder:
                 raise
 
     def _begin(self) -> None:
-        """Record that the run is running; at its beginning it finds nothing of another one, which
-        is removed afterwards, so that a kill in between leaves one run or the other.
+        """Record that the run is running, and remove the files of a former one.
 
-        Harvests and tables have names that users give to files of their own, such as table-2.h5:
-        those that the former run's record implies are removed, and a kill in between leaves their
-        list in the new one.
+        They are removed after the record is written, so that a kill in between leaves one run or
+        the other. Harvests and tables have names that users give to files of their own, such as
+        table-2.h5: those that the former run's record implies are removed, and a kill in between
+        leaves their list in the new record.
         """
         if self.resumes:
             write_record(self.folder, self.record)
@@ -342,8 +355,11 @@ class RunFolder:
             write_record(self.folder, self.record)
 
     def restored(self, restore: Callable[[dict[str, np.ndarray]], State]) -> State | None:
-        """What `restore` makes of the last checkpoint, whose fault it is if that fails; None where
-        the run starts at its beginning."""
+        """Restore the state of the last checkpoint; None where the run starts at its beginning.
+
+        Raises:
+            FileError: the checkpoint is of another run, or `restore` fails on it.
+        """
         if not self.resumes:
             return None
         path = self.folder / CHECKPOINT
@@ -366,7 +382,7 @@ class RunFolder:
     def checkpoint(
         self, arrays: Mapping[str, np.ndarray], cache: Mapping[str, Any] | None = None
     ) -> None:
-        """Write a state to resume from; `cache` is what a cached law reports of itself there."""
+        """Write a state to resume from; `cache` is the report of a cached law there."""
         write(self.folder / CHECKPOINT, STATE, {"of": self._kind}, arrays)
         self.cache = cache
 
@@ -377,10 +393,10 @@ class RunFolder:
         remove(self.folder / CHECKPOINT)
 
     def _end_by(self, error: BaseException) -> None:
-        """Say which error ended the run, and store what there is of it.
+        """Record which error ended the run, and store the results that there are.
 
         Raises:
-            FileError: what a failed simulation or an interrupt left could not be stored.
+            FileError: the results of a failed or interrupted simulation could not be stored.
         """
         status = "failed"
         partial = self.partial
@@ -400,14 +416,14 @@ class RunFolder:
             # There may be no room for results, but the state of the run is true all the same.
             with suppress(Exception):
                 self._end(status, error=message)
-            # The first error is the one to report, unless what it left is lost by the second.
+            # The first error is the one to report, unless the second loses results.
             lost = isinstance(error, SimulationError | KeyboardInterrupt)
             if lost or not isinstance(second, Exception):
                 raise
             log.debug("%s: its end could not be recorded whole", self.folder, exc_info=second)
 
     def _end(self, status: str, result: Any = None, error: str | None = None) -> None:
-        """Store what there is and say how the run ended."""
+        """Store a result, where there is one, and record how the run ended."""
         self.record = replace(self.record, status=status, error=error, cache=self.cache)
         if result is not None:
             self.record = self.store(self.record, result)
@@ -419,13 +435,13 @@ class RunFolder:
 
 
 def of_cell(file: str, cell: str) -> str:
-    """The file's name with that of the cell, "" of the only one: harvest-skin.h5."""
+    """Return the file's name with that of the cell, harvest-skin.h5; "" is the only cell."""
     name, dot, kind = file.rpartition(".")
     return f"{name}-{cell}{dot}{kind}" if cell else file
 
 
 def _learnt_files(folder: Path) -> tuple[str, ...]:
-    """Names of the harvests and tables that the run recorded in a folder may have left there."""
+    """Return the names of harvests and tables that the run of a folder may have written there."""
     try:
         stored = read_json(folder / "run.json")
     except FileError:  # no run, or nobody knows which
@@ -436,13 +452,13 @@ def _learnt_files(folder: Path) -> tuple[str, ...]:
     law = stored.get("law")
     harvests = [of_cell(HARVEST, name) for name in names if law in ("cached", "table")]
     tables = [of_cell(TABLE, name) for name in names if law == "table"]
-    former = [str(each) for each in stored.get("replaces", ())]
+    former = [str(name) for name in stored.get("replaces", ())]  # a kill kept these there
     return tuple(name for name in (*harvests, *tables, *former) if _LEARNT.fullmatch(name))
 
 
 def describe_origin() -> dict[str, Any]:
-    """When and by what a record is made, by the names that it has."""
-    import numba  # late: who only reads runs needs none of it
+    """Return when and by what a record is made, by the names of its entries."""
+    import numba  # late: programs that only read runs need none of it
 
     return {
         "package_version": version("surrofe2"),
@@ -453,7 +469,7 @@ def describe_origin() -> dict[str, Any]:
 
 
 def caches_of(cache: Mapping[str, Any] | None) -> dict[str, Mapping[str, Any]]:
-    """The reports in a record's `cache` by name of the cell, which is "" where there is one."""
+    """Return the reports in a record's `cache` by name of the cell, "" where there is one."""
     return dict(cache.get("cells", {"": cache})) if cache else {}
 
 
@@ -466,19 +482,19 @@ def write_record(folder: Path, record: RunRecord) -> None:
 
 
 def read_record(folder: Path) -> RunRecord:
-    """The record in run.json; FileError: missing, damaged, or of another schema."""
+    """Read run.json; a FileError where it is missing, damaged or of another schema."""
     path = folder / "run.json"
     if not path.exists():
         raise FileError(f"{folder}: no run.json, so not a run; make one with `surrofe2 run`")
     stored = read_json(path)
     if stored.pop("schema", None) != SCHEMA:
         raise FileError(f"{path}: not the record of a surrofe2 run")
-    found = stored.pop("schema_version", None)
+    schema_version = stored.pop("schema_version", None)
     known = {item.name for item in fields(RunRecord)}
-    if found != SCHEMA_VERSION or not known.issuperset(stored):
+    if schema_version != SCHEMA_VERSION or not known.issuperset(stored):
         raise FileError(
-            f"{path}: run schema {quoted(found)}; this surrofe2 reads {SCHEMA_VERSION}: run it "
-            "again elsewhere"
+            f"{path}: run schema {quoted(schema_version)}; this surrofe2 reads {SCHEMA_VERSION}: "
+            "run it again elsewhere"
         )
     try:
         record = RunRecord(**stored)
@@ -486,9 +502,10 @@ def read_record(folder: Path) -> RunRecord:
             check_value(name, attrgetter(name)(record), hint, {})
         for name in (*_SECTIONS, "cache"):
             section = record.recipe.get(name, {})
-            for one in (section, *(section.values() if name == "cells" else ())):
-                if not isinstance(one, dict):
-                    raise ValueError(f"recipe.{name}: {quoted(one)}; it must be a table")
+            cells = section.values() if name == "cells" else ()
+            for table in (section, *cells):
+                if not isinstance(table, dict):
+                    raise ValueError(f"recipe.{name}: {quoted(table)}; it must be a table")
         check_units("numbers of the run", record.units, UNITS)
         if record.surrogate is not None:
             record.surrogate["fingerprint"]
@@ -510,10 +527,10 @@ def write_curves(
     """Write curve.csv, history.csv and energies.csv; of a rest path.csv for the first two.
 
     Args:
-        curves: of watched points by name, all at m times, or factors of the load.
+        curves: displacements of watched points by name, all at m times, or factors of the load.
         history: (m,) forces in µN, places in µm and numbers of points by name, as `MacroRun` has
             them.
-        energies: (m,) pJ by name.
+        energies: (m,) energies by name, pJ.
     """
     t = next(iter(curves.values())).t
     points = {
@@ -532,7 +549,7 @@ def write_curves(
 
 
 def _unit_of(name: str) -> str:
-    """The unit of a column of a history, as its name in a file has it."""
+    """Return the unit of a column of a history as it stands in the column's name in a file."""
     if name == BEYOND:
         return "points"
     if name.startswith(STRESS_NAME):
@@ -543,7 +560,7 @@ def _unit_of(name: str) -> str:
 
 
 def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:
-    """A finished run; with `finished` False also what there is of another.
+    """Read a finished run; with `finished` False also one that has results but no end.
 
     Raises:
         FileError: not a run folder, or damaged.
@@ -560,40 +577,63 @@ def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:
             raise FileError(f"{folder / 'run.json'}: files: {quoted(name)} is no file of a run")
         if digest(folder / name, _MOST_OF_A_TABLE) != wanted:
             raise FileError(f"{folder / name}: damaged, or changed since the run was recorded")
-    path = folder / table
-    columns = read_columns(path)
-    # path.csv has in the same table what history.csv has of a run
-    moved = {name: columns[name] for name in columns if not name.startswith(("u_x_um", "u_y_um"))}
-    t = next(iter(moved.values()), np.empty(0))
-    clock = next(iter(moved), None)
-    known = [name for name in columns if name not in moved]
-    header = ("factor", *CURVE_HEADER[1:]) if is_rest(record) else CURVE_HEADER
-    whole = tuple(columns)[:3] == header and len(known) % 2 == 0 and t.size > 0
-    # a factor may fall from 0 to a negative one
-    steps = np.diff(t) * (np.sign(t[-1]) if is_rest(record) and t.size else 1.0)
-    if not whole or not np.isfinite([*columns.values()]).all() or (steps <= 0.0).any():
-        raise FileError(f"{path}: not a table of {','.join(header)}")
-    if not is_rest(record) and len(moved) > 1:
-        raise FileError(f"{path}: not a table of {','.join(header)}")
+    columns = _checked_columns(folder / table, is_rest(record))
+    clock, *_ = columns
+    components = [name for name in columns if name.startswith(_COMPONENTS)]
     names = [next(iter(record.problem.get("watched", ())), "watched point")]
-    names += [name.partition("_um ")[2] for name in known[2::2]]
-    pairs = zip(names, known[::2], known[1::2], strict=True)
+    names += [name.partition("_um ")[2] for name in components[2::2]]
     curves = {
-        name: DisplacementCurve(t, np.stack([columns[x], columns[y]], axis=1))
-        for name, x, y in pairs
+        name: DisplacementCurve(columns[clock], np.stack([columns[x], columns[y]], axis=1))
+        for name, x, y in zip(names, components[::2], components[1::2], strict=True)
     }
-    history = {name: values for name, values in moved.items() if name != clock}
-    energies: dict[str, np.ndarray] = {}
-    for path, into in ((folder / "history.csv", history), (folder / "energies.csv", energies)):
-        if path.exists():
-            _, *others = read_columns(path).items()
-            into.update(others)
-    history, energies = (
-        {name.rpartition("_")[0]: values for name, values in each.items()}  # without unit
-        for each in (history, energies)
+    # path.csv has in the same table what history.csv has of a run
+    others = {name: columns[name] for name in columns if name not in (clock, *components)}
+    return StoredRun(
+        folder,
+        record,
+        curve=curves[names[0]],
+        curves=curves,
+        history=_without_units(others | _over_clock(folder / "history.csv")),
+        energies=_without_units(_over_clock(folder / "energies.csv")),
     )
-    return StoredRun(folder, record, curve=curves[names[0]], curves=curves,
-                     history=history, energies=energies)  # fmt: skip
+
+
+def _checked_columns(path: Path, of_rest: bool) -> dict[str, np.ndarray]:
+    """Read curve.csv or path.csv, whose first columns are the clock and a displacement.
+
+    Raises:
+        FileError: it is no such table, or its clock does not go one way.
+    """
+    header = ("factor", *CURVE_HEADER[1:]) if of_rest else CURVE_HEADER
+    no_table = FileError(f"{path}: not a table of {','.join(header)}")
+    columns = read_columns(path)
+    if tuple(columns)[:3] != header:
+        raise no_table
+    clock = columns[header[0]]
+    components = [name for name in columns if name.startswith(_COMPONENTS)]
+    has_others = len(columns) > 1 + len(components)
+    if len(components) % 2 or not clock.size or (has_others and not of_rest):
+        raise no_table
+    if not np.isfinite([*columns.values()]).all():
+        raise no_table
+    # a factor may fall from 0 to a negative one
+    direction = np.sign(clock[-1]) if of_rest else 1.0
+    if (direction * np.diff(clock) <= 0.0).any():
+        raise no_table
+    return columns
+
+
+def _over_clock(path: Path) -> dict[str, np.ndarray]:
+    """Read the columns of a table without the first, its clock; none where it is not there."""
+    if not path.exists():
+        return {}
+    _, *others = read_columns(path).items()
+    return dict(others)
+
+
+def _without_units(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return columns by their names without the unit."""
+    return {name.rpartition("_")[0]: values for name, values in columns.items()}
 
 
 def write_events(folder: Path, decisions: Iterable[Mapping[str, Any]]) -> None:

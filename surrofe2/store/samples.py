@@ -263,8 +263,6 @@ def writing_data_set(
     """Open a data set to fill, or to resume; the file has all rows that the block takes.
 
     Args:
-        path: the file.
-        header: settings of the data set.
         fresh: start over, whatever data set is there.
 
     Raises:

@@ -408,7 +408,6 @@ def keep(
     """Read a JSON file of these settings where it is there; else make and write it.
 
     Args:
-        path: the file.
         identity: the settings, which are entries of the file.
         make: returns the other entries, after it has written the files that belong to them.
         fresh: make it, whatever of this kind is there.

@@ -63,8 +63,6 @@ def write_table(
     """Write a table, whole or not at all.
 
     Args:
-        path: the file.
-        table: the table.
         recipe: recipe of the run that writes it.
         seconds: time of all runs that it learnt from.
     """

@@ -246,7 +246,7 @@ def test_a_point_that_moves_to_another_rank_keeps_its_state(adapter):
     for window in range(5, 40):
         for k in range(10):
             here(0, np.array([window, k]), float(window), inside, None)
-    assert len(here.left) == 10
+    assert len(here.switched) == 10
 
 
 def test_the_manager_may_initialise_and_write_out(adapter, monkeypatch, tmp_path):
