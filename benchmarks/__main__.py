@@ -31,15 +31,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="less of everything, nothing stored")
     parser.add_argument("--out", type=Path, metavar="DIR", default=Path("out/bench").absolute())
-    given = parser.parse_args(arguments)
-    if given.topics == ["tables"]:
+    options = parser.parse_args(arguments)
+    if options.topics == ["tables"]:
         write_figures()
         return 0
     load = os.getloadavg()[0]
     if load > BUSY:
         print(f"the machine is busy (load average {load:.1f}): times will be too long")
-    bench, failed = Bench(given.quick, given.out.absolute()), False
-    for topic in given.topics or TOPICS:
+    bench = Bench(options.quick, options.out.absolute())
+    failed = False
+    for topic in options.topics or TOPICS:
         bench.command = f"python -m benchmarks {topic}"
         print(f"{topic}", flush=True)
         begin = perf_counter()

@@ -15,7 +15,7 @@ from surrofe2.recipe.recipe import Recipe, load_recipe
 
 
 def surrofe2(*arguments: str | Path, ranks: int = 1, **environment: str) -> float:
-    """Seconds of the whole process; a command that fails is an error with its last line."""
+    """Run a command, and return the seconds of the whole process; a RuntimeError where it fails."""
     command = [sys.executable, "-m", "surrofe2", *map(str, arguments)]
     if ranks > 1:
         command = [str(Path(sys.executable).with_name("mpiexec")), "-n", str(ranks), *command]
@@ -38,42 +38,46 @@ print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 
 
 def peak_memory(*arguments: str | Path) -> float:
-    """Bytes, the largest resident memory of a command."""
+    """Run a command, and return its largest resident memory, bytes."""
     command = [sys.executable, "-c", _WATCH, sys.executable, "-m", "surrofe2", *map(str, arguments)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     return 1024.0 * float(done.stdout)  # KiB on Linux
 
 
 def run(recipe: Path, law: str, out: Path, *options: str, **more: Any) -> dict[str, Any]:
-    """`run.json` of a run from scratch, and under "process" the seconds of the command."""
+    """Run a recipe from scratch, and return run.json, with the command's seconds as "process"."""
     seconds = surrofe2("run", recipe, "--law", law, "--out", out, "--fresh", *options, **more)
     return record(out) | {"process": seconds}
 
 
 def record(folder: Path) -> dict[str, Any]:
-    """`run.json` of a run folder."""
-    found: dict[str, Any] = json.loads((folder / "run.json").read_text(encoding="utf-8"))
-    return found
+    """Read run.json of a run folder."""
+    entries: dict[str, Any] = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    return entries
 
 
 def compared(reference: Path, *folders: Path, out: Path) -> dict[str, dict[str, Any]]:
-    """What `surrofe2 compare` finds of runs against a reference, by the name of their folder."""
+    """Compare runs with a reference, and return the entries of each by the name of its folder."""
     surrofe2("compare", reference, *folders, "--out", out, "--fresh")
-    found = json.loads((out / "comparison.json").read_text(encoding="utf-8"))
-    return {each["name"]: each for each in found["runs"]}
+    return {run["name"]: run for run in _compared_runs(out)}
 
 
 def studied(recipe: Path, out: Path) -> dict[str, Any]:
-    """What `surrofe2 study` finds of the cached run, and under "process" the command's seconds."""
+    """Study a recipe, and return the cached run as compared, with the seconds as "process"."""
     seconds = surrofe2("study", recipe, "--out", out, "--fresh")
-    text = (out / "comparison" / "comparison.json").read_text(encoding="utf-8")
-    found = json.loads(text)["runs"]
-    (cached,) = [each for each in found if each["law"] == "cached"]
+    (cached,) = [run for run in _compared_runs(out / "comparison") if run["law"] == "cached"]
     return cached | {"process": seconds}
 
 
+def _compared_runs(folder: Path) -> list[dict[str, Any]]:
+    """Read the entries of the runs in a comparison."""
+    text = (folder / "comparison.json").read_text(encoding="utf-8")
+    runs: list[dict[str, Any]] = json.loads(text)["runs"]
+    return runs
+
+
 def shipped(name: str, out: Path, old: str = "", new: str = "") -> Path:
-    """A copy of a recipe of data/ in `out`, where its files will lie too; `old` becomes `new`."""
+    """Copy a recipe of data/ into `out`, where its files will lie, too; `old` becomes `new`."""
     text = (ROOT / "data" / name).read_text(encoding="utf-8")
     if old not in text:
         raise ValueError(f"data/{name} has no line {old!r}")
@@ -84,8 +88,7 @@ def shipped(name: str, out: Path, old: str = "", new: str = "") -> Path:
 
 
 def changed(recipe: Path, *pairs: str, name: str = "") -> Path:
-    """The recipe with each old text of the pairs (old, new, …) replaced, in place or under another
-    name beside it."""
+    """Replace the old texts of pairs (old, new, …) in a recipe, or in a copy of another name."""
     text = recipe.read_text(encoding="utf-8")
     for old, new in zip(pairs[::2], pairs[1::2], strict=True):
         if old not in text:
@@ -97,12 +100,12 @@ def changed(recipe: Path, *pairs: str, name: str = "") -> Path:
 
 
 def made(recipe: Path) -> Recipe:
-    """The recipe, its data set and surrogate made unless they are there."""
+    """Make data set and surrogate of a recipe unless they are there, and return the recipe."""
     surrofe2("generate", recipe)
     surrofe2("train", recipe)
     return load_recipe(recipe)
 
 
 def seconds_to_make(run: dict[str, Any]) -> float:
-    """Seconds of data set, training and calibration behind a cached run."""
+    """Return the seconds of data set, training and calibration behind a cached run."""
     return float(sum(run["surrogate"]["seconds"].values()))

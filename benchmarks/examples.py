@@ -1,4 +1,4 @@
-"""The examples' recipes by full and by cached FE²: how far apart, how much faster."""
+"""The examples' recipes by full and by cached FE²: difference and speed-up."""
 
 from __future__ import annotations
 
@@ -31,12 +31,15 @@ def run(bench: Bench) -> None:
         _example(bench, name, commands.studied(out / "examples" / f"{name}.toml", out / name))
 
 
-def _example(bench: Bench, name: str, found: dict[str, Any]) -> None:
-    balance, audit, counts = found["balance"], found["cache"]["audit"], found["counts"]
+def _example(bench: Bench, name: str, cached: dict[str, Any]) -> None:
+    """Add the figures of an example from its cached run."""
+    balance = cached["balance"]
+    audit = cached["cache"]["audit"]
+    counts = cached["counts"]
     stresses = counts["stress_points"] + counts.get("dissipation_points", 0)
-    forces = [100.0 * force["largest"] for force in found["forces"].values() if force["scale"]]
+    forces = [100.0 * force["largest"] for force in cached["forces"].values() if force["scale"]]
     bench.add_group(f"examples.{name.replace('-', '_')}", (
-        ("displacement", 100.0 * found["difference"]["largest"], "%",
+        ("displacement", 100.0 * cached["difference"]["largest"], "%",
          "largest difference in displacement, cached against full FE²", {"at_most": 0.1}),
         ("force", max(forces, default=0.0), "%",
          "largest difference of a force, by the largest, cached against full FE²"),

@@ -35,11 +35,11 @@ class _Bar:
     """A large bar.
 
     Attributes:
-        name: of its figures.
-        recipe: in data/.
-        duration: as its recipe states it, µs.
-        first: µs that full FE² computes, some minutes; in quick mode the second.
-        aims: how much faster than full FE² cached run and table are to be, everything counted.
+        name: name of its figures.
+        recipe: its recipe in data/.
+        duration: text of the duration in the recipe, µs.
+        first: µs that full FE² computes, some minutes; the second number is for quick mode.
+        aims: speed-up over full FE² that the cached run and the table are to reach, all counted.
     """
 
     name: str
@@ -64,16 +64,17 @@ def run(bench: Bench) -> None:
 
 def quarter(bench: Bench) -> None:
     """Full FE² of the large bar over a quarter of a period, and the cached run beside it."""
-    out, recipe = _folder(bench, _SQUARES), _recipe(bench, _SQUARES)
+    out = _folder(bench, _SQUARES)
+    recipe = _recipe(bench, _SQUARES)
     commands.made(recipe)
     commands.run(recipe, "cached", out / "cached")
     curve = read_run(out / "cached").curve
     # from rest the bar swings to its first largest displacement in half a period
     half = float(curve.t[np.linalg.norm(curve.displacement, axis=1).argmax()])
-    found = _beginning(bench, _SQUARES, 0.5 * half)
+    beginning = _beginning(bench, _SQUARES, 0.5 * half)
     bench.add(
         "large.printed.quarter_error",
-        found["error"],
+        beginning["error"],
         "%",
         "largest difference in displacement, cached against full FE², over a quarter of a period",
         at_most=0.1,
@@ -85,40 +86,49 @@ def _folder(bench: Bench, bar: _Bar) -> Path:
 
 
 def _recipe(bench: Bench, bar: _Bar) -> Path:
-    """The recipe of a bar; in quick mode of few elements and a short time."""
+    """Copy the recipe of a bar; in quick mode with few elements and a short time."""
     path = commands.shipped(bar.recipe, _folder(bench, bar))
     few = ("[64, 64]", "[8, 8]", bar.duration, _SHORT) if bench.quick else ()
     return commands.changed(path, *few)
 
 
 def _beginning(bench: Bench, bar: _Bar, duration: float) -> dict[str, float]:
-    """Full FE² over the first µs of a bar: seconds of a solve, and how far the cached run is off,
-    in % of the largest displacement."""
+    """Run full FE² over the first µs of a bar, and the cached run beside it.
+
+    Return the seconds of a solve as "per_solve", and the difference of the cached run as "error",
+    in % of the largest displacement.
+    """
     out = _folder(bench, bar) / "beginning"
     text = _SHORT if bench.quick else bar.duration
     recipe = commands.changed(_recipe(bench, bar), text, f"= {duration}", name="beginning.toml")
     full = commands.run(recipe, "rve", out / "rve")
     commands.run(recipe, "cached", out / "cached")
-    found = commands.compared(out / "rve", out / "cached", out=out / "comparison")["cached"]
+    cached = commands.compared(out / "rve", out / "cached", out=out / "comparison")["cached"]
     return {
         "per_solve": full["wall_time"]["total"] / full["counts"]["rve_solves"],
-        "error": 100.0 * found["difference"]["largest"],
+        "error": 100.0 * cached["difference"]["largest"],
     }
 
 
 def _bar(bench: Bench, bar: _Bar) -> float:
-    """Cached run, table and the beginning of full FE²; seconds of the first cached run, data and
-    training counted."""
-    out, recipe = _folder(bench, bar), _recipe(bench, bar)
+    """Run a bar by cache, by table and in the beginning by full FE².
+
+    Return the seconds of the first cached run, data and training counted.
+    """
+    out = _folder(bench, bar)
+    recipe = _recipe(bench, bar)
     commands.made(recipe)
     cached = commands.run(recipe, "cached", out / "cached")
     table = commands.run(recipe, "table", out / "table")
     first = bench.pick(*bar.first)
     begun = _beginning(bench, bar, first)
-    counts, audit = cached["counts"], cached["cache"]["audit"]
+    counts = cached["counts"]
+    audit = cached["cache"]["audit"]
     solves = float(counts["stress_points"] + counts["dissipation_points"])
-    full, make = begun["per_solve"] * solves, commands.seconds_to_make(cached)
-    alone, by_table = (each["wall_time"]["total"] for each in (cached, table))
+    full = begun["per_solve"] * solves
+    make = commands.seconds_to_make(cached)
+    alone = cached["wall_time"]["total"]
+    by_table = table["wall_time"]["total"]
     by_cache, by_empty_table = bar.aims
     bench.add_group(f"large.{bar.name}", (
         ("solves", solves, "", "RVE solves of full FE², one for each stress of the cached run"),
@@ -144,7 +154,7 @@ def _bar(bench: Bench, bar: _Bar) -> float:
 
 
 def _against_particles(bench: Bench, first_run: float) -> None:
-    """The full particle model of the squares, and how much longer it takes than so many seconds."""
+    """Add figures of the full particle model of the squares; `first_run` are seconds beside it."""
     per_step = _seconds_of_a_particle_step(bench)
     particles = all_particles(load_recipe(_recipe(bench, _SQUARES)))
     by_particles = per_step * particles.particles * particles.steps
@@ -159,7 +169,7 @@ def _against_particles(bench: Bench, first_run: float) -> None:
 
 
 def _seconds_of_a_particle_step(bench: Bench) -> float:
-    """Of the full particle model, the last of growing tissues; each is recorded."""
+    """Time growing tissues of particles, record each, and return the seconds of the last."""
     seconds = 0.0
     for across in bench.pick(ACROSS, ACROSS[:1]):
         width = 25.0 * across

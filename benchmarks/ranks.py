@@ -20,7 +20,7 @@ def run(bench: Bench) -> None:
         two = commands.run(recipe, "rve", out / "two", "--threads", "1", ranks=2)
         if turn or bench.quick:
             ratios.append(one["wall_time"]["total"] / two["wall_time"]["total"])
-    found = commands.compared(out / "one", out / "two", out=out / "comparison")["two"]
+    two_ranks = commands.compared(out / "one", out / "two", out=out / "comparison")["two"]
     bench.add(
         "ranks.speed",
         float(np.median(ratios)),
@@ -28,5 +28,5 @@ def run(bench: Bench) -> None:
         "two ranks of one thread faster than one process of two threads",
         at_least=0.9,
     )
-    bench.add("ranks.difference", 100.0 * found["difference"]["largest"], "%",
+    bench.add("ranks.difference", 100.0 * two_ranks["difference"]["largest"], "%",
               "largest difference in displacement between the two", at_most=1e-7)  # fmt: skip

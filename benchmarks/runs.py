@@ -35,8 +35,9 @@ def bar(bench: Bench, name: str) -> None:
     full, cached = ([pair[k] for pair in pairs] for k in (0, 1))
     seconds = np.array([[one["wall_time"]["total"] for one in pair] for pair in pairs])
     process = np.array([[one["process"] for one in pair] for pair in pairs])
-    found = commands.compared(out / "rve", out / "cached", out=out / "comparison")["cached"]
-    audit, quotient = found["cache"]["audit"], seconds[:, 0] / seconds[:, 1]
+    compared = commands.compared(out / "rve", out / "cached", out=out / "comparison")["cached"]
+    audit = compared["cache"]["audit"]
+    quotient = seconds[:, 0] / seconds[:, 1]
     stress = _relative_rms(cached[-1]["surrogate"]["errors"])
     bench.add_group(name, (
         ("surrogate_rms", 100.0 * stress, "%",
@@ -56,7 +57,7 @@ def bar(bench: Bench, name: str) -> None:
          {"at_least": 1.8 if name == "printed" else None}),
         ("start_seconds", np.median(process[:, 1] - seconds[:, 1]), "s",
          "what `surrofe2 run --law cached` takes besides the run"),
-        ("displacement_error", 100.0 * found["difference"]["largest"], "%",
+        ("displacement_error", 100.0 * compared["difference"]["largest"], "%",
          "largest difference in displacement, cached against full FE²", {"at_most": 0.1}),
         ("solves", full[-1]["counts"]["rve_solves"], "", "RVE solves of full FE²"),
         ("cached_solves", cached[-1]["counts"]["rve_solves"], "",

@@ -109,8 +109,8 @@ def _audited(
     error = 100.0 * difference(done.curve, full.curve).largest
     bench.add(f"{name}.{case.name}.displacement", error, "%",
               f"{case.words}: largest difference in displacement", at_most=0.1)  # fmt: skip
-    found: Mapping[str, float] = audit
-    return found
+    figures: Mapping[str, float] = audit
+    return figures
 
 
 def shown(figures: Mapping[str, Figure]) -> dict[str, float]:

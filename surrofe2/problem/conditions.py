@@ -49,7 +49,6 @@ class Condition:
 
         Args:
             where: place of the entry in the recipe, for messages.
-            entry: the table of the recipe.
             name: name of its section, which names the condition; None: it may have an entry `name`.
         """
         kinds = {condition.kind(): condition for condition in CONDITIONS}

@@ -397,9 +397,7 @@ def _named(
     """Return the part of a mesh that has a name.
 
     Args:
-        mesh: the mesh.
-        parts: its named parts of this kind.
-        name: the name that is looked for.
+        parts: named parts of the mesh of this kind.
         where: field that errors name.
         kind: the word for such parts in errors.
 

@@ -95,7 +95,6 @@ class ComparedRun:
 
     Attributes:
         name: name of the run's folder.
-        law: law of the run.
         difference: difference of the watched displacement, relative to the reference's largest.
         wall_time: seconds of law and macro together, without compilation.
         counts: numbers of stresses and solves by name.

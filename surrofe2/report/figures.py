@@ -140,10 +140,8 @@ def drawn_bodies(
     """Return rigid bodies at the times of the fields.
 
     Args:
-        bodies: the bodies.
         t: (n,) times of the history, µs.
         history: columns of a run's history by name.
-        fields: the fields.
     """
     far = 4.0 * float(np.ptp(fields.points, axis=0).max())
     drawn = []
@@ -218,13 +216,10 @@ def draw_tissue(
     A half with a line of symmetry at its end is drawn whole.
 
     Args:
-        axes: where it is drawn.
-        fields: fields of a run.
         k: number of the time.
         values: (e,) values of the elements, by which they are coloured.
         colours: colours of the values.
         factor: displacements are drawn so many times as large.
-        bodies: rigid bodies.
 
     Returns:
         The collection from which a colour bar is made.
@@ -342,7 +337,6 @@ def draw_cells(
     Fluid particles are dots; a uniform fluid fills areas.
 
     Args:
-        axes: where it is drawn.
         seen: RVEs at several times or points.
         k: number of the RVE.
         half: half of the width of the window about its centre, µm; 0: the RVE and a little more.
@@ -398,9 +392,7 @@ def cell_figure(
     """Draw the plant cells at a point: where it is, wall stretch over time, six times.
 
     Args:
-        title: title of the figure.
         seen: the RVE of the element at the times of the fields.
-        fields: fields of the run.
         element: number of the element.
         point: position in the undeformed tissue, µm.
         is_rest: whether the times are factors of the load of a rest.

@@ -55,9 +55,7 @@ def grid_row(
 
     Args:
         values: values of the entries that change, by dotted name.
-        law: law of the run.
-        name: name of the run.
-        run: the run; None where it failed.
+        run: None where it failed.
         true: the run of the same values by RVEs, if there is one.
         error: message of a run that failed.
         chosen: quantities that are asked of the run besides; none: the peaks of its forces.
@@ -135,7 +133,6 @@ class Grid:
     Attributes:
         recipe: name of the recipe.
         values: values of each entry that the grid changes, by dotted name.
-        rows: the runs.
     """
 
     recipe: str
@@ -414,11 +411,10 @@ def _curves_over_values(
     """Return the curves of one quantity over an entry, one for each group that has it.
 
     Args:
-        grid: the grid.
-        over: the entry.
+        over: name of the entry.
         groups: rows by the label of their curve.
         places: place on the axis of each value of the entry, by its text.
-        name: the quantity.
+        name: name of the quantity.
     """
     curves = []
     first_law = grid.rows[0].facts["law"]

@@ -75,7 +75,6 @@ class Section(NamedTuple):
     Attributes:
         key: its anchor.
         link: its name in the list of sections.
-        heading: its heading.
         parts: its elements in HTML.
         missing: sentence that is shown where there are no parts.
     """
@@ -96,7 +95,6 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> Path:
     """Write one HTML file on these runs, which needs nothing else, and return its path.
 
     Args:
-        folders: folders of the runs.
         out: the file; a page that is there is replaced, and no other file.
 
     Raises:

@@ -58,7 +58,6 @@ class Study:
     """A finished study.
 
     Attributes:
-        title: title of the figure.
         panels: charts of the figure, row by row.
         columns: number of panels in a row.
         drawing: a figure that is no chart and takes the place of panels.

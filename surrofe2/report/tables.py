@@ -28,7 +28,7 @@ class Quantity(Generic[Row]):
 
     Attributes:
         name: name in words; in JSON with underscores.
-        unit: unit; "" for names, counts and ratios.
+        unit: "" for names, counts and ratios.
         format: format of a value for people, as `format` takes it, or a function; None: the column
             is in files alone.
         read: returns the value of a row: a number, a text, or None where there is none. Without it
@@ -72,8 +72,6 @@ class Table(Generic[Row]):
     """Rows and the quantities that are read from each.
 
     Attributes:
-        quantities: the columns.
-        rows: the rows.
         names: number of the first columns that name the row.
     """
 

@@ -116,7 +116,6 @@ def tabulate_surface(
     """Tabulate a slab's law over a range, within `TOLERANCE` at `CHECKS` random points.
 
     Args:
-        law: the slab's law.
         stretch: (low, high) bounds of λ.
         rate: bound on |λ̇|, 1/µs.
 

@@ -204,7 +204,7 @@ def test_what_buckled_is_a_headline_and_a_colour(runs, tmp_path):
             beyond = {"points": 6, "of": 20, "from": 2.5}
             write_record(runs[0], replace(record, met={"beyond_bifurcation": beyond}))
         pages.append(Page(runs, tmp_path / f"{is_buckled}.html").words)
-    told = "rve: from 2.5 µs on, 6 of 20 points left a bifurcation"
-    assert told in pages[1]
+    sentence = "rve: from 2.5 µs on, 6 of 20 points left a bifurcation"
+    assert sentence in pages[1]
     assert "left a bifurcation" not in pages[0]
     assert "points beyond a bifurcation" in pages[1], "in the table of the comparison"
