@@ -5,10 +5,14 @@ forces and K = ∂(f̃ − l)/∂u at the equilibrium ũ of the latter, Newton's
 
     δu = −K⁻¹ Δf,    Δf = f(ũ) − f̃(ũ) = Σ_e Δf_e,
 
-summed over elements, of which one that the true law answered already has Δf_e = 0. What is wanted,
-a displacement or a force, is linear in Δf: δq = Σ_e w·Δf_e with a virtual displacement w, which is
-−K⁻ᵀ a for a displacement a·u, and e − K⁻ᵀ ∂q/∂u for a force whose part by f is e·f. So a random
-sample of n of N elements gives δq = (N/n) Σ w·Δf_e, and its standard deviation an interval.
+summed over elements, of which one that the true law answered already has Δf_e = 0. Here f̃(ũ) is
+that of the stresses that balanced all forces. The law as it is now may give others: a cache chooses
+at the end of a load step who answers a point in the next one, and a table learns from the audits.
+
+What is wanted, a displacement or a force, is linear in Δf: δq = Σ_e w·Δf_e with a virtual
+displacement w, which is −K⁻ᵀ a for a displacement a·u, and e − K⁻ᵀ ∂q/∂u for a force whose part by
+f is e·f. So a random sample of n of N elements gives δq = (N/n) Σ w·Δf_e, and its standard
+deviation an interval.
 """
 
 from __future__ import annotations
@@ -23,12 +27,13 @@ from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import SimulationError
 from surrofe2.law.bifurcation import beyond_bifurcation
 from surrofe2.law.stress_law import SURROGATE, TABLE, StressResponse
-from surrofe2.macro.elements import (
-    deformation_gradient,
-    internal_force,
-    stress_power,
+from surrofe2.macro.elements import deformation_gradient, internal_force, stress_power
+from surrofe2.macro.equations_of_motion import (
+    EquationsOfMotion,
+    Evaluation,
+    NoStress,
+    factorised,
 )
-from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, factorised
 from surrofe2.macro.history import Frames
 from surrofe2.macro.rest import Rest, evaluation_at
 from surrofe2.macro.system import System
@@ -56,7 +61,8 @@ class AnswerError:
         watched: (2,) of the first watched point, µm; watched_interval: half width of its interval
             of 95 % confidence, 0 where all elements were asked.
         forces: (k, 2) of `System.force_names`, µN, with `forces_interval`.
-        stress: (n_points, 2, 2) error of the stress at ũ, µN/µm, 0 at points that were not asked.
+        stress: (n_points, 2, 2) error of the stress at ũ, µN/µm; 0 in elements that are not
+            of the sample, where nobody asked for it.
     """
 
     elements: int
@@ -72,7 +78,7 @@ class AnswerError:
 
     @property
     def largest(self) -> float | None:
-        """Of the displacement of all nodes, µm; None of a sample."""
+        """Largest error of the displacement of a node or body, µm; None of a sample."""
         if self.displacement is None:
             return None
         return float(np.linalg.norm(self.displacement, axis=1).max())
@@ -98,11 +104,11 @@ def answer_error(
     Raises:
         SimulationError: the true law has no stress at a point of the rest, or K is singular.
     """
-    equations = EquationsOfMotion(rest.system, law, clock="load factor {:.6g}")
-    now = evaluation_at(equations, rest)
+    equations, now = _evaluated(rest, law)
     space = equations.discretisation
-    count, share = len(space.elements), space.points_per_element
-    unknown = _unknown(now).reshape(count, share)
+    count = len(space.elements)
+    is_unknown = _unknown(now)
+    unknown = is_unknown.reshape(count, space.points_per_element)
     asked = np.arange(count)
     if most is not None and unknown.sum() > most:
         per_element = max(1.0, float(unknown.sum(axis=1).mean()))
@@ -110,7 +116,9 @@ def answer_error(
         asked = np.sort(np.random.default_rng(seed).choice(count, size, replace=False))
     points = np.zeros_like(unknown)
     points[asked] = unknown[asked]
-    error = _stress_error(now, np.flatnonzero(points), true_stress, progress)
+    # The true law has answered the other points just now, as it may not have in the load step.
+    error = np.where(is_unknown[:, None, None], 0.0, now.response.stress - rest.stress)
+    _ask(rest, np.flatnonzero(points), true_stress, error, progress)
     lost = internal_force(space, now.F, error, rest.system.n_rows)
     solve = factorised(rest.stiffness)
     if solve is None:
@@ -144,14 +152,14 @@ def corrected(rest: Rest, law: Any, error: AnswerError) -> tuple[Rest, Frames]:
     """
     if error.displacement is None:
         raise ValueError("a sample of elements corrects no displacement")
-    equations = EquationsOfMotion(rest.system, law, clock="load factor {:.6g}")
-    now = evaluation_at(equations, rest)
-    space, system = equations.discretisation, rest.system
+    equations, now = _evaluated(rest, law)
+    space = equations.discretisation
+    system = rest.system
     u = rest.u + error.displacement
     F, F_dot, _ = deformation_gradient(space, system.from_mesh(u), np.zeros_like(u))
     assert now.response.tangents is not None
     slopes, _ = now.response.tangents.cauchy(now.F, now.response.stress)
-    stress = now.response.stress + error.stress
+    stress = rest.stress + error.stress
     stress += np.einsum("nabcd,ncd->nab", slopes, F - now.F)
     moved = now._replace(u=u, F=F, F_dot=F_dot, response=replace(now.response, stress=stress))
     columns = rest.columns
@@ -172,6 +180,19 @@ def corrected(rest: Rest, law: Any, error: AnswerError) -> tuple[Rest, Frames]:
     return kept, Frames.of(space, moved, sources, beyond=beyond)
 
 
+def _evaluated(rest: Rest, law: Any) -> tuple[EquationsOfMotion, Evaluation]:
+    """The equations of a rest by a law, and their evaluation there.
+
+    Raises:
+        SimulationError: the law has no stress there any more.
+    """
+    equations = EquationsOfMotion(rest.system, law, clock="load factor {:.6g}")
+    try:
+        return equations, evaluation_at(equations, rest)
+    except NoStress as failure:
+        raise SimulationError(f"the error of the answer is not known: {failure}") from failure
+
+
 def _changes(names: Any, vectors: Array) -> dict[str, float]:
     """Entries of (k, 2) vectors by name and axis."""
     return {
@@ -188,33 +209,37 @@ def _unknown(now: Evaluation) -> Flags:
     return np.isin(now.response.sources().source, (SURROGATE, TABLE))
 
 
-def _stress_error(
-    now: Evaluation,
+def _ask(
+    rest: Rest,
     points: Index,
     true_stress: TrueStress,
+    error: Array,
     progress: Callable[[int, int], None] | None,
-) -> Array:
-    """(n_points, 2, 2) RVE stress less that of the answer at these points, 0 at the others."""
-    error = np.zeros_like(now.F)
+) -> None:
+    """Set the error (n_points, 2, 2) at these points: the true law's stress less that of the rest.
+
+    Raises:
+        SimulationError: the true law has no stress at one of them.
+    """
     for begin in range(0, len(points), _BATCH):
         batch = points[begin : begin + _BATCH]
-        answer = true_stress(batch, np.ascontiguousarray(now.F[batch]))
+        answer = true_stress(batch, np.ascontiguousarray(rest.F[batch]))
         if answer.status.any():
             point = int(batch[np.flatnonzero(answer.status)[0]])
             raise SimulationError(
                 f"the error of the answer is not known: at point {point} the RVE has no stress"
             )
-        error[batch] = answer.stress - now.response.stress[batch]
+        error[batch] = answer.stress - rest.stress[batch]
         if progress is not None:
             progress(begin + len(batch), len(points))
-    return error
 
 
 def _estimate(space: Any, F: Array, error: Array, w: Array, asked: Index) -> tuple[float, float]:
     """w·Δf over all elements and the half width of its interval, from the elements `asked`."""
     _, gradient, _ = deformation_gradient(space, np.zeros_like(w), w)
     parts = stress_power(space, F, gradient, error)[asked]
-    count, sampled = len(space.elements), len(asked)
+    count = len(space.elements)
+    sampled = len(asked)
     total = count / sampled * float(parts.sum())
     if sampled == count:
         return total, 0.0
