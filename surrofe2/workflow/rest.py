@@ -96,8 +96,13 @@ def rest_study(
             which RVEs are solved at all points.
 
     Raises:
+        InputError: nothing is there to correct, as RVEs answer everywhere.
         SimulationError: a load step finds no equilibrium.
     """
+    if correct and kind == "rve":
+        raise InputError(
+            "--correct: not with --law rve, whose answer has no error by a surrogate; leave it out"
+        )
     if kind == "table":
         laws.check_solver(recipe)
     settings = changed(recipe.rest or RestSettings(), factor=factor, load_steps=load_steps)
@@ -173,6 +178,7 @@ def rest_study(
                 keep_frame=frames.keep,
             )
         if kind != "rve":
+            checkpoint(rest)  # the RVEs of its error may take as long as the rest did
             true = laws.law_by_region(recipe, problem.mesh, laws.true_law)
             rest = _with_error(rest, law, true, answered, frames, correct, report)
         run.finish(rest)

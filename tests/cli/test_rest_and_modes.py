@@ -2,6 +2,7 @@
 
 import json
 from functools import partial
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from surrofe2.rve import RveLaw
 from surrofe2.store.fields import read_fields
 from surrofe2.store.run_folder import read_record, read_run
 from surrofe2.store.store import locked_file, read_json, write_json
+from surrofe2.workflow import rest as rest_of_workflow
 from tests.cli.conftest import call
 from tests.laws import SquareLaw, failing
 
@@ -113,6 +115,8 @@ def test_rest_by_every_law(stand_in, recipe_path, tmp_path):
     np.testing.assert_allclose(last, record.met["watched"])
     fields = read_fields(tmp_path / "kept", (), None)
     assert len(fields.t) == 5
+    refused = rest("--out", tmp_path / "none", "--correct", code=1)
+    assert "--correct: not with --law rve" in refused.stderr
     refused = rest("--out", tmp_path / "surrogate", "--law", "surrogate", "--correct", code=1)
     assert "rest.correct: this call has True, what is there False" in refused.stderr
 
@@ -131,6 +135,33 @@ def test_rest_that_fails_keeps_the_way_there(recipe_path, tmp_path, invoke):
     assert factors[0] == 0.0
     assert 0.1 < factors[-1] < 1.0
     invoke("rest", recipe_path, "--out", out, "--factor", 0.1, "--fresh", law=law)
+
+
+def test_an_interrupt_while_the_error_is_sought_loses_no_load_step(
+    invoke, recipe_path, tmp_path, monkeypatch
+):
+    asked = []
+
+    class Counted(SquareLaw):
+        def respond(self, F, F_dot, state=None, *, tangents=False):
+            asked.append(len(F))
+            return super().respond(F, F_dot, state, tangents=tangents)
+
+    law = Counted()
+    rest = partial(invoke, "rest", recipe_path, "--load-steps", 4, "--law", "table", law=law)
+    rest("--out", tmp_path / "whole")
+    all_asked = sum(asked)
+    with monkeypatch.context() as patch:
+        patch.setattr(rest_of_workflow, "answer_error", Mock(side_effect=KeyboardInterrupt))
+        rest("--out", tmp_path / "rest", code=130)
+    assert read_record(tmp_path / "rest").status == "interrupted"
+    asked.clear()
+    rest("--out", tmp_path / "rest")
+    assert sum(asked) < 0.2 * all_asked, "a new table, the last equilibrium and its error"
+    there, whole = (read_run(tmp_path / name) for name in ("rest", "whole"))
+    assert there.record.met == whole.record.met
+    assert there.record.counts == whole.record.counts
+    np.testing.assert_array_equal(there.curve.displacement, whole.curve.displacement)
 
 
 REST = "\n[rest]\nload_steps = 2\nfactor = 0.5\n"
