@@ -359,7 +359,7 @@ class Loading:
         if resume is None:
             yield 0.0
         if self.rest.factor != self.factor:
-            _check_held(equations.system, self.rest.stiffness)
+            check_held(equations.system, self.rest.stiffness)
         if self.audits.watch(has_mark=self.rest.mark is not None):
             self._mark()
         # They are equal at the end, for the last target is the factor itself.
@@ -463,8 +463,9 @@ def evaluation_at(equations: EquationsOfMotion, state: RestState) -> Evaluation:
             equations.restart_step(switched.points)
 
 
-def _check_held(system: System, K: Matrix) -> None:
-    """Refuse a load on a tissue or a rigid body that can move without any resistance.
+def check_held(system: System, K: Matrix) -> None:
+    """Refuse a load on a tissue or a rigid body that can move without any resistance; K as of
+    `EquationsOfMotion.tangents`, without load.
 
     Those are combinations R of rigid motions that move nothing held and have Rᵀ K R = 0.
     """

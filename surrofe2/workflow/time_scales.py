@@ -11,6 +11,7 @@ import numpy as np
 from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.law.stress_law import StressLaw
 from surrofe2.macro import find_modes, find_rest
+from surrofe2.macro.rest import check_held
 from surrofe2.problem import Problem
 from surrofe2.problem.amplitude import Amplitude
 from surrofe2.problem.conditions import InitialVelocity
@@ -23,6 +24,8 @@ rest is then followed within some per cent of the load."""
 _SAMPLES = 64
 """Times in each smooth piece of an amplitude at which its rate is looked at."""
 _STRAIN = 1e-4
+_FREE = 1e-12
+"""Square of a frequency, relative to the fastest, of a motion that nothing resists."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,8 +34,8 @@ class TimeScales:
 
     Attributes:
         cell: in which a wave crosses a plant cell; wave: the tissue.
-        swing: period of the slowest oscillation of the tissue as it is held, four times `wave`
-            where nothing holds it.
+        swing: period of the slowest oscillation of the tissue as it is held, at least four times
+            `wave`; infinite where nothing holds it, so that it has no rest.
         load: in which the fastest load or motion grows; 0 of a sudden one, infinite without any.
     """
 
@@ -49,38 +52,50 @@ class TimeScales:
     @property
     def sentence(self) -> str:
         """The time scales, and which method they call for."""
+        swings = "which nothing holds"
+        if self.swing < np.inf:
+            swings = f"which swings in {self.swing:.3g} µs"
         load = "the loads are sudden"
         if self.load > 0.0:
             load = f"the fastest load takes {self.load:.3g} µs"
         verdict = "quasi-static: use rest" if self.is_slow else "dynamic"
         return (
             f"a wave crosses a plant cell in {self.cell:.3g} µs and the tissue in {self.wave:.3g} "
-            f"µs, which swings in {self.swing:.3g} µs; {load}: {verdict}"
+            f"µs, {swings}; {load}: {verdict}"
         )
 
 
 def time_scales(recipe: Recipe, problem: Problem, law: StressLaw) -> TimeScales:
     """The time scales of a recipe's problem, on a mesh that may be coarser, by the law at rest."""
     low, high = extent(problem.mesh)
-    stretched, still = np.tile(np.eye(2), (2, 1, 1)), np.zeros((2, 2, 2))
-    stretched[1, 0, 0] += _STRAIN
-    count = np.size(law.density)
-    if count > 1:  # the points of a tissue of several cells
-        stretched = np.concatenate([np.tile(each, (count, 1, 1)) for each in stretched])
-        answers = [law.respond(part, np.zeros_like(part)).stress for part in np.split(stretched, 2)]
-    else:
-        answers = np.split(law.respond(stretched, still).stress, 2)
-    modulus = float((answers[1] - answers[0])[:, 0, 0].min()) / _STRAIN
+    # The points of a tissue of several cells have a density each, and are asked together.
+    still = np.zeros((np.size(law.density), 2, 2))
+    rest = still + np.eye(2)
+    stretched = rest + np.diag([_STRAIN, 0.0])
+    change = law.respond(stretched, still).stress - law.respond(rest, still).stress
+    modulus = float(change[:, 0, 0].min()) / _STRAIN
     speed = np.sqrt(modulus / float(np.max(law.density)))
     wave = float((high - low).max() / speed)
     side = max(part.cell.cell_side for part in recipe.parts().values())
-    swing = 4.0 * wave
+    swing = max(4.0 * wave, _slowest_period(recipe, problem, law))
+    return TimeScales(cell=side / speed, wave=wave, swing=swing, load=_fastest(problem))
+
+
+def _slowest_period(recipe: Recipe, problem: Problem, law: StressLaw) -> float:
+    """The period of the slowest oscillation about the tissue without load, µs; infinite where
+    nothing holds it, 0 where it does not oscillate."""
     try:
         rest = find_rest(replace(problem, surface=None), law, recipe.macro, factor=0.0)
-        swing = max(swing, float(find_modes(rest, 1).periods[0]))
-    except (InputError, SimulationError, IndexError, ArithmeticError):
-        pass  # nothing holds the tissue, or it does not oscillate
-    return TimeScales(cell=side / speed, wave=wave, swing=swing, load=_fastest(problem))
+        check_held(rest.system, rest.stiffness)
+    except (InputError, SimulationError):
+        return np.inf
+    try:
+        frequency = float(find_modes(rest, 1).frequencies[0])
+    except (SimulationError, RuntimeError, IndexError):  # RuntimeError: of a singular stiffness
+        return 0.0
+    # What bodies alone hold moves freely until they press, and rounding gives that a frequency.
+    fastest = rest.stiffness.diagonal().max() / rest.system.free_mass.diagonal().min()
+    return 1.0 / frequency if (2.0 * np.pi * frequency) ** 2 > _FREE * fastest else 0.0
 
 
 def _fastest(problem: Problem) -> float:
@@ -93,7 +108,7 @@ def _fastest(problem: Problem) -> float:
 
 
 def _acting(problem: Problem) -> Iterator[Amplitude]:
-    """Amplitudes of loads and motions that are not zero."""
+    """Amplitudes of loads, and of motions of supports and bodies."""
     for each in problem.conditions:
         amplitude = getattr(each, "amplitude", None)
         if amplitude is not None:
@@ -105,9 +120,10 @@ def _acting(problem: Problem) -> Iterator[Amplitude]:
 
 def _growth(amplitude: Amplitude, problem: Problem) -> float:
     """Largest factor over its largest rate, µs; 0 where the factor jumps, at the start too."""
-    corners = problem.corners()
-    largest, rate, before = 0.0, 0.0, 0.0
-    for begin, end in pairwise(corners):
+    largest = 0.0
+    rate = 0.0
+    before = 0.0
+    for begin, end in pairwise(problem.corners()):
         within = 0.5 * (begin + end)
         values = [amplitude.at(t, within) for t in np.linspace(begin, end, _SAMPLES)]
         if abs(values[0][0] - before) > 1e-9 * max(1.0, largest):

@@ -48,6 +48,36 @@ def test_scales_are_those_of_waves_and_modes(stand_in, written):
     assert scales.cell == pytest.approx(25.0 / speed, rel=1e-3)
 
 
+PLATES = """
+[bodies.floor]
+plane = { normal = [0.0, 1.0] }
+on = "bottom"
+position = [0.0, 0.0]
+friction = FRICTION
+[bodies.plate]
+plane = { normal = [0.0, -1.0] }
+on = "top"
+position = [0.0, 50.0]
+displacement = [0.0, -1.0]
+amplitude = { kind = "ramp", end = DURATION }
+friction = FRICTION
+"""
+
+
+@pytest.mark.parametrize("elements", ["4, 2", "24, 12"])
+@pytest.mark.parametrize(("friction", "is_held"), [("0.3", True), ("0.0", False)])
+def test_a_tissue_between_plates(stand_in, written, elements, friction, is_held):
+    """Until they press it moves freely; by friction they hold it, and slow plates find it at
+    rest. Dense and sparse eigenvalues of such a motion are rounding alone."""
+    stand_in(SquareLaw)
+    text = PULLED.replace("4, 2", elements).partition("[conditions]")[0] + PLATES
+    text = text.replace("FRICTION", friction) + "[time]\nduration = DURATION\n"
+    scales = check.scales_of(load_recipe(written(text.replace("DURATION", "1e5"))))
+    assert scales.swing == (4.0 * scales.wave if is_held else np.inf)
+    assert scales.is_slow == is_held
+    assert ("which nothing holds; the fastest load takes" in scales.sentence) != is_held
+
+
 @pytest.mark.parametrize(("duration", "is_slow"), [(10.0, False), (1e5, True)])
 def test_a_ramp_is_slow_or_fast(stand_in, written, duration, is_slow):
     stand_in(SquareLaw)
