@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from surrofe2.macro.history import NO_EXTREMES, widen_extremes
 from surrofe2.macro.settings import RestSettings
 from surrofe2.plant_cell.measurements import DETERMINED, measurements_of
 from surrofe2.plant_cell.parameters import CellParameters, LivingTissue
+from surrofe2.problem import Problem
 from surrofe2.problem.mesh import area_of, element_nodes, extent, facet_nodes, length_of
 from surrofe2.recipe.recipe import Recipe, load_recipe
 from surrofe2.run.loop import Report, no_report
@@ -291,14 +292,11 @@ def _coarser(recipe: Recipe, halvings: int) -> Recipe | None:
 
 
 def _dry_run(recipe: Recipe, seconds: float, report: Report) -> DryRun:
-    problem, recorders = recipe.problem(), dict[str, _Recorder]()
-
-    def recorded(part: Recipe) -> StressLaw:
-        recorder = recorders[part.cell_name] = _Recorder(laws.quadratic_law(part))
-        return recorder
-
-    law = law_by_region(recipe, problem.mesh, recorded)
-    end, marks, displacement = cpu_clock() + seconds, [(0.0, 0)], 0.0
+    problem = recipe.problem()
+    law, recorders = _recorded_law(recipe, problem)
+    end = cpu_clock() + seconds
+    marks = [(0.0, 0)]
+    displacement = 0.0
 
     def progress(t: float, duration: float) -> None:
         report(t, "")
@@ -315,15 +313,34 @@ def _dry_run(recipe: Recipe, seconds: float, report: Report) -> DryRun:
     # the first steps are shorter than most: the second half says how the run continues
     (t, calls), (then, before) = marks[-1], marks[(len(marks) - 1) // 2]
     remaining = (recipe.duration - t) / (t - then) if t > then else 0.0
+    return _tried(
+        recorders,
+        calls=calls + remaining * (calls - before),
+        reached=t / recipe.duration,
+        displacement=displacement,
+    )
+
+
+def _recorded_law(recipe: Recipe, problem: Problem) -> tuple[StressLaw, dict[str, _Recorder]]:
+    """The quadratic law of a tissue, and by name of the cell what records it."""
+    recorders: dict[str, _Recorder] = {}
+
+    def recorded(part: Recipe) -> StressLaw:
+        recorder = recorders[part.cell_name] = _Recorder(laws.quadratic_law(part))
+        return recorder
+
+    return law_by_region(recipe, problem.mesh, recorded), recorders
+
+
+def _tried(recorders: Mapping[str, _Recorder], **entries: Any) -> DryRun:
+    """What was recorded of a dry run, with entries of its own."""
     points = sum(each.points for each in recorders.values())
     return DryRun(
         points=points,
-        calls=calls + remaining * (calls - before),
-        reached=t / recipe.duration,
         met={name: MetRange.of(each.extremes) for name, each in recorders.items()},
         steps={name: list(each.steps) for name, each in recorders.items()},
         shares={name: each.points / points for name, each in recorders.items()},
-        displacement=displacement,
+        **entries,
     )
 
 
@@ -348,36 +365,27 @@ def dry_rest(recipe: Recipe, report: Report = no_report) -> DryRun:
         SimulationError: a load step finds no equilibrium.
     """
     mesh, halvings = checked_mesh(recipe)
-    problem, recorders = mesh.problem(), dict[str, _Recorder]()
-
-    def recorded(part: Recipe) -> StressLaw:
-        recorder = recorders[part.cell_name] = _Recorder(laws.quadratic_law(part))
-        return recorder
-
-    law = law_by_region(mesh, problem.mesh, recorded)
-    steps = recipe.rest or RestSettings()
+    problem = mesh.problem()
+    law, recorders = _recorded_law(mesh, problem)
+    settings = recipe.rest or RestSettings()
     try:
         with recipe.named(InputError):
             rest = find_rest(
                 problem,
                 law,
                 recipe.macro,
-                factor=steps.factor,
-                load_steps=steps.load_steps,
+                **asdict(settings),
                 progress=lambda at, end: report(at / end if end else 1.0, ""),
             )
     except SimulationError as error:
         raise SimulationError(f"check: the dry rest by the quadratic law: {error}") from error
-    points = sum(each.points for each in recorders.values())
-    return DryRun(
-        points=points * 4**halvings,
+    tried = _tried(
+        recorders,
         calls=max(each.calls for each in recorders.values()),
         reached=1.0,
-        met={name: MetRange.of(each.extremes) for name, each in recorders.items()},
-        steps={name: list(each.steps) for name, each in recorders.items()},
-        shares={name: each.points / points for name, each in recorders.items()},
         displacement=float(np.linalg.norm(rest.u, axis=1).max()),
     )
+    return replace(tried, points=tried.points * 4**halvings)
 
 
 def seconds_by_rves(recipe: Recipe, run: DryRun) -> float:

@@ -253,5 +253,6 @@ def _learn(recipe: Recipe, is_own: bool, threads: int | None, fresh: bool, stage
 def _run(run: _Run, folder: Path, threads: int | None, fresh: bool, stage: Stage) -> None:
     use_threads(threads)
     with stage(folder.name, *extent_of(run.recipe)) as report:
-        options = {"surrogates": run.needs, "fresh": fresh, "report": report}
-        study_by_method(run.recipe, run.law, folder, **options)
+        study_by_method(
+            run.recipe, run.law, folder, surrogates=run.needs, fresh=fresh, report=report
+        )
