@@ -89,11 +89,10 @@ def run(
             cache=changed(study.cache, tolerance=tolerance, audit=audit),
             macro=changed(study.macro, integrator=integrator),
         )
-        if study.rest is None or integrator is not None:
-            console.show_notes(sap_notes(study))
         if integrator is not None and study.rest is not None:
             console.print_line(f"in time by {integrator} steps, though the recipe states a [rest]")
             study = replace(study, rest=None)
+        console.show_notes(sap_notes(study))
         what = "run" if study.rest is None else "rest"
         with console.running(f"{what} by {law}", *extent_of(study), out) as report:
             record = study_by_method(

@@ -25,11 +25,12 @@ from surrofe2.workflow.grid import GRID_FILES, run_grid
 from surrofe2.workflow.laws import open_study, recipe_notes, use_threads
 from surrofe2.workflow.rest import (
     extent_of,
+    notes_of,
     response_lines,
     study_by_method,
     summary_of,
 )
-from surrofe2.workflow.run import cache_notes, sharp_bodies, sharp_notes, tolerance_notes
+from surrofe2.workflow.run import sharp_bodies, sharp_notes
 from surrofe2.workflow.train import is_trained, large_errors, learn, training_summary
 from surrofe2.workflow.workers import executor_of
 
@@ -67,7 +68,7 @@ def check(
         float, typer.Option(metavar="X", help="Strain and rate beyond what was met, as a share.")
     ] = checking.MARGIN,
     seconds: Annotated[
-        float, typer.Option(min=0.0, metavar="S", help="Processor time of the dry runs, s.")
+        float, typer.Option(min=0.0, metavar="S", help="Processor time of dry runs in time, s.")
     ] = checking.SECONDS,
     threads: console.Threads = None,
 ) -> None:
@@ -76,13 +77,12 @@ def check(
     Reports everything that is wrong with the recipe, its mesh, names and files, and what each
     boundary and region of the mesh holds; each plant cell both as an experiment would tell of it
     (size, turgor, walls) and by its constants; the time scales of tissue and loads, and so whether
-    to run in time or at rest. Then a dry run or rest by
-    the tangents of the RVE at rest, on a coarser mesh where the recipe's takes too long, proposes
-    the [range], to be copied into the recipe. It knows neither stiffening nor loss of stability;
-    the margin is for that. The number of RVEs to solve and the time of one give the order of
-    magnitude of a run by RVEs, beside which stands what all particles of the tissue would take.
-    Elements that are smaller than a plant cell, or than an RVE is wide, are warned of. Nothing is
-    written.
+    to run in time or at rest. Then a dry run or rest by the tangents of the RVE at rest proposes
+    the [range], to be copied into the recipe; a run is on a coarser mesh where the recipe's takes
+    too long. It knows neither stiffening nor loss of stability; the margin is for that. The number
+    of RVEs to solve and the time of one give the order of magnitude of a run by RVEs, beside which
+    stands what all particles of the tissue would take. Elements that are smaller than a plant cell,
+    or than an RVE is wide, are warned of. Nothing is written.
 
     Example: surrofe2 check data/large-bar.toml
 
@@ -156,7 +156,7 @@ def check(
     advice = f"use --law {advised}"
     if is_rest and study.rest is None:
         advice = f"quasi-static: use `surrofe2 rest {recipe} --law {advised}`, or state [rest]"
-    if not is_rest and particles and particles.is_possible and particles.seconds < by_rves:
+    if not is_rest and particles.is_possible and particles.seconds < by_rves:
         advice = f"use `surrofe2 tissue {recipe}`: all particles take less than FE²"
     # without the seconds of the check, which would read as those of the law
     console.done(recipe, advice, timed=False)
@@ -211,13 +211,14 @@ def study(
         for part in stated.parts().values() if law == "cached" else ():
             _learn(part, last, fresh, stage)
         for k, each in enumerate(laws, first):
+            run_folder = folder / each
             with stage(f"{k}/{last} run by {each}", *extent_of(stated)) as report:
-                options = {"fresh": fresh, "report": report}
-                records.append(study_by_method(stated, each, folder / each, **options))
-            for line in response_lines(folder / each, records[-1]):
+                record = study_by_method(stated, each, run_folder, fresh=fresh, report=report)
+            for line in response_lines(run_folder, record):
                 console.print_line(f"{k}/{last} {line}")
-            console.print_line(f"{k}/{last} {folder / each}: {summary_of(records[-1])}")
-            folders.append(folder / each)
+            console.print_line(f"{k}/{last} {run_folder}: {summary_of(record)}")
+            records.append(record)
+            folders.append(run_folder)
         # the comparison is made again: it takes no time, and its table is what people come for
         out, several = folder / "comparison", len(folders) > 1
         comparison = compare_runs(folders, out, fresh=True) if several else None
@@ -225,11 +226,8 @@ def study(
         console.print_line(f"{page}: all of it on one page")
     if comparison is not None:
         show_comparison(comparison)
-    notes = (
-        note
-        for record in records
-        for note in (*tolerance_notes(record, stated), *cache_notes(record))
-    )
+    # Runs by several laws may have the same to say of their mesh and bodies.
+    notes = dict.fromkeys(note for record in records for note in notes_of(record, stated))
     console.show_notes(note for note in notes if note[1] or comparison is None)
     console.done(folder, "all steps done")
 

@@ -80,7 +80,8 @@ def scale_warnings(recipe: Recipe, halvings: int = 0) -> Iterator[str]:
 
 
 def sap_notes(recipe: Recipe, step: float | None = None) -> Iterator[tuple[str, bool]]:
-    """A message on the time steps of an explicit run with undrained sap, and that it is no warning.
+    """A message on the time steps of an explicit run with undrained sap, and that it is no warning;
+    none on a recipe that states a rest.
 
     Args:
         step: mean step of a finished run, µs; None: before the run.
@@ -88,7 +89,8 @@ def sap_notes(recipe: Recipe, step: float | None = None) -> Iterator[tuple[str, 
     undrained = {
         name: part.cell for name, part in recipe.parts().items() if part.cell.sap_bulk_modulus > 0.0
     }
-    if not undrained or recipe.macro.integrator != "explicit":
+    is_explicit = recipe.rest is None and recipe.macro.integrator == "explicit"
+    if not (undrained and is_explicit):
         return
     elements = _elements_by_cell(recipe)
     crossings = {

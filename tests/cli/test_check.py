@@ -13,6 +13,7 @@ import pytest
 from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.macro import MetRange, simulate
+from surrofe2.macro.settings import RestSettings
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.store.samples import kept_reference
@@ -235,6 +236,7 @@ def test_drained_sap_implicit_steps_and_sph_fluid_need_no_such_note(changed_reci
     undrained = load_recipe(changed_recipe("sap_bulk_modulus = 0.0", "sap_bulk_modulus = 2200.0"))
     implicit = replace(undrained, macro=replace(undrained.macro, integrator="implicit"))
     assert not [*sap_notes(implicit)]
+    assert not [*sap_notes(replace(undrained, rest=RestSettings()))]
 
 
 def test_all_particles_are_those_of_the_tissue(recipe, changed_recipe):

@@ -188,6 +188,10 @@ def test_a_recipe_states_the_method(invoke, recipe_path, tmp_path):
     assert "rest.factor is None" in refused.stderr
     done = invoke("study", recipe_path, "--law", "table", "--out", tmp_path / "study", law=law)
     assert done.stdout.count("at rest under 0.5 times the load") == 2
+    more = "--law", "table", "--without-true", "--out", tmp_path / "alone"
+    alone = invoke("study", recipe_path, *more, law=law)
+    for note in ("audit: ", "closing audit: ", "error of the answer, by RVEs at all "):
+        assert any(line.startswith(note) for line in alone.stdout.splitlines())
     page = (tmp_path / "study" / "report.html").read_text(encoding="utf-8")
     assert "load factor" in page
     assert "time (µs)" not in page
