@@ -185,6 +185,7 @@ class DryRun:
         reached: fraction of the duration by which `met` is known.
         steps: the last accepted (F, Ḟ), (n, 2, 2) each, of some of a cell's points.
         shares: of a cell among the points.
+        with_tangents: whether each call asks for tangents too, as those of a rest.
         displacement: the largest, µm; 0 where the run did not come to its end.
         omitted: what the time or the size of the mesh did not allow; empty where nothing was.
     """
@@ -195,6 +196,7 @@ class DryRun:
     met: dict[str, MetRange]
     steps: dict[str, list[tuple[Array, Array]]]
     shares: dict[str, float]
+    with_tangents: bool = False
     displacement: float = 0.0
     omitted: str = ""
 
@@ -383,6 +385,7 @@ def dry_rest(recipe: Recipe, report: Report = no_report) -> DryRun:
         recorders,
         calls=max(each.calls for each in recorders.values()),
         reached=1.0,
+        with_tangents=True,
         displacement=float(np.linalg.norm(rest.u, axis=1).max()),
     )
     return replace(tried, points=tried.points * 4**halvings)
@@ -392,17 +395,19 @@ def seconds_by_rves(recipe: Recipe, run: DryRun) -> float:
     """The order of magnitude of a run by RVEs: its solves times a timed one, along a dry run."""
     parts = recipe.parts()
     return run.solves * sum(
-        share * _seconds_a_solve(laws.true_law(parts[name]), run.steps[name])
+        share * _seconds_a_solve(laws.true_law(parts[name]), run.steps[name], run.with_tangents)
         for name, share in run.shares.items()
     )
 
 
-def _seconds_a_solve(law: StressLaw, steps: list[tuple[Array, Array]]) -> float:
+def _seconds_a_solve(law: StressLaw, steps: list[tuple[Array, Array]], tangents: bool) -> float:
     """Seconds of an RVE that is solved from its state one step before."""
-    state, times, end = None, list[float](), cpu_clock() + _TIMED_SECONDS
+    state = None
+    times: list[float] = []
+    end = cpu_clock() + _TIMED_SECONDS
     for F, F_dot in steps:
         started = clock()
-        answer = law.respond(F, F_dot, state)
+        answer = law.respond(F, F_dot, state, tangents=tangents)
         times.append((clock() - started) / len(F))
         # a stepper repeats a step whose RVEs switch state; here they stay in the new one
         state = law.accept(F, F_dot, replace(answer, switched=None)).state

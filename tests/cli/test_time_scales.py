@@ -115,6 +115,23 @@ def test_check_tries_a_rest_where_loads_are_slow(invoke, written):
     assert again.stdout.splitlines()[-1].startswith(f"{path}: use --law ")
 
 
+def test_rves_of_a_rest_are_timed_with_their_tangents(stand_in, written):
+    """Tangents take as long as the stress, and each solve of a rest has them."""
+    asked = []
+
+    class Timed(SquareLaw):
+        def respond(self, F, F_dot, state=None, *, tangents=False):
+            asked.append(tangents)
+            return super().respond(F, F_dot, state, tangents=tangents)
+
+    stand_in(Timed)
+    recipe = load_recipe(pulled(written, 10.0))
+    for run, expected in ((check.dry_rest(recipe), True), (check.dry_run(recipe), False)):
+        asked.clear()
+        assert check.seconds_by_rves(recipe, run) > 0.0
+        assert {*asked} == {expected}
+
+
 def test_check_finds_a_body_that_begins_inside_the_tissue(invoke, written):
     text = pulled(written, 10.0).read_text(encoding="utf-8")
     floor = (
