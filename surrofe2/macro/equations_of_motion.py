@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, cast
@@ -286,23 +286,26 @@ class EquationsOfMotion:
 
     def stiffness_times(self, now: Evaluation, w: Array) -> Array:
         """(m,) ∂(f − l)/∂u w for a displacement w (n, 2) of all rows, those of supports as well."""
-        S, P = self._gradients, now.response.first_piola(now.F)
-        blocks = point_tangents(self.discretisation, now.F, P, _tangents(now.response).P_by_F)
-        at_points = np.einsum("pij,pj->pi", blocks, (S @ w.ravel()).reshape(-1, 4))
-        pushed = S.T @ at_points.ravel()
-        for k_force, _ in self._slopes_of_forces(now):
-            pushed += k_force @ w.ravel()
-        return np.asarray(pushed[self.system.free])
+        of_forces = [K for K, _ in self._slopes_of_forces(now)]
+        return self._applied(now, "pij,pj->pi", of_forces, w)[self.system.free]
 
     def stiffness_transposed_times(self, now: Evaluation, w: Array) -> Array:
         """(n, 2) (∂(f − l)/∂u)ᵀ w for w (n, 2), of all rows."""
+        of_forces = [K.T for K, _ in self._slopes_of_forces(now)]
+        return self._applied(now, "pij,pi->pj", of_forces, w).reshape(-1, 2)
+
+    def _applied(
+        self, now: Evaluation, at_each_point: str, of_forces: Sequence[Matrix], w: Array
+    ) -> Array:
+        """(2 n,) a sum of linear maps of w (n, 2), of all rows: the tangents of all points, whose
+        blocks are applied by this rule of `einsum`, and slopes of forces."""
         S, P = self._gradients, now.response.first_piola(now.F)
         blocks = point_tangents(self.discretisation, now.F, P, _tangents(now.response).P_by_F)
-        at_points = np.einsum("pij,pi->pj", blocks, (S @ w.ravel()).reshape(-1, 4))
-        pulled = S.T @ at_points.ravel()
-        for k_force, _ in self._slopes_of_forces(now):
-            pulled += k_force.T @ w.ravel()
-        return np.asarray(pulled).reshape(-1, 2)
+        at_points = np.einsum(at_each_point, blocks, (S @ w.ravel()).reshape(-1, 4))
+        total = S.T @ at_points.ravel()
+        for slope in of_forces:
+            total += slope @ w.ravel()
+        return np.asarray(total)
 
     def slopes_of_each_force(self, now: Evaluation) -> list[Slopes | None]:
         """∂(−l)/∂u and ∂(−l)/∂v of each force of the system; None of one that is dead."""

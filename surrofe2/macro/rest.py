@@ -44,6 +44,7 @@ from surrofe2.macro.history import (
 )
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.system import System, system_of
+from surrofe2.problem.conditions import DrivenCondition, PrescribedMotion
 from surrofe2.problem.problem import Problem
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.journal import (
@@ -154,9 +155,9 @@ class Rest(RestState):
     @property
     def forces(self) -> Array:
         """(k, 2) forces on the tissue at the end, of `System.force_names`, µN."""
+        columns = self.columns
         names = (f"force {name} {axis}" for name in self.system.force_names for axis in "xy")
-        last = [self.columns[name][-1] for name in names]
-        return np.array(last).reshape(-1, 2)
+        return np.array([columns[name][-1] for name in names]).reshape(-1, 2)
 
     def state(self, **changes: Any) -> RestState:
         """What carries this rest on, with changes of some entries."""
@@ -258,8 +259,8 @@ def find_rest(
             is that of the uninterrupted way, to the bit.
 
     Raises:
-        InputError: the law has no tangents, nothing holds a part of the tissue, or Newton's
-            tolerance is below what rounding or the law allows.
+        InputError: the law has no tangents, nothing holds a part of the tissue, a body begins
+            inside it, or Newton's tolerance is below what rounding or the law allows.
         MismatchError: `resume` is of another mesh, or as of `simulate`.
         SimulationError: a load step halved ten times finds no equilibrium; `partial` is the last
             `Rest`.
@@ -274,6 +275,8 @@ def find_rest(
         if resume.u.shape != (system.n_rows, 2):
             raise MismatchError("resume: the mesh is not that of the state; start the rest again")
         check_frames(resume.journal, are_taken=keep_frame is not None)
+    for contact in system.contacts:
+        contact.check_start()
     equations = EquationsOfMotion(system, law, clock="load factor {:.6g}")
     if problem.surface is not None:
         begin_at_rest(equations, problem, settings, resume)
@@ -433,7 +436,7 @@ class Loading:
                     raise SimulationError(self._why_stopped(failure)) from failure
 
     def _why_stopped(self, failure: NoStress) -> str:
-        """What ends the way here: a limit load, or what the last trial failed by."""
+        """What ends the way here: a limit load or point, or what the last trial failed by."""
         reason = str(failure).replace(STEP_ADVICE, ", in load steps however small")
         text = f"no load step succeeds after {MAX_HALVINGS} halvings: {reason}"
         rows = self.rest.journal["rows"]
@@ -444,11 +447,26 @@ class Loading:
         # At a limit point du/dfactor is infinite, as the inverse root of the distance to it.
         if not rates[-1] > _LIMIT_RATE * rates[0] > 0.0:
             return text
+        if _is_pushed(self.newton.equations.system.problem):
+            what = "limit load"
+            remedy = "prescribe the motion instead of the force, or run in time"
+        else:
+            what = "limit point"
+            remedy = "the tissue snaps to another one, so run in time"
         return (
-            f"limit load at factor {self.rest.factor:.4g}: displacements grow without bound, and "
-            "beyond it there is no equilibrium nearby; prescribe the motion instead of the force, "
-            f"or run in time; {text}"
+            f"{what} at factor {self.rest.factor:.4g}: displacements grow without bound, and "
+            f"beyond it there is no equilibrium nearby; {remedy}; {text}"
         )
+
+
+def _is_pushed(problem: Problem) -> bool:
+    """Whether a force acts, and not prescribed motions alone."""
+    loads = [
+        each
+        for each in problem.conditions
+        if isinstance(each, DrivenCondition) and not isinstance(each, PrescribedMotion)
+    ]
+    return bool(loads) or any(body.mass is not None for body in problem.bodies)
 
 
 def evaluation_at(equations: EquationsOfMotion, state: RestState) -> Evaluation:

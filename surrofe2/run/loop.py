@@ -30,7 +30,7 @@ _EVERY = 0.5
 class ShownProgress:
     """Shows how much of a run is done on a line of the standard error, for scripts and notebooks.
 
-    The line is written over again, and ends when the run does.
+    The line is written over again until `close` ends it.
     """
 
     def __init__(self) -> None:
@@ -39,8 +39,7 @@ class ShownProgress:
 
     def __call__(self, t: float, duration: float) -> None:
         now = monotonic()
-        is_end = t == duration
-        if now < self._due and not is_end:
+        if now < self._due and t != duration:
             return
         self._due = now + _EVERY
         share = t / duration if duration else 1.0
@@ -48,7 +47,12 @@ class ShownProgress:
         text = f"{100.0 * share:5.1f} % of {duration:g} in {seconds:.0f} s"
         if 0.0 < share < 1.0:
             text += f", about {seconds * (1.0 - share) / share:.0f} s left"
-        sys.stderr.write(f"\r{text:<60}" + ("\n" if is_end else ""))
+        sys.stderr.write(f"\r{text:<60}")
+        sys.stderr.flush()
+
+    def close(self) -> None:
+        """End the line, however the run ended; what is printed next begins one of its own."""
+        sys.stderr.write("\n")
         sys.stderr.flush()
 
 
@@ -112,14 +116,14 @@ def carry_out(
     import numpy as np  # late: help needs none of it
 
     due = CheckpointClock(interval)
-    if isinstance(progress, bool):
-        progress = ShownProgress() if progress else None
+    shown = ShownProgress() if progress is True else None
+    show = shown if isinstance(progress, bool) else progress
     try:
         # What vanishes against the rest may underflow, whatever the caller has set numpy to do.
         with interruptible(), np.errstate(under="ignore"):
             for t in steps:
-                if progress is not None:
-                    progress(t, duration)
+                if show is not None:
+                    show(t, duration)
                 if checkpoint is not None and due.is_due():
                     # The copy of the state takes time as well, so it is made within.
                     due.write(lambda: checkpoint(recorder.checkpoint()))
@@ -129,6 +133,9 @@ def carry_out(
         if checkpoint is not None and recorder.may_be_kept:
             checkpoint(recorder.checkpoint())
         raise
+    finally:
+        if shown is not None:
+            shown.close()
     return results(True)
 
 

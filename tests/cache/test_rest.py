@@ -139,6 +139,14 @@ def test_points_where_nothing_can_be_learnt_are_left_to_rves():
     assert abs(rest.u - true.u).max() < 2e-3 * abs(true.u).max()
 
 
+def test_the_line_of_progress_ends_once(capsys):
+    """The closing audit takes several batches at the end of the load."""
+    find_rest(LOAD_CASE, untrustworthy(), SETTINGS, **LOADING, progress=True)
+    shown = capsys.readouterr().err
+    assert shown.count("100.0 % of 2 in ") > 2
+    assert shown.count("\n") == 1
+
+
 def test_a_table_that_learns_comes_to_the_true_rest(true):
     """By tangents of its own answers: as many Newton corrections as by the true law, about."""
     law = learning()

@@ -8,8 +8,10 @@ from scipy.linalg import eigh
 
 from surrofe2 import LoadCase
 from surrofe2.base.errors import InputError, MismatchError, SimulationError
+from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.law.stress_law import Status, describe
 from surrofe2.macro import MacroSettings, Rest, find_modes, find_rest, modes, simulate
+from surrofe2.macro.elements import make_discretisation
 from surrofe2.macro.rest import STEP_ADVICE, RestState
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem import (
@@ -215,12 +217,38 @@ def test_a_limit_load_is_named():
         find_rest(SQUARE, law, SETTINGS)
 
 
+def test_a_motion_past_a_limit_point_is_not_advised_again():
+    """The foot yields and what pulls it is soft, so that it snaps while the motion stands still."""
+    mesh = rectangle(60.0, 20.0, (6, 2))
+    pulled = Problem(
+        mesh=mesh,
+        conditions=(
+            Fixed(on="left"),
+            PrescribedMotion(on="right", displacement=(None, -30.0)),
+        ),
+        duration=1.0,
+        watched={"foot": (10.0, 10.0)},
+    )
+    x = make_discretisation(mesh).point_positions()[:, 0]
+    points = {"foot": np.flatnonzero(x < 10.0), "soft": np.flatnonzero(x > 10.0)}
+    law = RegionalLaw({"foot": Yields(), "soft": KelvinVoigt(6.0, 8.0)}, points)
+    with pytest.raises(SimulationError, match=r"^limit point at factor 0\.8") as caught:
+        find_rest(pulled, law, SETTINGS, load_steps=10)
+    assert "the tissue snaps to another one, so run in time" in str(caught.value)
+    assert "prescribe" not in str(caught.value)
+
+
 def test_progress_is_shown_where_it_is_asked_for(capsys):
     find_rest(SQUARE, KelvinVoigt(), SETTINGS, load_steps=2, progress=True)
     shown = capsys.readouterr().err
     assert "0.0 % of 1 in " in shown
-    assert shown.rstrip(" ").endswith("\n")
     assert "100.0 % of 1 in " in shown
+    assert shown.count("\n") == 1
+    assert shown.endswith("\n")
+    law = failing(KelvinVoigt(), fails=lambda F, F_dot: abs(F[:, 1, 0]) > 0.015)
+    with pytest.raises(SimulationError):
+        find_rest(SQUARE, law, SETTINGS, progress=True)
+    assert capsys.readouterr().err.endswith(" \n"), "also where it fails"
     find_rest(SQUARE, KelvinVoigt(), SETTINGS, progress=False)
     assert capsys.readouterr().err == ""
 

@@ -51,6 +51,8 @@ def test_a_body_inside_the_tissue_is_refused():
     told = r"bodies.blade.position: .* the tissue begins 3.64 µm inside it"
     with pytest.raises(InputError, match=told):
         check_bodies(inside)
+    with pytest.raises(InputError, match=told):
+        find_rest(inside, KelvinVoigt())
     check_bodies(problem)
 
 
