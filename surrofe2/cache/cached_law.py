@@ -511,7 +511,9 @@ class CachedLaw(Viewed):
     def learn_ahead(self, F: Array, F_dot: Array, switched: NDArray[np.int8]) -> NDArray[np.int8]:
         """As of `ForesightLaw`: the table learns from RVEs at points that lie apart, a tile at a
         time, as long as that answers further points."""
-        table, limit, reach = self.table, self._trust.limit, np.array(self._trust.reach)
+        table = self.table
+        limit = self._trust.limit
+        reach = np.array(self._trust.reach)
         left = switched.copy()
         if table is None or limit < 0.0:
             return left
@@ -521,11 +523,11 @@ class CachedLaw(Viewed):
             if not len(points):
                 break
             chosen = points[table.apart(F[points], F_dot[points])[:TILE]]
+            hopeless[chosen] = True  # each is asked once, whatever comes of it
             at = F[chosen], F_dot[chosen]
             answer = self.fallback.accept(*at, self.fallback.respond(*at))
             table.counts["table_rve_solves"] += len(chosen)
             learnt = (are_unique(answer.state, len(chosen)) & (answer.status == 0)).nonzero()[0]
-            hopeless[chosen] = True  # each is asked once, whatever comes of it
             if len(learnt):
                 state = None if answer.state is None else answer.state.take(learnt)
                 table.learn(at[0][learnt], at[1][learnt], answer.stress[learnt], state)
@@ -540,7 +542,8 @@ class CachedLaw(Viewed):
         state: CachedState = response.state
         limit, reach = self._trust.limit, np.array(self._trust.reach)
         known, stress = state.on_fallback, response.stress
-        # At rest a table learns within the step, where it is needed; elsewhere it looks ahead.
+        # At rest a table learns within the step where it is needed (`learn_ahead`), so points do
+        # not leave it for where they may go: without a step before nothing is extrapolated.
         is_learning = self.table is not None and not F_dot.any()
         seen = replace(state, before=None) if is_learning else state
         leaving, of_surrogate, status, returning = choose_branches(

@@ -204,7 +204,8 @@ class Trust:
         audits = np.array(window.audits)
         is_wrong = audits[:, 1] > 0.0
         is_learnt = audits[:, 3] > 0.0
-        wrong, right = audits[is_wrong, 4:], audits[~is_wrong, 4:]
+        wrong = audits[is_wrong, 4:]
+        right = audits[~is_wrong, 4:]
         least = wrong.min(axis=0, initial=np.inf)
         usable = (least > 0.0) & (least < np.inf)
         most = np.where(usable, least / MARGIN, 0.0)

@@ -65,8 +65,11 @@ def _all_slopes(x, limit, own, images, records, components, slopes):  # type: ig
 @kernel
 def _slopes_at(x, limit, own, images, records, components, slopes):  # type: ignore[no-untyped-def]
     """Fill components (4,) and slopes (4, 7) at one point."""
-    total, total_slope = 0.0, np.zeros(INPUTS)
-    away, pull, weight_slope = np.empty(INPUTS), np.empty(INPUTS), np.empty(INPUTS)
+    total = 0.0
+    total_slope = np.zeros(INPUTS)
+    away = np.empty(INPUTS)
+    pull = np.empty(INPUTS)
+    weight_slope = np.empty(INPUTS)
     components[:] = 0.0
     slopes[:] = 0.0
     for k in range(records.centre.shape[0]):
@@ -92,7 +95,8 @@ def _slopes_at(x, limit, own, images, records, components, slopes):  # type: ign
                 weight_slope[i] = fall * 2.0 * pull[i] * INPUT_SIGNS[flips, i]
                 total_slope[i] += weight_slope[i]
             for c in range(OUTPUTS):
-                value, sign = records.stress[k, c], COMPONENT_SIGNS[flips, c]
+                sign = COMPONENT_SIGNS[flips, c]
+                value = records.stress[k, c]
                 for i in range(INPUTS):
                     value += records.slope[k, c, i] * away[i]
                 components[c] += sign * weight * value
@@ -117,12 +121,15 @@ def _of_first_piola(F: Array, F_dot: Array, R: Array, components: Array, slopes:
     linear.
     """
     across = transpose(R)
-    U, A = across @ F, across @ F_dot
+    U = across @ F
+    A = across @ F_dot
     S = from_components(components)
     stress = R @ S @ across
-    cofactors, twist = cofactor(F), _TURN @ S - S @ _TURN
+    twist = _TURN @ S - S @ _TURN
+    cofactors = cofactor(F)
     trace = U[:, 0, 0] + U[:, 1, 1]
-    by_F, by_F_dot = np.empty((2, len(F), 2, 2, 2, 2))
+    by_F = np.empty((len(F), 2, 2, 2, 2))
+    by_F_dot = np.empty_like(by_F)
     for c in range(2):
         for d in range(2):
             change = np.zeros_like(F)
@@ -130,7 +137,8 @@ def _of_first_piola(F: Array, F_dot: Array, R: Array, components: Array, slopes:
             turned = across @ change
             # tan θ = (F₂₁ − F₁₂)/(F₁₁ + F₂₂), so dθ = spin of RᵀdF over the trace of U
             angle = ((turned[:, 1, 0] - turned[:, 0, 1]) / trace)[:, None, None]
-            dU, dA = turned - angle * (_TURN @ U), -angle * (_TURN @ A)
+            dU = turned - angle * (_TURN @ U)
+            dA = -angle * (_TURN @ A)
             dx = np.concatenate([to_components(dU)[:, :3], to_components(dA)], axis=1)
             dS = from_components(np.einsum("nki,ni->nk", slopes, dx)) + angle * twist
             by_F[..., c, d] = R @ dS @ across @ cofactors + stress @ cofactor(change)

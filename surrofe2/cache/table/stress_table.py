@@ -121,8 +121,10 @@ class StressTable:
         self.images = 4 if law.cell.symmetry == "D4" else 1
         self.tolerance = float(tolerance)
         self.range = range
-        self.stress_spread, self._allowed = float(spread), 1.0
-        self.most_records, self.seconds = most_records, 0.0
+        self.stress_spread = float(spread)
+        self._allowed = 1.0  # µN/µm, until `with_tolerance` says what is
+        self.most_records = most_records
+        self.seconds = 0.0
         self._reach = half_widths(range)
         self._known = _Knowledge()
         self.restore(NO_RECORDS)
