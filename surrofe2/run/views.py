@@ -14,7 +14,7 @@ import numpy as np
 
 from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError
-from surrofe2.base.units import ENERGY, FORCE, LENGTH, NONE
+from surrofe2.base.units import ENERGY, FORCE, LENGTH, NONE, TIME
 from surrofe2.run.charts import Curve, Panel, draw_panels, encoded
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.journal import BEYOND
@@ -55,7 +55,7 @@ class Series(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class ViewedRun(Viewed):
-    """A run, which is looked at over its time.
+    """A run, which is looked at over its time, or a rest over the factor of its load.
 
     Attributes:
         curve: displacement of the first watched point; `curves`: of all by name.
@@ -115,9 +115,14 @@ class ViewedRun(Viewed):
         return panels
 
     @property
+    def is_rest(self) -> bool:
+        """Whether its curves are over the factor of the load instead of time."""
+        return False
+
+    @property
     def clock(self) -> str:
         """What its curves are over, as an axis of a picture says."""
-        return "time (µs)"
+        return "load factor" if self.is_rest else "time (µs)"
 
     def relation(self, name: str, against: str) -> Array:
         """(m, 2) one column over another: a force–displacement or a stress–strain curve.
@@ -133,7 +138,8 @@ class ViewedRun(Viewed):
         return related(self.history, name, against)
 
     def to_pandas(self) -> Any:
-        """A `pandas.DataFrame` over t in µs of displacements, forces and energies.
+        """A `pandas.DataFrame` over t in µs, or the load factor, of displacements, forces and
+        energies.
 
         Its `attrs["units"]` has the unit of each column.
 
@@ -142,8 +148,9 @@ class ViewedRun(Viewed):
         """
         pandas, series = _library("pandas", "to_pandas"), self.series()
         columns = {name: each.values for name, each in series.items()}
-        frame = pandas.DataFrame(columns, index=pandas.Index(self.curve.t, name="t_us"))
-        frame.attrs["units"] = {"t_us": "µs", **{name: each.unit for name, each in series.items()}}
+        index, unit = ("factor", NONE) if self.is_rest else ("t_us", TIME)
+        frame = pandas.DataFrame(columns, index=pandas.Index(self.curve.t, name=index))
+        frame.attrs["units"] = {index: unit, **{name: each.unit for name, each in series.items()}}
         return frame
 
     def to_xarray(self) -> Any:
@@ -156,9 +163,10 @@ class ViewedRun(Viewed):
         """
         xarray = _library("xarray", "to_xarray")
         fields, coordinates = self.fields_over_time()
+        over, unit = ("factor", NONE) if self.is_rest else ("t", TIME)
         for name, each in self.series().items():
-            fields[name] = "t", each.values, {"units": each.unit}
-        coordinates["t"] = "t", self.curve.t, {"units": "µs"}
+            fields[name] = over, each.values, {"units": each.unit}
+        coordinates[over] = over, self.curve.t, {"units": unit}
         return xarray.Dataset(fields, coordinates, {"source": repr(self)})
 
     def _repr_html_(self) -> str:
@@ -179,11 +187,21 @@ def related(history: Mapping[str, Array], name: str, against: str) -> Array:
     return np.stack([history[against], history[name]], axis=1)
 
 
-def course(curve: DisplacementCurve, wall: Mapping[str, float], counts: Mapping[str, int]) -> Facts:
-    """Facts of all runs: how long, how fast, how far."""
+def course(
+    curve: DisplacementCurve,
+    wall: Mapping[str, float],
+    counts: Mapping[str, int],
+    *,
+    is_rest: bool = False,
+) -> Facts:
+    """Facts of all runs and rests: how long or under which load, how fast, how far."""
+    end = curve.t[-1] if curve.t.size else 0.0
+    way = {"time": f"{end:g} µs in {counts.get('steps', 0):,} steps"}
+    if is_rest:
+        way = {"load factor": f"{end:g} in {counts.get('load_steps', 0):,} load steps"}
     largest = np.linalg.norm(curve.displacement, axis=1).max(initial=0.0)
     return {
-        "time": f"{curve.t[-1] if curve.t.size else 0.0:g} µs in {counts.get('steps', 0):,} steps",
+        **way,
         "wall time": f"{wall.get('total', 0.0):.3g} s",
         "largest displacement": f"{largest:.4g} µm",
     }

@@ -195,11 +195,6 @@ class StoredRun(ViewedRun):
         return is_rest(self.record)
 
     @property
-    def clock(self) -> str:
-        """The label of the axis over which its curves are drawn."""
-        return "load factor" if self.is_rest else "time (µs)"
-
-    @property
     def responses(self) -> list[Response]:
         """Forces over displacements of supports, loads and bodies; see `run.responses`."""
         return [*responses(self.history, self.record.problem.get("places", {}))]
@@ -220,7 +215,7 @@ class StoredRun(ViewedRun):
             "folder": plain(str(self.folder)),
             "law": f"{record.law}, {record.initialisation}",
             "plant cell": ", ".join(named) or "none",
-            **course(self.curve, record.wall_time, record.counts),
+            **course(self.curve, record.wall_time, record.counts, is_rest=self.is_rest),
             "RVE solves": f"{record.counts.get('rve_solves', 0):,}",
         }
 

@@ -68,6 +68,8 @@ def test_rest_writes_its_load_path_and_fields(recipe, recipe_path, tmp_path):
     np.testing.assert_array_equal(run.curve.displacement, table[:, 1:])
     assert not run.history["beyond bifurcation"].any()
     assert [*run.energies] == ["internal", "load", "balance"]
+    assert run.facts()["load factor"] == "1 in 4 load steps"
+    assert "time" not in run.facts()
     kept = call("rest", recipe_path, "--out", out, "--load-steps", 4)
     assert f"{out}: finished before" in kept.stdout
     assert kept.stdout.splitlines()[-1] == done.stdout.splitlines()[-1]

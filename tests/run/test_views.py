@@ -102,6 +102,20 @@ def test_a_run_for_xarray(run, monkeypatch):
     assert (sizes["node"], sizes["element"], sizes["t"]) == (9, 4, run.curve.t.size)
 
 
+def test_a_rest_is_over_the_factor_of_its_load(stored, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", Library("DataFrame", "Index"))
+    monkeypatch.setitem(sys.modules, "xarray", Library("Dataset"))
+    record = replace(stored.record, recipe={**stored.record.recipe, "rest": {"factor": 1.0}})
+    rest = replace(stored, record=record)
+    frame = rest.to_pandas()
+    assert frame.k["index"].k == {"name": "factor"}
+    assert frame.attrs["units"]["factor"] == "1"
+    variables, coordinates, source = rest.to_xarray().a
+    assert {values[0] for values in variables.values()} == {"factor"} == {*coordinates}
+    assert coordinates["factor"][2] == {"units": "1"}
+    assert "µs" not in source["source"]
+
+
 @pytest.mark.parametrize(("library", "method"), [("pandas", "to_pandas"), ("xarray", "to_xarray")])
 def test_what_is_not_installed_is_told(run, monkeypatch, library, method):
     monkeypatch.setitem(sys.modules, library, None)
