@@ -5,10 +5,10 @@ is component i of node a. The positions of rigid bodies are numbered on after th
 A force knows its slopes, which Newton's method needs.
 
 Contact of a boundary with a rigid body acts at three points of each side by `contact_law`, and at
-more where a rounding of the body would fit between two of them. Where
-nothing has a velocity friction follows from the sliding Δ since the last equilibrium and the
-friction τ of that: τ + k Δ, at most µ p, so that a point sticks to the body by the spring k or
-slips by Coulomb's law. The body takes the opposite forces, so momentum is kept to rounding."""
+more where a rounding of the body would fit between two of them. Where nothing has a velocity,
+friction follows from the sliding Δ since the last equilibrium and the friction τ of that: τ + k Δ,
+at most µ p, so that a point sticks to the body by the spring k or slips by Coulomb's law. The body
+takes the opposite forces, so momentum is kept to rounding."""
 
 from __future__ import annotations
 
@@ -336,9 +336,17 @@ def check_bodies(problem: Problem) -> None:
         make_contact(problem, body, k, n, modulus=1.0, density=1.0).check_start()
 
 
+def contact_points(mesh: skfem.Mesh, facets: Index, shape: Shape) -> tuple[int, float]:
+    """How many contact points each of these sides has for a body of this shape, and how far two
+    neighbours of the longest side are apart at most, µm."""
+    longest = float(facet_basis(mesh, facets).dx.sum(axis=1).max())
+    points = points_per_side(shape, longest)
+    return points, contact_gap(points, longest)
+
+
 def points_per_side(shape: Shape, side: float) -> int:
-    """How many contact points a side of an element has: so many that a rounding of the body does
-    not fit between two of them, from `FEWEST_POINTS` up to `MOST_POINTS`."""
+    """How many contact points a side of this length has, µm: so many that a rounding of the body
+    does not fit between two of them, from `FEWEST_POINTS` up to `MOST_POINTS`."""
     radius = getattr(shape, "radius", np.inf)
     wanted = FEWEST_POINTS
     while wanted < MOST_POINTS and contact_gap(wanted, side) > radius:
@@ -358,11 +366,9 @@ def make_contact(
     """The contact of `body`, `row` of n, with a tissue of this modulus (µN/µm) and density."""
     mesh = problem.mesh
     facets = boundary(mesh, body.on, f"{body.name}.on")
-    basis = skfem.FacetBasis(mesh, mesh.elem(), facets=facets, intorder=2 * FEWEST_POINTS - 1)
+    points, _ = contact_points(mesh, facets, body.shape)
+    basis = skfem.FacetBasis(mesh, mesh.elem(), facets=facets, intorder=2 * points - 1)
     side = float(basis.dx.sum() / len(facets))
-    points = points_per_side(body.shape, side)
-    if points > FEWEST_POINTS:
-        basis = skfem.FacetBasis(mesh, mesh.elem(), facets=facets, intorder=2 * points - 1)
     nodes = np.repeat(element_nodes(mesh)[mesh.f2t[0, facets]], len(basis.W), axis=0)
     shapes = np.stack([np.ravel(each[0]) for each in basis.basis], axis=1)
     columns = np.insert(nodes, 0, row, axis=1)

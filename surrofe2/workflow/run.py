@@ -32,7 +32,7 @@ from surrofe2.macro.elements import (
     make_discretisation,
     n_points_of,
 )
-from surrofe2.macro.forces import contact_gap, points_per_side
+from surrofe2.macro.forces import contact_points
 from surrofe2.macro.history import Frames
 from surrofe2.plant_cell.parameters import PRESETS
 from surrofe2.problem import Problem
@@ -466,11 +466,11 @@ def thickness_of(recipe: Recipe) -> float | None:
 def sharp_bodies(problem: Problem) -> dict[str, list[float]]:
     """By name of a body that is sharper than the contact points of its boundary are apart: the
     radius of its rounding and that distance, µm."""
-    mesh, sharp = problem.mesh, dict[str, list[float]]()
+    mesh = problem.mesh
+    sharp: dict[str, list[float]] = {}
     for body in problem.bodies:
         facets = boundary(mesh, body.on, f"bodies.{body.name}.on")
-        side = length_of(mesh, facets) / len(facets)
-        gap = contact_gap(points_per_side(body.shape, side), side)
+        _, gap = contact_points(mesh, facets, body.shape)
         radius = float(getattr(body.shape, "radius", np.inf))
         if gap > radius:
             sharp[body.name] = [radius, gap]

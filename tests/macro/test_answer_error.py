@@ -79,7 +79,7 @@ def test_the_correction_is_what_the_rest_is_off_by(problem):
 
 
 def test_a_sample_of_elements_has_an_interval():
-    """Of 100 samples about 95 have the error of all elements within it."""
+    """Of 40 samples about 95 % have the error of all elements within it."""
     problem = replace(GRIPPED, mesh=rectangle(60.0, 40.0, (24, 16)))
     law = wrong()
     rest = find_rest(problem, law, TIGHT)

@@ -13,6 +13,7 @@ from surrofe2.macro.forces import (
     MOST_POINTS,
     check_bodies,
     contact_gap,
+    make_contact,
     points_per_side,
 )
 from surrofe2.problem.mesh import rectangle
@@ -67,6 +68,17 @@ def test_points_are_as_near_as_a_rounding_is_wide():
     assert points_per_side(sharp, SIDE) == MOST_POINTS
     places, _ = np.polynomial.legendre.leggauss(3)
     assert contact_gap(3, SIDE) == pytest.approx(0.5 * SIDE * places[2])
+
+
+def test_points_of_the_longest_side_are_near_enough():
+    """On sides from 3.3 to 36.7 µm, whose mean is the side of the others."""
+    problem = under_a_blade(60.0)
+    mesh, (blade,) = problem.mesh, problem.bodies
+    x, y = mesh.p
+    graded = replace(mesh, doflocs=np.stack([x**2 / 120.0, y]))
+    n = mesh.p.shape[1]
+    contact = make_contact(replace(problem, mesh=graded), blade, n, n + 1, 1.0, 1.0)
+    assert np.diff(np.sort(contact.points[:, 0])).max() <= blade.shape.radius
 
 
 def test_a_mesh_that_is_too_coarse_is_warned_of():
