@@ -68,7 +68,7 @@ def check(
         float, typer.Option(metavar="X", help="Strain and rate beyond what was met, as a share.")
     ] = checking.MARGIN,
     seconds: Annotated[
-        float, typer.Option(min=0.0, metavar="S", help="Processor time of dry runs in time, s.")
+        float, typer.Option(min=0.0, metavar="S", help="Processor time of the dry runs, s.")
     ] = checking.SECONDS,
     threads: console.Threads = None,
 ) -> None:
@@ -78,8 +78,8 @@ def check(
     boundary and region of the mesh holds; each plant cell both as an experiment would tell of it
     (size, turgor, walls) and by its constants; the time scales of tissue and loads, and so whether
     to run in time or at rest. Then a dry run or rest by the tangents of the RVE at rest proposes
-    the [range], to be copied into the recipe; a run is on a coarser mesh where the recipe's takes
-    too long. It knows neither stiffening nor loss of stability; the margin is for that. The number
+    the [range], to be copied into the recipe, on a coarser mesh where the recipe's takes too long.
+    It knows neither stiffening nor loss of stability; the margin is for that. The number
     of RVEs to solve and the time of one give the order of magnitude of a run by RVEs, beside which
     stands what all particles of the tissue would take. Elements that are smaller than a plant cell,
     or than an RVE is wide, are warned of. Nothing is written.
@@ -123,7 +123,7 @@ def check(
     what, extent = ("rest", (1.0, "loads")) if is_rest else ("run", (study.duration, "µs"))
     with console.working(f"dry {what}", *extent, "nothing was changed") as report:
         if is_rest:
-            run = checking.dry_rest(study, report)
+            run = checking.dry_rest(study, seconds, report)
         else:
             run = checking.dry_run(study, seconds, report)
         by_rves = checking.seconds_by_rves(study, run)

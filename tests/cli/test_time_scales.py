@@ -132,6 +132,34 @@ def test_rves_of_a_rest_are_timed_with_their_tangents(stand_in, written):
         assert {*asked} == {expected}
 
 
+def test_a_dry_rest_keeps_to_its_time(stand_in, written, monkeypatch):
+    """On a coarser mesh, or to a part of the load; a point of the tissue takes a second here."""
+    stand_in(SquareLaw)
+    now = [0.0]
+
+    class Slow(check._Recorder):
+        def respond(self, F, F_dot, state=None, *, tangents=False):
+            now[0] += len(F)
+            return super().respond(F, F_dot, state, tangents=tangents)
+
+    monkeypatch.setattr(check, "_Recorder", Slow)
+    monkeypatch.setattr(check, "cpu_clock", lambda: now[0])
+    path = pulled(written, 1e6)
+    path = written(path.read_text(encoding="utf-8").replace("[4, 2]", "[16, 8]"))
+    recipe = load_recipe(path)
+    whole = check.dry_rest(recipe, np.inf)
+    assert (whole.reached, whole.omitted) == (1.0, "")
+    assert now[0] == pytest.approx(whole.solves)
+    shorter = check.dry_rest(recipe, whole.solves)
+    assert (shorter.reached, shorter.points, shorter.omitted) == (1.0, whole.points, "")
+    assert shorter.calls == pytest.approx(whole.calls, rel=0.2)
+    assert shorter.met[""].stretch[1] == pytest.approx(1.04, abs=0.01)
+    part = check.dry_rest(recipe, 0.1 * whole.solves)
+    assert 0.0 < part.reached < 1.0
+    assert part.omitted == f"what is met after {100.0 * part.reached:.3g} % of the load"
+    assert part.calls == pytest.approx(whole.calls, rel=0.4)
+
+
 def test_check_finds_a_body_that_begins_inside_the_tissue(invoke, written):
     text = pulled(written, 10.0).read_text(encoding="utf-8")
     floor = (
