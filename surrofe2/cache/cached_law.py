@@ -522,7 +522,7 @@ class CachedLaw(Viewed):
             points = np.flatnonzero((left != 0) & ~hopeless)
             if not len(points):
                 break
-            chosen = points[table.apart(F[points], F_dot[points])[:TILE]]
+            chosen = points[table.apart(F[points], F_dot[points], TILE)]
             hopeless[chosen] = True  # each is asked once, whatever comes of it
             at = F[chosen], F_dot[chosen]
             answer = self.fallback.accept(*at, self.fallback.respond(*at))

@@ -203,7 +203,7 @@ class StressTable:
         s = to_components(transpose(R) @ stress @ R)
         left = np.flatnonzero(~self._cover(x, s, known.records))
         while len(left) and self.size < self.most_records:
-            chosen = left[self._apart(x[left])][: self.most_records - self.size]
+            chosen = left[self._apart(x[left], self.most_records - self.size)]
             new = self._solved(x[chosen], R[chosen], state, chosen)
             left = np.setdiff1d(left, chosen, assume_unique=True)
             left = left[~self._cover(x[left], s[left], new)]
@@ -217,10 +217,10 @@ class StressTable:
                     self.size,
                 )
 
-    def apart(self, F: Array, F_dot: Array) -> Index:
-        """Numbers of states that lie apart, none in the ellipsoid of another if all are like that
-        of the latest record; F, F_dot: (m, 2, 2)."""
-        return self._apart(to_inputs(F, F_dot)[0])
+    def apart(self, F: Array, F_dot: Array, most: int) -> Index:
+        """Numbers of at most so many states that lie apart, none in the ellipsoid of another if all
+        are like that of the latest record; F, F_dot: (m, 2, 2)."""
+        return self._apart(to_inputs(F, F_dot)[0], most)
 
     def learn_rest(self) -> None:
         """Make the undeformed state a record, at which all points of a tissue begin."""
@@ -251,15 +251,18 @@ class StressTable:
         self.counts.update(grown=grown, shrunk=shrunk)
         return covered
 
-    def _apart(self, x: Array) -> Index:
-        """Which of these points should become records at once: none in the ellipsoid of another,
-        taken to be like that of the latest record; a first record comes alone."""
+    def _apart(self, x: Array, most: int) -> Index:
+        """Which of these points should become records at once, at most so many: none in the
+        ellipsoid of another, taken to be like that of the latest record; a first one comes alone.
+        """
         if not self.size:
             return np.zeros(1, dtype=np.intp)
-        curvature, x = self._known.records.curvature[-1], x * INPUT_SIGNS[self._image(x)]
-        chosen, left = [], np.arange(len(x))
-        while len(left):
-            chosen.append(left[0])
+        curvature = self._known.records.curvature[-1]
+        x = x * INPUT_SIGNS[self._image(x)]
+        chosen: list[int] = []
+        left = np.arange(len(x))
+        while len(left) and len(chosen) < most:
+            chosen.append(int(left[0]))
             d = x[left] - x[left[0]]
             outside = np.einsum("ni,ij,nj->n", d, curvature, d) > self.tolerance
             outside[0] = False
