@@ -15,7 +15,7 @@ from surrofe2.law.stress_law import Status, Tangents
 from surrofe2.plant_cell.neighbours import Near, Topology
 from surrofe2.plant_cell.pair_laws import Constants
 from surrofe2.rve.constrained_runs import Stepping, iterate
-from surrofe2.rve.continuation import Continuation
+from surrofe2.rve.continuation import Continuation, seek
 from surrofe2.rve.newton import SKIP, SOLVE, chord, newton
 from surrofe2.rve.rve_state import (
     Answer,
@@ -271,10 +271,9 @@ def _newton(solved: Solved, renewed: Flags | bool = False) -> None:
 def _follow_path(solved: Solved, index: Index) -> None:
     """Lead the points `index`, which Newton's method misses or finds unstable, from the start."""
     part = solved.at(index, cold=solved.cold)
-    ends = (part.start.F, part.drive.F, part.start.relaxed)
-    path = Continuation(
-        part.unit, part.settings.tolerance, *(unpack(each, len(index)) for each in ends)
-    )
+    start, end = (unpack(F, len(index)) for F in (part.start.F, part.drive.F))
+    begin = _elastic_start(part, start)
+    path = Continuation(part.unit, part.settings.tolerance, start, end, begin)
     with one_blas_thread():
         path.follow()
     z, arrived, left = pack(path.z), pack(path.arrived), part.start.left | pack(path.left)
@@ -288,6 +287,20 @@ def _follow_path(solved: Solved, index: Index) -> None:
     part.status[:] = pack(np.where(path.arrived, _OK, codes))
     part.newton_solves += int(path.solves.sum())
     solved.put(index, part)
+
+
+def _elastic_start(part: Solved, F: Array) -> Array:
+    """(m, 2, n) z that paths of all points begin from, at F (m, 2, 2).
+
+    Steps with a uniform fluid are checked by slopes of elastic equilibria. Dashpots move walls
+    farther off these than the check allows, so that every step would seem to leave the branch.
+    """
+    z = unpack(part.start.relaxed, len(F))
+    felt = dashpot_rate(part.settings.initialisation, part.start.F_dot)
+    if not (part.unit.cell.has_uniform_fluid and felt.any()):
+        return z
+    elastic = seek(part.unit, F, z, part.settings.tolerance)
+    return np.where(elastic.stable[:, None, None], elastic.z, z)
 
 
 # The slow manifold, where velocities are those of the elastic equilibrium as F moves

@@ -139,8 +139,6 @@ def test_contact_pressure_is_the_pressure_beyond_the_wall():
     """Between plant cells of unequal pressures a wall bears the higher one; viscosity is off."""
     this = law("undrained")
     seen = this.particles(F, 0.0 * F_DOT)
-    for k, rim in enumerate(seen.rims):
-        assert (seen.contact_pressure[:, rim[:, 0]] > seen.pressure[:, k, None] * (1 - 1e-12)).all()
     highest = np.zeros_like(seen.contact_pressure)
     for k, rim in enumerate(seen.rims):
         np.maximum.at(highest.T, rim[:, 0], np.tile(seen.pressure[:, k], (len(rim), 1)))
@@ -228,16 +226,34 @@ def definite(unit, z):
 
 @pytest.mark.parametrize("preset", ["printed", "water", "apple"])
 def test_random_states_of_irregular_cells_stay_on_their_branch(preset):
-    this = law("voronoi", "elastic", preset)
     F, _ = deformations(16, 0.04, seed=11)
+    assert_on_one_branch(law("voronoi", "elastic", preset), F)
+
+
+def assert_on_one_branch(this, F):
+    """No state leaves its branch, and the stress is the same by way of the shear alone."""
     answer = this.respond(F, 0.0 * F)
     assert (answer.status == Status.OK).all()
     assert answer.left_bifurcation is None
     sheared = F.copy()
-    sheared[:, 0, 0], sheared[:, 1, 1] = 1.0, 1.0
+    sheared[:, 0, 0] = 1.0
+    sheared[:, 1, 1] = 1.0
     there = this.respond(F, 0.0 * F, this.respond(sheared, 0.0 * F).state)
     pressure = this.cell.fluid_density * this.cell.sound_speed**2
     np.testing.assert_allclose(there.stress, answer.stress, rtol=0, atol=1e-9 * pressure)
+
+
+def test_paths_from_moving_states_are_not_said_to_leave_their_branch():
+    """Dashpots of constrained runs move walls farther than steps along a path are checked by."""
+    this = law("voronoi", "constrained-runs", "water")
+    near, _ = deformations(8, 0.02, seed=1)
+    far, rate = deformations(8, 0.08, seed=2)
+    moving = this.respond(near, 5.0 * rate).state
+    answer = this.respond(far, 0.0 * rate, moving)
+    assert answer.effort["newton_solves"] >= 8  # kept factors do not lead there
+    assert answer.left_bifurcation is None
+    expected = this.respond(far, 0.0 * rate)
+    assert_near(answer.stress, expected.stress, 1e-9)
 
 
 def test_cells_of_unequal_areas_and_long_cells_have_rves():
@@ -289,18 +305,10 @@ def mirrored(this):
     return other
 
 
-def test_large_steps_keep_to_the_branch_or_say_that_they_left_it():
+def test_large_steps_keep_to_the_branch():
     """From a state 8 % away kept factors lead to an equilibrium, but not always to this branch."""
-    this = undrained_water()
     F, _ = deformations(24, 0.08, seed=2)
-    answer = this.respond(F, 0.0 * F)
-    assert (answer.status == Status.OK).all()
-    assert answer.left_bifurcation is None
-    sheared = F.copy()
-    sheared[:, 0, 0], sheared[:, 1, 1] = 1.0, 1.0
-    there = this.respond(F, 0.0 * F, this.respond(sheared, 0.0 * F).state)
-    pressure = this.cell.fluid_density * this.cell.sound_speed**2
-    np.testing.assert_allclose(there.stress, answer.stress, rtol=0, atol=1e-9 * pressure)
+    assert_on_one_branch(undrained_water(), F)
 
 
 def test_rotated_and_mirrored_rves_take_the_rotated_and_mirrored_branch():
