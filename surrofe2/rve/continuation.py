@@ -326,8 +326,8 @@ def descend(
     """From z (m, 2, n) at F (m, 2, 2) down to a minimum of E, in at most so many steps.
 
     Returns:
-        z there, (m,) whether it is one: mean force below `RESTING`, Hessian positive definite; and
-        (m,) how many steps were tried.
+        z there, (m,) whether it is one: mean force below `RESTING`, no unstable mode; and (m,) how
+        many steps were tried.
     """
     scale = unit.constants.scale
     z, found, tried = z.copy(), np.zeros(len(z), dtype=np.bool_), np.zeros(len(z), dtype=np.int_)
@@ -376,7 +376,10 @@ def descend(
 def _step(
     F: Array, z: Array, forces: Array, values: Array, topology: Topology, c: Constants
 ) -> tuple[Array, bool]:
-    """(2n − 2,) Newton's step, or the kick out of a saddle at rest; whether this is a minimum."""
+    """(2n − 2,) Newton's step, or the kick out of a saddle at rest; whether this is a minimum.
+
+    A minimum may be one but for rounding: `seek` has the last word on whether it is stable.
+    """
     hessian = _without_pressures(values, len(forces))
     resting = bool(_lengths(forces[None]).mean() < RESTING)
     factor, not_definite = scipy.linalg.lapack.dpotrf(hessian, clean=False)
@@ -386,6 +389,8 @@ def _step(
         step = scipy.linalg.lapack.dpotrs(factor, forces)[0]
     else:
         step = over_saddle(F, forces, hessian, resting, c.scale * KICK)
+        if resting and not step.any():  # rounding alone has made the factorisation fail
+            return forces, True
         if resting and rises(F, z, step, topology, c):
             step = -step
     step = step * min(c.scale * DOWN / max(_lengths(step[None]).max(), 1e-300), 1.0)
@@ -414,15 +419,16 @@ def _without_pressures(values: Array, free: int) -> Array:
 def over_saddle(
     F: Array, forces: Array, hessian: Array, resting: bool, kick: float = KICK
 ) -> Array:
-    """H⁻¹ f with the sign of the unstable modes turned, or, `resting`, a kick along the softest."""
+    """H⁻¹ f with the sign of the unstable modes turned, or, `resting`, a kick along the softest.
+
+    The kick is zero where there is no unstable mode.
+    """
     # The unstable modes alone: all of them take twice as long, and a solution does for the others.
     stiffness, modes = scipy.linalg.eigh(
         hessian, subset_by_value=(-np.inf, 0.0), driver="evr", check_finite=False
     )
     if resting:
-        if len(stiffness) == 0:  # rounding alone has made the factorisation fail
-            return np.zeros_like(forces)
-        softest = stiffness < (1.0 - ALIKE) * stiffness[0]
+        softest = stiffness < (1.0 - ALIKE) * stiffness.min(initial=0.0)
         stiffness, modes = stiffness[softest], modes[:, softest]
         # displacements that single out one of mirrored branches, whatever F
         angle = np.arange(1, len(forces) // 2 + 1) * np.sqrt(2.0)

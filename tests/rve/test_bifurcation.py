@@ -197,6 +197,18 @@ def test_steps_over_a_saddle_go_down_unstable_modes(below):
     assert lengths.max() == pytest.approx(KICK, rel=1e-12)
 
 
+def test_a_hessian_that_is_singular_by_rounding_alone_is_no_saddle(monkeypatch):
+    """Without an unstable mode there is no kick, and the way down has come to its end."""
+    singular = np.diag(np.arange(20.0))
+    np.testing.assert_array_equal(over_saddle(np.eye(2), np.zeros(20), singular, resting=True), 0.0)
+    unit = law("printed").unit_cell
+    rest = unit.position.T[None]
+    monkeypatch.setattr("scipy.linalg.lapack.dpotrf", lambda matrix, clean: (matrix, 1))
+    z, found, _ = descend(unit, np.eye(2)[None], rest)
+    assert found.all()
+    np.testing.assert_array_equal(z, rest)
+
+
 def test_a_kick_goes_to_the_lower_side_and_knows_sides_that_are_images():
     """A step that the point reflection of the square cell turns around has sides of one energy."""
     unit, rng = law("printed").unit_cell, np.random.default_rng(4)
