@@ -8,6 +8,7 @@ import pytest
 import skfem
 
 from surrofe2.base.errors import InputError
+from surrofe2.base.simd import TILE
 from surrofe2.plant_cell.arrangement import make_arrangement, rim_areas
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem import (
@@ -24,7 +25,8 @@ from surrofe2.rve.unit_cell import make_unit_cell
 from surrofe2.tissue import TissueDynamics, TissueSettings, make_tissue, simulate_tissue
 from surrofe2.tissue.outline import on_outline, outlines
 from surrofe2.tissue.simulation import make_conditions, meet_bodies, plant_cells_within
-from tests.numerics import assert_near, slope_along, turn
+from tests.numerics import assert_near, turn
+from tests.tissue.motion import assert_force_is_minus_the_gradient_of_the_energy, placed, shaken
 
 CELLS = {
     "voronoi": {"arrangement": "voronoi", "cells": 4},
@@ -54,19 +56,6 @@ def tissue_of(unit, periods=(2, 2), missing=()):
     return make_tissue([unit.cell], [unit.reference], kind)
 
 
-def shaken(tissue, seed=0, amount=0.1):
-    numbers = np.random.default_rng(seed)
-    x = tissue.to_particles(tissue.start)
-    x = x + amount * numbers.uniform(-1, 1, x.shape)
-    return x, 0.2 * numbers.uniform(-1, 1, x.shape)
-
-
-def placed(tissue, x, v):
-    dynamics = TissueDynamics(tissue)
-    dynamics.place(x, v)
-    return dynamics
-
-
 def test_mass_is_that_of_the_macro_scale(unit):
     tissue = tissue_of(unit, (3, 2))
     area = 6 * abs(np.linalg.det(unit.reference.lattice))
@@ -84,18 +73,7 @@ def test_forces_sum_to_zero_and_are_minus_the_gradient_of_the_energy(unit, missi
     x, v = shaken(tissue)
     f = placed(tissue, x, v).forces()
     assert abs(f.sum(axis=0)).max() < 1e-14 * abs(f).max() * len(f)
-    dynamics = placed(tissue, x, 0.0 * v)
-    f = dynamics.forces()
-
-    def energy(x):
-        dynamics.place(x)
-        return dynamics.elastic_energy()
-
-    for seed in range(2):
-        direction = np.random.default_rng(seed).normal(size=x.shape)
-        slope = slope_along(energy, x, direction, 1e-5)
-        size = np.linalg.norm(f) * np.linalg.norm(direction)
-        assert slope == pytest.approx(-np.sum(f * direction), abs=1e-7 * size)
+    assert_force_is_minus_the_gradient_of_the_energy(tissue, x, step=1e-5, directions=2)
 
 
 def test_moved_and_turned_tissue_has_turned_forces(unit):
@@ -119,7 +97,7 @@ def repeated(unit, tissue, z, F, F_dot):
     """Positions and velocities of a tissue whose periods are all the RVE z at F, F_dot."""
     at = tissue.column_row + tissue.lowest + tissue.origin
     tile, own, lane = tissue.address.T
-    places = z[own] + (at @ unit.reference.lattice.T)[tile * 8 + lane]
+    places = z[own] + (at @ unit.reference.lattice.T)[tile * TILE + lane]
     return places @ F.T, places @ F_dot.T
 
 
@@ -136,7 +114,7 @@ def test_a_tissue_that_moves_as_rves_has_their_forces_and_stress(unit):
         f = placed(tissue, x, v).forces()
         virials.append(-np.einsum("na,nb->ab", f, x))
     middle = tissue.place[tuple(np.array([3, 3]) - tissue.lowest)]
-    inside = tissue.address[:, 0] * 8 + tissue.address[:, 2] == middle
+    inside = tissue.address[:, 0] * TILE + tissue.address[:, 2] == middle
     own = tissue.address[inside, 1]
     assert_near(f[inside], rve.force[0, own], 1e-10)
     stress = 0.5 * (virials[2] - 2.0 * virials[1] + virials[0])
@@ -186,14 +164,21 @@ def test_undrained_sap_keeps_the_area_of_a_loaded_cell():
 
 def areas_of(tissue, x):
     """(plant cells,) areas of a tissue whose particles are at x, by the shoelace formula."""
-    number, areas = tissue.number, []
-    for a, b, c in np.argwhere(tissue.kind >= 0):
-        rim = tissue.arrangement.rims[c]
-        at = np.array([a, b]) - tissue.lowest + rim[:, 1:]
-        here = x[number[tissue.place[tuple(at.T)], rim[:, 0]]]
+    areas = []
+    for rim in rims_of(tissue):
+        here = x[rim]
         there = np.roll(here, -1, axis=0)
         areas.append(0.5 * np.sum(here[:, 0] * there[:, 1] - here[:, 1] * there[:, 0]))
     return np.array(areas)
+
+
+def rims_of(tissue):
+    """Numbers of the wall particles around each plant cell, counter-clockwise."""
+    number = tissue.number
+    for a, b, c in np.argwhere(tissue.kind >= 0):
+        rim = tissue.arrangement.rims[c]
+        at = np.array([a, b]) - tissue.lowest + rim[:, 1:]
+        yield number[tissue.place[tuple(at.T)], rim[:, 0]]
 
 
 @pytest.mark.parametrize("name", ["voronoi", "hexagon", "square"])
@@ -218,18 +203,14 @@ def test_a_bath_is_the_pressure_on_the_outline(name):
     dynamics.place(x)
     pushed = dynamics.forces(amplitudes=np.ones(4)) - dynamics.forces(with_outline=False)
     slope = np.zeros_like(x)
-    number = tissue.number
-    for a, b, c in np.argwhere(tissue.kind >= 0):
-        rim = tissue.arrangement.rims[c]
-        at = np.array([a, b]) - tissue.lowest + rim[:, 1:]
-        mine = number[tissue.place[tuple(at.T)], rim[:, 0]]
-        along = 0.5 * (x[np.roll(mine, -1)] - x[np.roll(mine, 1)])
-        slope[mine] += np.stack([along[:, 1], -along[:, 0]], axis=1)
+    for rim in rims_of(tissue):
+        along = 0.5 * (x[np.roll(rim, -1)] - x[np.roll(rim, 1)])
+        slope[rim] += np.stack([along[:, 1], -along[:, 0]], axis=1)
     assert_near(pushed, -40.0 * slope, 1e-12)
     assert abs(pushed).max() > 10.0
 
 
-def test_pressures_of_sap_are_those_of_the_rve_at_rest():
+def test_plant_cells_at_rest_have_the_areas_of_the_rve():
     unit = unit_of("voronoi")
     tissue = tissue_of(unit, (2, 3))
     areas = areas_of(tissue, tissue.to_particles(tissue.start)).reshape(2, 3, -1)
@@ -257,10 +238,8 @@ def test_sides_of_irregular_tissue_have_their_whole_length(name):
     total = conditions.dead_loads().sum(axis=1)
     lengths = np.array([height, height, width, width])
     np.testing.assert_allclose(total, np.outer(lengths, [3.0, -2.0]), rtol=1e-12)
-    places, start = (
-        conditions.outline_places,
-        conditions.tissue.to_particles(conditions.tissue.start),
-    )
+    places = conditions.outline_places
+    start = conditions.tissue.to_particles(conditions.tissue.start)
     left = conditions.boundary("left")
     assert (abs(places[left, 0]) < 1e-9).all()
     assert abs(start[left, 0]).max() < unit.cell.cell_side

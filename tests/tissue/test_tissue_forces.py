@@ -7,27 +7,11 @@ import pytest
 
 from surrofe2.base.errors import InputError
 from surrofe2.base.simd import TILE
-from surrofe2.tissue import TissueDynamics, make_tissue
-from tests.numerics import assert_near, slope_along
+from surrofe2.tissue import make_tissue
+from tests.numerics import assert_near
 from tests.plant_cell.twin import Twin
+from tests.tissue.motion import assert_force_is_minus_the_gradient_of_the_energy, placed, shaken
 from tests.tissue.twin import TissueTwin
-
-
-def shaken(tissue, seed=0, amount=0.1):
-    """Positions and velocities around the repeated reference, (particles, 2) each."""
-    numbers = np.random.default_rng(seed)
-    x = tissue.to_particles(tissue.start)
-    return (
-        x + amount * numbers.uniform(-1, 1, x.shape),
-        0.2 * numbers.uniform(-1, 1, x.shape),
-    )
-
-
-def placed(tissue, x, v):
-    dynamics = TissueDynamics(tissue)
-    dynamics.place(x, v)
-    return dynamics
-
 
 ONE_TYPE = [((2, 2), "printed"), ((3, 2), "water"), ((1, 1), "water")]
 
@@ -69,19 +53,8 @@ def test_forces_sum_to_zero(any_tissue):
 
 
 def test_force_is_minus_the_gradient_of_the_energy(any_tissue):
-    x, v = shaken(any_tissue)
-    dynamics = placed(any_tissue, x, 0.0 * v)
-    f = dynamics.forces()
-
-    def energy(x):
-        dynamics.place(x)
-        return dynamics.elastic_energy()
-
-    for seed in range(3):
-        direction = np.random.default_rng(seed).normal(size=x.shape)
-        slope = slope_along(energy, x, direction, 1e-4)
-        size = np.linalg.norm(f) * np.linalg.norm(direction)
-        assert slope == pytest.approx(-np.sum(f * direction), abs=1e-7 * size)
+    x, _ = shaken(any_tissue)
+    assert_force_is_minus_the_gradient_of_the_energy(any_tissue, x, step=1e-4, directions=3)
 
 
 @pytest.mark.parametrize("preset", ["water", "printed"])
