@@ -209,7 +209,7 @@ QUANTITIES: tuple[Quantity[Measured], ...] = (
 
 
 def locking(setting: Setting) -> Study:
-    """Every element at both ratios, on ever finer meshes."""
+    """Every element at every ratio of K and G, on ever finer meshes."""
     sizes = setting.sizes or (SIZES[:2] if setting.quick else SIZES)
     rows = [
         row
