@@ -72,7 +72,8 @@ class Conditions:
 
     def lengths(self, name: str) -> Array:
         """(k,) unloaded length of the outline that each particle of a boundary stands for, µm."""
-        pairs, places = self._pairs_on(name), self.outline_places
+        pairs = self._pairs_on(name)
+        places = self.outline_places
         halves = 0.5 * np.linalg.norm(places[pairs[:, 1]] - places[pairs[:, 0]], axis=1)
         total = np.bincount(pairs.ravel(), np.repeat(halves, 2), self.tissue.particles)
         return np.asarray(total[self.boundary(name)])
@@ -235,11 +236,14 @@ class Conditions:
         bonded, base = bonds[:, 2:].ravel().astype(np.int64), feet[:, 1].astype(np.int64)
         owners = np.append(np.repeat(bonds[:, 0], 2), feet[:, 0])
         everyone, nothing = np.append(bonded, base), np.zeros((len(owners), 2))
+        pressed_off = offset[bonded]
+        if self.tissue.cell.has_uniform_fluid:
+            pressed_off = np.zeros_like(pressed_off)
         return OutlineForces(
             at=self.tissue.address[everyone],
             load=owners.astype(np.int64),
             pressure=bonds[:, 1].copy(),
-            offset=(0.0 if self.tissue.cell.has_uniform_fluid else 1.0) * offset[bonded],
+            offset=pressed_off,
             home=relaxed[base],
             stiffness=feet[:, 2:4].copy(),
             damping=feet[:, 4:].copy(),
@@ -279,9 +283,10 @@ class Conditions:
     def outline_places(self) -> Array:
         """(particles, 2) places on the outline that particles along it stand for; of other walls,
         where they are laid out, µm."""
-        places, outlines_ = self.tissue.laid_out, outlines(self.problem.mesh)
+        places = self.tissue.laid_out
+        stated = outlines(self.problem.mesh)
         for ring in rings_of(self._outer):
-            places[ring] = on_outline(places[ring], outlines_)
+            places[ring] = on_outline(places[ring], stated)
         return places
 
     @cached_property

@@ -231,6 +231,7 @@ def members_of(arrangement: Arrangement) -> Members:
 def walls_of(arrangement: Arrangement) -> Walls:
     """Bonds and the plant cells on both sides of each."""
     sides: dict[tuple[int, ...], dict[int, tuple[int, ...]]] = {}
+    # Two rims have each bond: on the left of its way from i to j, and on the right, the other way.
     for cell, rim in enumerate(arrangement.rims):
         for (i, *s), (j, *t) in zip(rim.tolist(), np.roll(rim, -1, axis=0).tolist(), strict=True):
             forth = (t[0] - s[0], t[1] - s[1], j) > (0, 0, i)
@@ -308,9 +309,10 @@ def make_tissue(
     place[tuple(column_row[filled].T)] = filled
 
     walls, own = arrangement.walls, arrangement.particles
-    mass = _masses(types, references, arrangement, members, kind, column_row, lowest)
+    mass = _masses(types, arrangement, members, kind, column_row, lowest)
     types_of = _kinds_at(kind, column_row, lowest, members.cell, members.shift)
     of_place = np.zeros((len(column_row), own), dtype=np.int64)
+    # a wall between two types starts where that of the first of its plant cells does
     for row in reversed(range(len(members.particle))):
         is_there = types_of[:, row] >= 0
         of_place[is_there, members.particle[row]] = types_of[is_there, row]
@@ -365,7 +367,6 @@ def _check_alike(cell: CellParameters, first: CellParameters) -> None:
 
 def _masses(
     types: Sequence[CellParameters],
-    references: Sequence[ReferenceState],
     arrangement: Arrangement,
     members: Members,
     kind: Index,

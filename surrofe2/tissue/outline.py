@@ -72,12 +72,13 @@ def on_outline(walls: Array, rings: list[Array]) -> Array:
         ((ring, *_nearest(walls, ring)) for ring in rings), key=lambda each: float(each[1].mean())
     )
     lengths = np.linalg.norm(np.roll(ring, -1, axis=0) - ring, axis=1)
-    starts, around = np.append(0.0, np.cumsum(lengths)), float(lengths.sum())
+    starts = np.append(0.0, np.cumsum(lengths))
+    around = float(lengths.sum())
     exact = distance < _LEVEL * np.ptp(ring, axis=0).max()
-    # as they come, steps back to the start of the outline left out
+    # in their order, without the jump to where the outline begins anew
     steps = np.mod(np.diff(way, append=way[0]) + 0.5 * around, around) - 0.5 * around
     unrolled = way[0] + np.append(0.0, np.cumsum(steps[:-1]))
-    if abs(steps.sum() - around) < 0.5 * around:
+    if abs(steps.sum() - around) < 0.5 * around:  # they go around it once
         unrolled = _ascending(unrolled, around)
     for corner in _corners(ring):
         unrolled = _with_one_at(starts[corner], unrolled, around)
@@ -90,13 +91,17 @@ def on_outline(walls: Array, rings: list[Array]) -> Array:
 
 def _nearest(points: Array, ring: Array) -> tuple[Array, Array]:
     """(n,) distances to an outline, and how far along it the nearest places lie."""
-    distance, way, start = np.full(len(points), np.inf), np.zeros(len(points)), 0.0
+    distance = np.full(len(points), np.inf)
+    way = np.zeros(len(points))
+    start = 0.0
     for begin, end in zip(ring, np.roll(ring, -1, axis=0), strict=True):
-        along, length = end - begin, float(np.linalg.norm(end - begin))
+        along = end - begin
+        length = float(np.linalg.norm(along))
         part = np.clip((points - begin) @ along / length**2, 0.0, 1.0)
         there = np.linalg.norm(points - begin - part[:, None] * along, axis=1)
         nearer = there < distance
-        distance[nearer], way[nearer] = there[nearer], start + length * part[nearer]
+        distance[nearer] = there[nearer]
+        way[nearer] = start + length * part[nearer]
         start += length
     return distance, way
 

@@ -5,7 +5,7 @@ kick where positions and velocities are wanted at one time: at every sample of t
 
 Supports are held and bodies are away while the tissue relaxes. Displacements, forces and energies
 count from there. Bodies meet the outline that the problem states: a particle touches one where its
-place on the grid of walls, moved by its displacement, does.
+place on that outline, moved by its displacement, does.
 """
 
 from __future__ import annotations
@@ -521,7 +521,8 @@ def plant_cells_within(
     # a middle on a side of the mesh belongs to one side only
     middles = middles_of(cell, reference, first, periods.tolist()) + _ASIDE * cell.cell_side
     inside = are_within(middles.reshape(-1, 2), rings).reshape(middles.shape[:3])
-    area, areas = area_within(rings), make_arrangement(cell).tessellation.areas
+    area = area_within(rings)
+    areas = make_arrangement(cell).tessellation.areas
     filled = float((inside * areas).sum() * np.linalg.det(stretch_of(cell, lattice)))
     if abs(filled - area) > _MOST_OFF * area:
         raise InputError(
@@ -530,7 +531,8 @@ def plant_cells_within(
             f"whole RVEs, {lattice[0, 0]:.6g} × {lattice[1, 1]:.6g} µm, or a larger tissue"
         )
     has_cells = np.asarray(inside.any(axis=2))
-    columns, rows = np.flatnonzero(has_cells.any(axis=1)), np.flatnonzero(has_cells.any(axis=0))
+    columns = np.flatnonzero(has_cells.any(axis=1))
+    rows = np.flatnonzero(has_cells.any(axis=0))
     inside = inside[columns[0] : columns[-1] + 1, rows[0] : rows[-1] + 1]
     return first + np.array([columns[0], rows[0]]), inside
 
@@ -538,6 +540,7 @@ def plant_cells_within(
 _MARGIN = 2
 """RVEs around the extent of a mesh that may have plant cells within."""
 _ASIDE = np.array([1e-7, 0.7e-7])
+"""Of `cell_side`, by which middles are moved before a mesh is asked for them."""
 _MOST_OFF = 0.02
 """Of a mesh's area, by which that of its plant cells may differ."""
 
