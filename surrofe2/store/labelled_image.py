@@ -1,6 +1,7 @@
 """Labelled images of tissue: each pixel has the whole number of its cell, or 0 between cells.
 
-TIFF is read by tifffile, PNG by imageio, both of the extra `image`; NPY by NumPy.
+TIFF is read by tifffile, of the extra `image`; PNG by Pillow, which comes with matplotlib; NPY by
+NumPy.
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ def read_labels(path: Path) -> Labels:
     kinds = {".npy": _read_npy, ".png": _read_png, ".tif": _read_tiff, ".tiff": _read_tiff}
     read = kinds.get(path.suffix.lower())
     if read is None:
-        raise InputError(f"{path}: no kind of image; it must end in {', '.join(kinds)}")
+        raise InputError(
+            f"{path}: images of this kind are not read; it must end in {', '.join(kinds)}"
+        )
     content = read_bytes(path)
     try:
         image = np.asarray(read(content))
@@ -43,7 +46,7 @@ def read_labels(path: Path) -> Labels:
         ) from None
     except Exception as error:  # readers raise what they like
         reason = shortened(" ".join(str(error).split()), 150)
-        raise FileError(f"{path}: not an image of its kind: {reason}") from None
+        raise FileError(f"{path}: cannot be read as an image of its kind: {reason}") from None
     return _checked(path, image)
 
 
@@ -52,9 +55,10 @@ def _read_npy(content: bytes) -> Any:
 
 
 def _read_png(content: bytes) -> Any:
-    from imageio.v3 import imread
+    from PIL.PngImagePlugin import PngImageFile
 
-    return imread(content, extension=".png")
+    # of a PNG with a palette its pixels are the numbers, not the colours
+    return PngImageFile(io.BytesIO(content))
 
 
 def _read_tiff(content: bytes) -> Any:
@@ -74,7 +78,10 @@ def _checked(path: Path, image: NDArray[Any]) -> Labels:
         )
     is_number = np.issubdtype(image.dtype, np.integer) or np.issubdtype(image.dtype, np.floating)
     if not is_number or not np.isfinite(image).all() or (image != np.round(image)).any():
-        raise InputError(f"{path}: {image.dtype} pixels; labels must be whole numbers")
+        raise InputError(
+            f"{path}: {image.dtype} pixels; labels must be whole numbers, as of "
+            "skimage.measure.label"
+        )
     if image.size and (image.min() < 0 or image.max() > _MOST_LABEL):
         raise InputError(f"{path}: labels must be from 0, between cells, to 2⁵³")
     labels: Labels = image.astype(np.int64)

@@ -1,9 +1,11 @@
 """Labelled images in the formats that are read, and what is no image of labels."""
 
 import sys
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from surrofe2.base.errors import FileError, InputError
 from surrofe2.store.labelled_image import read_labels
@@ -39,6 +41,26 @@ def test_whole_numbers_as_floats_and_single_planes_are_labels(tmp_path):
     np.testing.assert_array_equal(read_labels(path), LABELS)
 
 
+def test_a_png_with_a_palette_has_labels_for_its_colours(tmp_path):
+    """Programs show labels by colours: each number of such a PNG is a place in its palette."""
+    image = Image.fromarray(LABELS.astype(np.uint8)).convert("P")
+    image.putpalette(np.random.default_rng(1).integers(0, 255, 768).tolist())
+    image.save(tmp_path / "a.png")
+    np.testing.assert_array_equal(read_labels(tmp_path / "a.png"), LABELS)
+
+
+def test_a_compressed_tiff_is_read_or_says_what_reads_it(tmp_path):
+    image = Image.fromarray(LABELS.astype(np.uint8))
+    image.save(tmp_path / "a.tif", compression="tiff_adobe_deflate")
+    np.testing.assert_array_equal(read_labels(tmp_path / "a.tif"), LABELS)
+    image.save(tmp_path / "b.tif", compression="tiff_lzw")
+    if find_spec("imagecodecs"):
+        np.testing.assert_array_equal(read_labels(tmp_path / "b.tif"), LABELS)
+    else:
+        with pytest.raises(FileError, match=r"requires the 'imagecodecs' package"):
+            read_labels(tmp_path / "b.tif")
+
+
 @pytest.mark.parametrize(
     ("image", "message"),
     [
@@ -62,13 +84,13 @@ def test_damaged_and_missing_files_are_named(tmp_path, name):
     with pytest.raises(FileError, match="No such file"):
         read_labels(tmp_path / name)
     (tmp_path / name).write_bytes(b"no image")
-    with pytest.raises(FileError, match="not an image of its kind"):
+    with pytest.raises(FileError, match="cannot be read as an image of its kind"):
         read_labels(tmp_path / name)
 
 
 def test_objects_are_not_unpickled(tmp_path):
     np.save(tmp_path / "a.npy", np.array([{}], dtype=object), allow_pickle=True)
-    with pytest.raises(FileError, match="not an image of its kind"):
+    with pytest.raises(FileError, match="cannot be read as an image of its kind"):
         read_labels(tmp_path / "a.npy")
 
 
