@@ -12,8 +12,8 @@ from surrofe2.base.settings import unknown
 from surrofe2.store.run_folder import StoredRun
 
 STATISTICS = ("maximum", "end", "slope", "work", "period")
-"""Of a column: its value of largest size, the last one, the slope at the start and the work of a
-force over its displacement, and the period of an oscillation."""
+"""The value of a column that is largest in size, the last one, the slope at the start and the work
+of a force over its displacement, and the period of an oscillation."""
 
 
 class Chosen(NamedTuple):
@@ -67,7 +67,8 @@ class Chosen(NamedTuple):
 def _period(t: Array, values: Array) -> float | None:
     """Twice the mean time between crossings of the mean; None where there are fewer than three."""
     apart = values - values.mean()
-    at = np.flatnonzero(apart[:-1] * apart[1:] < 0.0)
+    above = apart > 0.0  # a value at the mean itself is below: each crossing counts once
+    at = np.flatnonzero(above[:-1] != above[1:])
     if at.size < 3:
         return None
     crossings = t[at] - apart[at] * (t[at + 1] - t[at]) / (apart[at + 1] - apart[at])

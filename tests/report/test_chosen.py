@@ -1,5 +1,6 @@
 """What a study asks of its runs: columns and what of them, by closed curves."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,14 @@ def test_a_quantity_is_what_its_curve_has(run, text, value, unit):
     found, its_unit = Chosen.read(text).of(run)
     assert its_unit == unit
     assert found == (None if value is None else pytest.approx(value, rel=1e-3))
+
+
+def test_a_period_counts_crossings_at_which_a_value_is_the_mean(run):
+    t = np.arange(40.0)
+    swing = np.tile([0.0, 1.0, 0.0, -1.0], 10)
+    curve = DisplacementCurve(t, np.stack([swing, swing], axis=1))
+    swinging = replace(run, curve=curve, curves={"tip": curve}, history={})
+    assert Chosen.read("u_y tip:period").of(swinging)[0] == pytest.approx(4.0)
 
 
 def test_what_is_not_there_is_refused_with_what_is(run):
