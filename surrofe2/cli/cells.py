@@ -73,12 +73,13 @@ def moduli(
     out: console.JsonFile = None,
     fresh: console.Fresh = False,
 ) -> None:
-    """What experiments on a tissue would find: Young's modulus, shear modulus, Poisson's ratio.
+    """Compute what experiments on a tissue find: Young's modulus, shear modulus, Poisson's ratio.
 
-    They are of a slow test of the tissue at rest, along the axes and at 45° to them, from the exact
-    tangents of the stress at F = I, in MPa. Beside them stand the turgor, how far it stretches the
-    walls, and the compression up to which the cells are stable. The turgor is the pressure that the
-    tension of the walls carries; --turgor sets it at the density that the cell has.
+    The moduli are those of a slow test of the tissue at rest, along the axes and at 45° to them,
+    from the exact tangents of the stress at F = I, in MPa. Beside them stand the turgor, how far it
+    stretches the walls, and the compression up to which the cells are stable. The turgor is the
+    pressure that the tension of the walls carries; --turgor sets it at the density that the cell
+    has.
 
     Example: surrofe2 moduli --cell apple --wilt out/wilting
     """
@@ -121,7 +122,7 @@ def moduli(
 
 
 def _moduli(of: NamedCell, names: tuple[str, ...]) -> dict[str, Any]:
-    """Compute and show them, with tables of these initialisations; the contents of their file."""
+    """Compute and show moduli, with matrices by these initialisations; return what a file keeps."""
     parts = 1 + len(names)
     matrices: dict[str, moduli_of.CellModuli] = {}
     with console.working("moduli", parts, "parts", "nothing was changed") as report:
@@ -144,7 +145,11 @@ def _moduli(of: NamedCell, names: tuple[str, ...]) -> dict[str, Any]:
 
 def cells(
     image: Annotated[
-        Path, typer.Argument(metavar="IMAGE", help="Labels of cells: TIFF, PNG or NPY, 0 between.")
+        Path,
+        typer.Argument(
+            metavar="IMAGE",
+            help="TIFF, PNG or NPY whose pixels have the number of their cell, 0 between cells.",
+        ),
     ],
     pixel: Annotated[float, typer.Option(metavar="µm", help="Side of a pixel.")],
     line: Annotated[
@@ -158,7 +163,11 @@ def cells(
         ),
     ] = None,
     preset: Annotated[
-        str, typer.Option(metavar="NAME", help=f"Turgor and walls of it: {', '.join(LIVING)}.")
+        str,
+        typer.Option(
+            metavar="NAME",
+            help=f"Preset with the turgor and walls of the RVE: {', '.join(LIVING)}.",
+        ),
     ] = "apple",
     number: Annotated[
         int, typer.Option("--cells", min=4, metavar="N", help="Plant cells in the RVE.")
@@ -167,7 +176,9 @@ def cells(
         Path | None,
         typer.Option(metavar="PNG", help="Picture of the outlines; default: beside TISSUE.toml."),
     ] = None,
-    fresh: console.Fresh = False,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Replace a recipe and a picture that are there.")
+    ] = False,
 ) -> None:
     """Measure the cells of a labelled image, and write an RVE that is like them.
 
@@ -188,27 +199,38 @@ def cells(
         if preset not in LIVING:
             raise unknown(f"--preset: {quoted(preset)}", preset, "preset of living cells", LIVING)
         check_replaceable(out, "recipe that `cells` wrote", image_of.MARK)
-        if out.exists() and not fresh:
-            raise InputError(f"{out}: it is there; --fresh writes this one in its place")
         picture = picture or out.with_suffix(".png")
+    if picture is not None:
+        if picture.suffix.lower() != ".png":
+            raise InputError(f"--picture: {quoted(picture.name)}; it must end in .png")
+        if picture.exists() and image.exists() and picture.samefile(image):
+            raise InputError(
+                f"{picture}: the picture would replace the image; --picture names another file"
+            )
+    for path in (out, picture):
+        if path is not None and path.exists() and not fresh:
+            raise InputError(f"{path}: it is there; --fresh writes this one in its place")
     of_image = image_of.measure_cells(read_labels(image), pixel, line)
     console.show_table(f"{image.name}, {pixel:g} µm per pixel", image_of.shapes_table(of_image))
     for remark in of_image.remarks():
         console.print_line(remark)
+    what = f"{len(of_image.area)} cells measured"
     like = None
     if out is not None:
         with console.working("RVE", 1.0, "parts", "nothing was changed") as report:
             like = image_of.rve_like(of_image, preset, number, progress=lambda x: report(x, ""))
-        wanted = image_of.Shapes.of_image(of_image)
-        console.show_table(f"RVE of {number} cells", like.table(wanted))
+        console.show_table(f"RVE of {number} cells", like.table(of_image.shapes))
         for remark in like.remarks:
             console.print_warning(remark)
-        about = f"{len(of_image.area)} cells of {image.name}, {pixel:g} µm per pixel"
-        write_text(out, image_of.section(like, about))
+        what += f", an RVE of {number} like them"
     if picture is not None:
         write_bytes(picture, encoded(image_of.picture(of_image, like), "png"))
-    written = ", ".join(str(path) for path in (out, picture) if path is not None)
-    console.done(out or picture, written or f"{len(of_image.area)} cells measured")
+        what += f", picture {picture}"
+    # the recipe comes last: where it is, the picture is
+    if out is not None and like is not None:
+        about = f"{len(of_image.area)} cells of {image.name}, {pixel:g} µm per pixel"
+        write_text(out, image_of.section(like, about))
+    console.done(out, what)
 
 
 def zoom(

@@ -20,12 +20,12 @@ import numpy as np
 import scipy  # scipy.ndimage is loaded where an image is measured
 
 from surrofe2.base.arrays import Array, Flags, Index
-from surrofe2.base.errors import InputError
+from surrofe2.base.errors import InputError, printable
 from surrofe2.plant_cell.arrangement import make_arrangement
 from surrofe2.plant_cell.measurements import living_cell
 from surrofe2.plant_cell.parameters import LEAST_VARIATION, LIVING, CellParameters
-from surrofe2.plant_cell.tessellation import aspect_ratio, mean_aspect, polygon_area
-from surrofe2.report.outlines import is_whole, long_axes, outlines_figure
+from surrofe2.plant_cell.tessellation import aspect_ratio, polygon_area
+from surrofe2.report.outlines import long_axes, outlines_figure
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
 from surrofe2.store.labelled_image import Labels
@@ -50,6 +50,42 @@ _CORRECTIONS, _NEAR = 3, 0.03
 """How often what is laid out is corrected for what is left of it at rest, and the relative
 difference at which it is near enough."""
 _LEAST_SHAPE = 1e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shapes:
+    """Numbers on the shapes of cells, of an image or of an RVE.
+
+    Attributes:
+        area_variation: coefficient of variation of the areas.
+        elongation: mean aspect ratio.
+        direction: mean direction of the long axes, degrees.
+        alignment: of the long axes, from 0 to 1.
+        neighbours: mean number; NaN where no cell is surrounded by cells.
+    """
+
+    area_variation: float
+    elongation: float
+    direction: float
+    alignment: float
+    neighbours: float
+
+    @classmethod
+    def of(cls, area: Array, aspect: Array, direction: Array, neighbours: float) -> Shapes:
+        """Return the numbers of cells (n,), their directions in degrees."""
+        alignment, mean_direction = alignment_of(aspect, direction)
+        return cls(
+            area_variation=float(area.std() / area.mean()),
+            elongation=float(aspect.mean()),
+            direction=mean_direction,
+            alignment=alignment,
+            neighbours=neighbours,
+        )
+
+    def difference(self, wanted: Shapes) -> float:
+        """Largest relative difference of areas' variation and aspect ratio."""
+        of_areas = abs(self.area_variation - wanted.area_variation) / wanted.area_variation
+        return max(of_areas, abs(self.elongation - wanted.elongation) / wanted.elongation)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,25 +127,11 @@ class ImagedCells:
         return float(np.sqrt(self.area.mean()))
 
     @property
-    def area_variation(self) -> float:
-        """Coefficient of variation of the areas."""
-        return float(self.area.std() / self.area.mean())
-
-    @property
-    def elongation(self) -> float:
-        """Mean aspect ratio."""
-        return float(self.aspect.mean())
-
-    @property
-    def alignment(self) -> tuple[float, float]:
-        """Alignment of the long axes, and their mean direction in degrees."""
-        return alignment_of(self.aspect, self.direction)
-
-    @property
-    def mean_neighbours(self) -> float:
-        """Mean number of neighbours of cells that are surrounded by cells; NaN: there is none."""
+    def shapes(self) -> Shapes:
+        """Numbers on the whole cells; neighbours are those of cells surrounded by cells."""
         enclosed = self.neighbours[self.neighbours >= 0]
-        return float(enclosed.mean()) if enclosed.size else float("nan")
+        neighbours = float(enclosed.mean()) if enclosed.size else float("nan")
+        return Shapes.of(self.area, self.aspect, self.direction, neighbours)
 
     def remarks(self) -> Iterator[str]:
         """A sentence on each thing of the image that is no whole cell among cells."""
@@ -288,51 +310,8 @@ def _moments(labels: Labels, number: Index) -> tuple[Array, Array, Array]:
     return aspect, np.rad2deg(np.arctan2(2.0 * xy, xx - yy) / 2.0), centre
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Shapes:
-    """Numbers that an RVE shall have, or has: coefficient of variation of areas, mean aspect ratio,
-    mean direction of long axes in degrees and their alignment, mean number of neighbours."""
-
-    area_variation: float
-    elongation: float
-    direction: float
-    alignment: float
-    neighbours: float
-
-    @classmethod
-    def of_image(cls, cells: ImagedCells) -> Shapes:
-        """Those of the whole cells of an image."""
-        alignment, direction = cells.alignment
-        return cls(
-            area_variation=cells.area_variation,
-            elongation=cells.elongation,
-            direction=direction,
-            alignment=alignment,
-            neighbours=cells.mean_neighbours,
-        )
-
-    @classmethod
-    def of_polygons(cls, polygons: list[Array], areas: Array, neighbours: float) -> Shapes:
-        """Those of polygons (k, 2)."""
-        aspect = np.array([aspect_ratio(polygon) for polygon in polygons])
-        direction = np.array([_direction(polygon) for polygon in polygons])
-        alignment, mean = alignment_of(aspect, direction)
-        return cls(
-            area_variation=float(areas.std() / areas.mean()),
-            elongation=mean_aspect(polygons),
-            direction=mean,
-            alignment=alignment,
-            neighbours=neighbours,
-        )
-
-    def difference(self, wanted: Shapes) -> float:
-        """Largest relative difference of areas' variation and aspect ratio."""
-        of_areas = abs(self.area_variation - wanted.area_variation) / wanted.area_variation
-        return max(of_areas, abs(self.elongation - wanted.elongation) / wanted.elongation)
-
-
 def _direction(corners: Array) -> float:
-    """Direction of a polygon's long axis in degrees, by its corners' spread along its outline."""
+    """Direction of a polygon's long axis in degrees, by the second moments of its outline."""
     steps = np.linspace(0.0, 1.0, 20, endpoint=False)[:, None, None]
     along = corners + steps * (np.roll(corners, -1, axis=0) - corners)
     length = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
@@ -346,24 +325,33 @@ def _direction(corners: Array) -> float:
 def laid_out(cell: CellParameters) -> Shapes:
     """Shapes of the plant cells of an RVE as they are laid out."""
     tessellation = cell.tessellation
-    polygons = [tessellation.corners(k) for k in range(cell.cells)]
-    neighbours = float(np.mean([len(each) for each in tessellation.polygons]))
-    return Shapes.of_polygons(polygons, tessellation.areas, neighbours)
+    return _shapes_of([tessellation.corners(k) for k in range(cell.cells)], cell)
 
 
 def at_rest(cell: CellParameters) -> Shapes:
     """Shapes of the plant cells of an RVE at rest, by the wall particles around each."""
-    polygons = polygons_at_rest(cell)
-    areas = np.array([polygon_area(polygon) for polygon in polygons])
-    return Shapes.of_polygons(polygons, areas, laid_out(cell).neighbours)
+    polygons, _ = polygons_at_rest(cell)
+    return _shapes_of(polygons, cell)
 
 
-def polygons_at_rest(cell: CellParameters) -> list[Array]:
-    """(k, 2) wall particles around each plant cell of an RVE at rest, µm."""
+def polygons_at_rest(cell: CellParameters) -> tuple[list[Array], Array]:
+    """(k, 2) wall particles around each plant cell of an RVE at rest, and its periods, in µm.
+
+    The periods are the columns of the (2, 2) lattice.
+    """
     reference = RveLaw(cell).reference
     position, lattice = reference.position, reference.lattice
     rims = make_arrangement(cell).rims
-    return [position[rim[:, 0]] + rim[:, 1:] @ lattice.T for rim in rims]
+    return [position[rim[:, 0]] + rim[:, 1:] @ lattice.T for rim in rims], lattice
+
+
+def _shapes_of(polygons: list[Array], cell: CellParameters) -> Shapes:
+    """Shapes of polygons (k, 2), one for each plant cell of an RVE."""
+    area = np.array([polygon_area(polygon) for polygon in polygons])
+    aspect = np.array([aspect_ratio(polygon) for polygon in polygons])
+    direction = np.array([_direction(polygon) for polygon in polygons])
+    neighbours = float(np.mean([len(corners) for corners in cell.tessellation.polygons]))
+    return Shapes.of(area, aspect, direction, neighbours)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -381,21 +369,25 @@ class LikeCells:
         """What is wanted, laid out, and left at rest."""
         shapes = {"image": wanted, "laid out": self.laid_out, "at rest": self.at_rest}
         rows: list[dict[str, Any]] = [
-            {"quantity": name, **{column: of(each) for column, each in shapes.items()}}
-            for name, of in _SHOWN.items()
+            {
+                "quantity": name,
+                **{column: getattr(each, attribute) for column, each in shapes.items()},
+            }
+            for name, attribute in _SHOWN.items()
         ]
         columns: list[Quantity[Any]] = [Quantity("quantity", "", "")]
         columns += [Quantity(column, "", ".3g") for column in shapes]
         return Table(columns, rows)
 
 
-_SHOWN: dict[str, Callable[[Shapes], float]] = {
-    "variation of areas": lambda shapes: shapes.area_variation,
-    "mean aspect ratio": lambda shapes: shapes.elongation,
-    "mean direction, °": lambda shapes: shapes.direction,
-    "alignment": lambda shapes: shapes.alignment,
-    "neighbours": lambda shapes: shapes.neighbours,
+_SHOWN = {
+    "variation of areas": "area_variation",
+    "mean aspect ratio": "elongation",
+    "mean direction, °": "direction",
+    "alignment": "alignment",
+    "neighbours": "neighbours",
 }
+"""Attributes of `Shapes` by what a table calls them."""
 
 
 def rve_like(
@@ -419,17 +411,19 @@ def rve_like(
     Raises:
         InputError: no seed has a layout that comes to rest.
     """
-    wanted = Shapes.of_image(cells)
+    wanted = cells.shapes
     tissue = LIVING[preset][0]
     thickness = tissue.wall_thickness * cells.cell_size / tissue.cell_size
     remarks = [
         f"wall_thickness {thickness:.3g} µm is the preset's in proportion to the size of the "
         "cells: measure it"
     ]
-    variation = wanted.area_variation
-    if variation > _MOST_VARIATION:
-        remarks.append(f"areas vary by {variation:.3g}; an RVE has at most {_MOST_VARIATION}")
-        variation = _MOST_VARIATION
+    variation = min(max(wanted.area_variation, LEAST_VARIATION), _MOST_VARIATION)
+    if variation != wanted.area_variation:
+        remarks.append(
+            f"areas vary by {wanted.area_variation:.3g}; those of an RVE can by {LEAST_VARIATION} "
+            f"to {_MOST_VARIATION}"
+        )
     is_stretched = wanted.alignment >= _ALIGNED
     if not is_stretched:
         remarks.append(
@@ -449,6 +443,7 @@ def rve_like(
     for seed in range(1, 1 + _SEEDS):
         entries["arrangement_seed"] = seed
         try:
+            # what a seed reached before a correction of it is refused counts, too
             for reached in _corrected(entries, aim, is_stretched, tuple(remarks)):
                 if best is None or reached.at_rest.difference(aim) < best.at_rest.difference(aim):
                     best = reached
@@ -456,7 +451,7 @@ def rve_like(
             refused.append(error)
         else:
             settled += 1
-        progress(min(1.0, (settled + 1) / (1 + _ENOUGH)))
+        progress(max(settled / _ENOUGH, seed / _SEEDS))
         if settled == _ENOUGH or (best and best.at_rest.difference(aim) <= _NEAR):
             break
     if best is None:
@@ -472,22 +467,39 @@ def _corrected(
     Raises:
         InputError: the layout is out of reach, or does not come to rest.
     """
-    areas, aspect = aim.area_variation, aim.elongation if is_stretched else 1.0
+    areas = aim.area_variation
+    aspect = aim.elongation if is_stretched else 1.0
+    before: dict[str, Any] = {}
     for _ in range(1 + _CORRECTIONS):
         tried = {
             **entries,
             "area_variation": _rounded(min(max(areas, LEAST_VARIATION), _MOST_VARIATION)),
         }
-        if aspect > 1.0:
-            tried["elongation"] = _rounded(aspect)
-            tried["elongation_direction"] = _rounded(aim.direction)
         cell = living_cell(**tried)
+        now = remarks
+        if is_stretched:
+            # Voronoi cells are longer than wide as they come, and cannot be laid out rounder
+            as_they_come = laid_out(cell).elongation
+            if _rounded(aspect) > as_they_come:
+                tried["elongation"] = _rounded(aspect)
+                tried["elongation_direction"] = _rounded(aim.direction)
+                cell = living_cell(**tried)
+            else:
+                aspect = as_they_come
+                now = (
+                    *remarks,
+                    f"mean aspect ratio {aim.elongation:.3g}: Voronoi cells have "
+                    f"{as_they_come:.3g} without being stretched, so the RVE is not stretched",
+                )
+        if tried == before:
+            return  # what is wanted is out of reach
+        before = tried
         reached = LikeCells(
             entries=tried,
             cell=cell,
             laid_out=laid_out(cell),
             at_rest=at_rest(cell),
-            remarks=remarks,
+            remarks=now,
         )
         yield reached
         rest = reached.at_rest
@@ -507,16 +519,16 @@ def _rounded(value: float) -> float:
 
 def shapes_table(cells: ImagedCells) -> Table[Any]:
     """What the whole cells of an image are like."""
-    alignment, direction = cells.alignment
+    shapes = cells.shapes
     rows: list[dict[str, Any]] = [
         {"quantity": "whole cells", "value": len(cells.area), "unit": ""},
         {"quantity": "mean area", "value": float(cells.area.mean()), "unit": "µm²"},
         {"quantity": "side of a square of that area", "value": cells.cell_size, "unit": "µm"},
-        {"quantity": "variation of areas", "value": cells.area_variation, "unit": ""},
-        {"quantity": "mean aspect ratio", "value": cells.elongation, "unit": ""},
-        {"quantity": "mean direction of long axes", "value": direction, "unit": "°"},
-        {"quantity": "alignment of long axes", "value": alignment, "unit": ""},
-        {"quantity": "neighbours", "value": cells.mean_neighbours, "unit": ""},
+        {"quantity": "variation of areas", "value": shapes.area_variation, "unit": ""},
+        {"quantity": "mean aspect ratio", "value": shapes.elongation, "unit": ""},
+        {"quantity": "mean direction of long axes", "value": shapes.direction, "unit": "°"},
+        {"quantity": "alignment of long axes", "value": shapes.alignment, "unit": ""},
+        {"quantity": "neighbours", "value": shapes.neighbours, "unit": ""},
     ]
     value: Quantity[Any] = Quantity("value", "", ".4g")
     return Table((Quantity("quantity", "", ""), value, Quantity("unit", "", "")), rows)
@@ -524,17 +536,14 @@ def shapes_table(cells: ImagedCells) -> Table[Any]:
 
 def picture(cells: ImagedCells, like: LikeCells | None = None) -> Figure:
     """The outlines of the image's cells, beside them those of an RVE."""
-    rve = None
-    if like is not None:
-        rve = polygons_at_rest(like.cell), RveLaw(like.cell).reference.lattice
-    whole = is_whole(cells.labels, cells.number)
+    rve = None if like is None else polygons_at_rest(like.cell)
     axes = long_axes(cells.centre, cells.area, cells.aspect, cells.direction)
-    return outlines_figure(cells.labels, cells.pixel, whole, axes, rve)
+    return outlines_figure(cells.labels, cells.pixel, cells.number, axes, rve)
 
 
 def section(like: LikeCells, about: str) -> str:
     """The section [cell] of a recipe in TOML, with a comment on where it comes from."""
-    lines = [f"{MARK}{about}"]
+    lines = [f"{MARK}{printable(about)}"]  # names of files may have line breaks
     lines += [f"# {remark}" for remark in like.remarks]
     lines.append("[cell]")
     for key, value in like.entries.items():

@@ -10,7 +10,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from surrofe2.base.arrays import Array, Flags, Index
+from surrofe2.base.arrays import Array, Index
 from surrofe2.report.figures import draw_scale_bar
 from surrofe2.run.charts import BLUE, VERMILION
 
@@ -27,7 +27,7 @@ _PERIODS = [(a, b) for a in range(2) for b in range(2)]
 def outlines_figure(
     labels: NDArray[np.int64],
     pixel: float,
-    whole: Flags,
+    counted: Index,
     axes: Array,
     rve: tuple[Sequence[Array], Array] | None = None,
 ) -> Figure:
@@ -35,7 +35,7 @@ def outlines_figure(
 
     Args:
         labels: (rows, columns), 0 in holes. pixel: side of a pixel, µm.
-        whole: by label, whether the cell counts; the others are grey.
+        counted: labels of the cells that count; the others are grey.
         axes: (n, 2, 2) ends of the long axes of cells, x and y, µm.
         rve: polygons (k, 2) of an RVE and its (2, 2) periods, columns, µm.
     """
@@ -43,11 +43,11 @@ def outlines_figure(
     places = figure.subplots(1, 1 if rve is None else 2, squeeze=False)[0]
     height, width = (pixel * count for count in labels.shape)
     place = places[0]
-    place.imshow(_coloured(labels, whole), extent=(0.0, width, 0.0, height))
+    place.imshow(_coloured(labels, counted), extent=(0.0, width, 0.0, height))
     lines = _outlines(labels, pixel)
     place.add_collection(LineCollection(lines, colors="black", linewidths=0.6))
     place.add_collection(LineCollection(list(axes), colors=VERMILION, linewidths=1.0))
-    place.set_title("cells of the image and their long axes; grey: left out", fontsize=9)
+    place.set_title("cells and their long axes; grey: left out, white: holes", fontsize=9)
     _finish(place, np.zeros(2), np.array([width, height]))
     if rve is not None:
         polygons, lattice = rve
@@ -62,15 +62,17 @@ def outlines_figure(
         size = np.maximum(high - low, [width, height])
         middle = (low + high) / 2.0
         _finish(places[1], middle - size / 2.0, middle + size / 2.0)
-    figure.set_size_inches(len(places) * _HEIGHT * min(max(width / height, 0.6), 1.8), _HEIGHT)
+    across, up = np.ptp(place.get_xlim()), np.ptp(place.get_ylim())  # with the scale bar
+    figure.set_size_inches(len(places) * _HEIGHT * min(max(across / up, 0.6), 1.8), _HEIGHT)
     return figure
 
 
-def _coloured(labels: NDArray[np.int64], whole: Flags) -> NDArray[np.float64]:
+def _coloured(labels: NDArray[np.int64], counted: Index) -> NDArray[np.float64]:
     """(rows, columns, 3) colours of the pixels."""
-    shade = 1.0 - _SHADES * ((np.arange(len(whole)) * 7) % 5) / 4.0
-    colour = np.array(_LEAF) * shade[:, None]
-    colour[~whole] = _CUT
+    colour = np.full((labels.max() + 1, 3), _CUT)
+    # neighbours have labels that are near each other: of such, shades differ
+    shade = 1.0 - _SHADES * ((counted * 7) % 5) / 4.0
+    colour[counted] = np.array(_LEAF) * shade[:, None]
     colour[0] = _HOLE
     return np.asarray(colour[labels])
 
@@ -99,10 +101,3 @@ def long_axes(centre: Array, area: Array, aspect: Array, direction: Array) -> Ar
     angle = np.deg2rad(direction)
     way = half[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return np.stack([centre - way, centre + way], axis=1)
-
-
-def is_whole(labels: NDArray[np.int64], number: Index) -> Flags:
-    """By label, whether it is among these numbers."""
-    whole = np.zeros(labels.max() + 1, dtype=np.bool_)
-    whole[number] = True
-    return whole

@@ -284,8 +284,30 @@ def test_cells_of_an_image_become_a_recipe(tmp_path, monkeypatch):
     out.write_text("[cell]", encoding="utf-8")
     refused = call("cells", image, "--pixel", 0.5, "--out", out, "--fresh", code=1)
     assert "not a recipe that `cells` wrote" in refused.stderr
+    before = (tmp_path / "tissue.png").read_bytes()
+    other = tmp_path / "other.toml"
+    refused = call(
+        "cells", image, "--pixel", 0.5, "--out", other, "--picture", tmp_path / "tissue.png", code=1
+    )
+    assert "tissue.png: it is there; --fresh writes this one" in refused.stderr
+    assert (tmp_path / "tissue.png").read_bytes() == before
+    assert not other.exists()
+    refused = call("cells", image, "--pixel", 0.5, "--picture", tmp_path / "a.pdf", code=1)
+    assert "--picture: 'a.pdf'; it must end in .png" in refused.stderr
     alone = call("cells", image, "--pixel", 0.5)
     assert alone.stdout.splitlines()[-1].startswith("cells: 4 cells measured")
+
+
+def test_cells_never_replaces_the_image_by_its_picture(tmp_path):
+    io = pytest.importorskip("skimage.io")
+    image = tmp_path / "leaf.png"
+    io.imsave(image, np.arange(1, 17, dtype=np.uint8).reshape(4, 4), check_contrast=False)
+    before = image.read_bytes()
+    refused = call(
+        "cells", image, "--pixel", 0.5, "--out", tmp_path / "leaf.toml", "--fresh", code=1
+    )
+    assert "leaf.png: the picture would replace the image" in refused.stderr
+    assert image.read_bytes() == before
 
 
 WATER = "moduli", "--cell", "water"

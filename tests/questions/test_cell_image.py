@@ -7,9 +7,9 @@ import pytest
 
 from surrofe2.base.errors import InputError
 from surrofe2.plant_cell.measurements import living_cell
+from surrofe2.plant_cell.parameters import LEAST_VARIATION
 from surrofe2.questions import cell_image
 from surrofe2.questions.cell_image import (
-    Shapes,
     alignment_of,
     at_rest,
     laid_out,
@@ -95,17 +95,18 @@ def test_a_pixel_scales_lengths_and_nothing_else():
     labels = ellipses((10.0, 70.0, -40.0))
     once, twice = measure_cells(labels, 0.35), measure_cells(labels, 0.7)
     assert twice.cell_size == pytest.approx(2.0 * once.cell_size)
-    assert twice.area_variation == pytest.approx(once.area_variation)
+    assert twice.shapes.area_variation == pytest.approx(once.shapes.area_variation)
     np.testing.assert_array_equal(twice.aspect, once.aspect)
 
 
 @pytest.mark.parametrize("direction", [0.0, 30.0, 90.0, -60.0])
 def test_parallel_axes_are_aligned_and_scattered_ones_are_not(direction):
-    aligned, mean = measure_cells(ellipses((direction,) * 4), 1.0).alignment
-    assert aligned == pytest.approx(1.0, abs=1e-3)
-    assert np.cos(np.deg2rad(2.0 * (mean - direction))) == pytest.approx(1.0, abs=1e-3)
-    scattered = measure_cells(ellipses((0.0, 45.0, 90.0, 135.0)), 1.0).alignment[0]
-    assert scattered < 0.02
+    aligned = measure_cells(ellipses((direction,) * 4), 1.0).shapes
+    assert aligned.alignment == pytest.approx(1.0, abs=1e-3)
+    apart = np.deg2rad(2.0 * (aligned.direction - direction))
+    assert np.cos(apart) == pytest.approx(1.0, abs=1e-3)
+    scattered = measure_cells(ellipses((0.0, 45.0, 90.0, 135.0)), 1.0).shapes
+    assert scattered.alignment < 0.02
     assert alignment_of(np.ones(3), np.zeros(3)) == (0.0, 0.0)
 
 
@@ -114,7 +115,7 @@ def test_an_image_of_an_rve_has_the_shapes_of_the_rve(shape):
     cell = living_cell("apple", arrangement="voronoi", cells=6, cell_size=15.0, **shape)
     cells, known = measure_cells(tissue_image(cell), 0.25), laid_out(cell)
     assert cells.cell_size == pytest.approx(15.0, rel=0.02)
-    seen = Shapes.of_image(cells)
+    seen = cells.shapes
     assert seen.area_variation == pytest.approx(known.area_variation, rel=0.1)
     assert seen.elongation == pytest.approx(known.elongation, rel=0.03)
     assert seen.neighbours == pytest.approx(6.0, rel=0.1)
@@ -189,13 +190,14 @@ def test_an_rve_is_like_the_cells_of_an_image(monkeypatch):
     original = living_cell("apple", arrangement="voronoi", cells=6, cell_size=15.0)
     cells = measure_cells(tissue_image(original), 0.25)
     like = rve_like(cells, number=6)
-    wanted = Shapes.of_image(cells)
+    wanted = cells.shapes
     assert like.at_rest.area_variation == pytest.approx(wanted.area_variation, rel=0.25)
     assert like.at_rest == at_rest(like.cell)
     assert like.entries["cell_size"] == pytest.approx(cells.cell_size, rel=1e-3)
     text = section(like, "an image")
     assert make_recipe(read_toml(text)).cell == like.cell
     assert text.startswith(cell_image.MARK)
+    assert make_recipe(read_toml(section(like, "a line\nand another"))).cell == like.cell
 
 
 def test_long_axes_that_point_everywhere_stretch_no_rve(monkeypatch):
@@ -204,6 +206,23 @@ def test_long_axes_that_point_everywhere_stretch_no_rve(monkeypatch):
     like = rve_like(replace(cells, area=cells.area * [1.0, 1.5, 0.5, 1.0]), number=8)
     assert "elongation" not in like.entries
     assert any("point everywhere" in remark for remark in like.remarks)
+
+
+def test_cells_of_one_area_have_the_rve_whose_areas_vary_least(monkeypatch):
+    monkeypatch.setattr(cell_image, "at_rest", laid_out)
+    like = rve_like(measure_cells(squares(), 1.0), number=8)
+    assert like.entries["area_variation"] == LEAST_VARIATION
+    assert any("areas vary by 0; those of an RVE can by 0.1" in remark for remark in like.remarks)
+
+
+def test_cells_rounder_than_voronoi_cells_stretch_no_rve(monkeypatch):
+    """Cells of one direction that are hardly long: Voronoi cells are longer as they come."""
+    monkeypatch.setattr(cell_image, "at_rest", laid_out)
+    cells = measure_cells(ellipses((30.0,) * 4, ratio=1.1), 1.0)
+    like = rve_like(replace(cells, area=cells.area * [1.0, 1.4, 0.6, 1.0]), number=8)
+    assert "elongation" not in like.entries
+    assert like.laid_out.elongation > cells.shapes.elongation
+    assert any("without being stretched" in remark for remark in like.remarks)
 
 
 def test_what_is_laid_out_is_corrected_for_what_is_left_at_rest(monkeypatch):
@@ -217,7 +236,7 @@ def test_what_is_laid_out_is_corrected_for_what_is_left_at_rest(monkeypatch):
     cells = measure_cells(ellipses((30.0,) * 4, ratio=1.5), 1.0)
     cells = replace(cells, area=cells.area * [1.0, 1.4, 0.6, 1.0])
     like = rve_like(cells, number=8)
-    wanted = Shapes.of_image(cells)
+    wanted = cells.shapes
     assert like.at_rest.elongation == pytest.approx(wanted.elongation, rel=0.03)
     assert like.laid_out.elongation == pytest.approx(2.0, rel=0.05)
     assert like.entries["elongation_direction"] == pytest.approx(30.0, abs=1.0)
