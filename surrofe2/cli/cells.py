@@ -246,7 +246,8 @@ def zoom(
 
     RVEs, of cached runs too, are solved at the mean F and Ḟ of the element at the point, at the
     times of the run's fields. DIR receives zoom.png, zoom.csv (stretch and tension of walls,
-    fluid pressure, area, contact pressure over time) and fields.xdmf for ParaView.
+    fluid pressure, area, contact pressure over time), fields.xdmf and, with a uniform fluid,
+    plant-cells.xdmf for ParaView.
 
     Example: surrofe2 zoom out/cached --point 200,12.5
     """

@@ -102,8 +102,8 @@ Tolerance = Annotated[
 Audit = Annotated[
     float | None,
     typer.Option(
-        metavar="SHARE",
-        help="Share of the cache's answers that RVEs check, 1: all; default: the recipe's.",
+        metavar="X",
+        help="Fraction of the cache's answers that RVEs check, 1: all; default: the recipe's.",
     ),
 ]
 Threads = Annotated[

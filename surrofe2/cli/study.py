@@ -65,7 +65,7 @@ def check(
         bool, typer.Option("--only", help="Read the recipe and its files; no dry run.")
     ] = False,
     margin: Annotated[
-        float, typer.Option(metavar="X", help="Strain and rate beyond what was met, as a share.")
+        float, typer.Option(metavar="X", help="Strain and rate beyond what was met, as a fraction.")
     ] = checking.MARGIN,
     seconds: Annotated[
         float, typer.Option(min=0.0, metavar="S", help="Processor time of the dry runs, s.")
