@@ -20,7 +20,8 @@ from surrofe2.store.store import WORD, check_replaceable, read_bytes, write_text
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.domain import ALL_INPUTS, COMPRESSION, NEAR, NORM, REACH, SQUARES
 from surrofe2.surrogate.features import BEND, BENT, COMPONENTS, NETWORK_INPUTS
-from surrofe2.surrogate.products import ONE, STRETCH, Polynomials
+from surrofe2.surrogate.lookup import BoundArrays, NetworkArrays
+from surrofe2.surrogate.products import ONE, STRETCH
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
 """Pattern of the prefix of all functions."""
@@ -86,6 +87,7 @@ def c_source(law: SurrogateLaw, name: str = "surrofe2") -> str:
     """Return a surrogate as C source: value, tangents, domain and bound as in its compiled pass.
 
     Args:
+        law: the surrogate.
         name: beginning of the functions' names, by which two surrogates link into one program.
 
     Raises:
@@ -183,6 +185,7 @@ class _Formulas:
     `wanted` are the rows, or their slopes.
 
     Args:
+        table: the polynomials.
         inputs: formulas of the variables of the rows before those of products, by variable, and
             of the variables in these.
         first: the row of the first product.
@@ -192,7 +195,7 @@ class _Formulas:
 
     def __init__(
         self,
-        table: Polynomials,
+        table: NetworkArrays | BoundArrays,
         inputs: Mapping[str, str],
         first: int,
         along: int | None = None,
@@ -276,7 +279,7 @@ def _bound(law: SurrogateLaw, width: int) -> Iterator[str]:
         "size": " + ".join(shares),
         f"r{NEAR}": f"size / (size + {REACH!r})",
     }
-    formulas = _Formulas(bounds.polynomials, inputs, ALL_INPUTS)
+    formulas = _Formulas(bounds, inputs, ALL_INPUTS)
     lines = [f"height[l] = {formulas.polynomial(0)};", f"bound[l] = {formulas.polynomial(1)};"]
     yield f"static void bound_of_{width}(const double *RESTRICT x, double *RESTRICT height,"
     yield "                       double *RESTRICT bound)"
@@ -290,8 +293,7 @@ def _bound(law: SurrogateLaw, width: int) -> Iterator[str]:
 def _network(law: SurrogateLaw, width: int) -> Iterator[str]:
     """Yield the function that computes the components of RᵀP, and their slopes, from inputs."""
     layers = [weight.shape for weight, _ in law.network.layers]
-    baseline = law.arrays.baseline
-    invariants = baseline.kept[len(law.arrays.components) :].tolist()
+    invariants = law.arrays.kept[len(law.arrays.components) :].tolist()
     sizes = [layers[0][1], *(_padded(rows) for rows, _ in layers)]
     yield f"static void network_of_{width}(const double *RESTRICT x, double *RESTRICT y,"
     yield "                         int with_slopes, double *RESTRICT slopes)"
@@ -310,7 +312,7 @@ def _network(law: SurrogateLaw, width: int) -> Iterator[str]:
         by = {} if along is None else {along: "1.0"}
         if along is not None and along < STRETCH:
             by[BENT + along] = f"d{BENT + along}"
-        formulas = _Formulas(baseline, inputs, NETWORK_INPUTS, along, by)
+        formulas = _Formulas(law.arrays, inputs, NETWORK_INPUTS, along, by)
         if along is None:
             y = "y"
             units = "u"
@@ -351,7 +353,7 @@ def _terms(law: SurrogateLaw, width: int, formulas: _Formulas) -> Iterator[str]:
     last = len(law.network.layers)
     along = formulas.along
     # `kept` has the rows of the terms first, then those of the invariants
-    terms = zip(network.components.tolist(), network.baseline.kept.tolist(), strict=False)
+    terms = zip(network.components.tolist(), network.kept.tolist(), strict=False)
     for k, (component, row) in enumerate(terms):
         place = f"[{k * width} + l]"
         scale = _number(network.output_factor[component])

@@ -32,7 +32,7 @@ HIGHEST_DEGREE = 5
 BEND = 0.1
 """Size of U − I, as a fraction of the half width of a range, up to which states differ most."""
 BENT = ONE + 1
-"""The number of the first input u; the inputs u are the last."""
+"""The first of the inputs u, which are the last."""
 NETWORK_INPUTS = BENT + STRETCH
 COMPONENTS = 4
 """The number of components of P̂: sum, difference, shear and spin."""

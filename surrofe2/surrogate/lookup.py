@@ -88,8 +88,13 @@ class NetworkArrays(NamedTuple):
         input_factor: (7,) by which inputs are multiplied, 1/input scale.
         output_factor: (4,) by which terms of a component are multiplied, µN/µm.
         at_rest: (t,) factors at rest of terms from which they are subtracted, else 0.
-        baseline: polynomials of the components of P̂; the rows kept besides are the products of the
-            t terms, then the invariants.
+        products: `Polynomials.products` of the baseline of P̂, as for the six fields that follow.
+        begins: see `Polynomials`.
+        heads: see `Polynomials`.
+        group_begins: see `Polynomials`.
+        rows: see `Polynomials`.
+        coefficients: see `Polynomials`.
+        kept: rows of the products of the t terms, then those of the invariants.
         components: (t,) int64 component of P̂ to which each term belongs.
         sizes: (layers + 1,) int64 number of inputs, then of outputs of each layer of the network of
             factors, padded to multiples of four.
@@ -100,7 +105,13 @@ class NetworkArrays(NamedTuple):
     input_factor: Array
     output_factor: Array
     at_rest: Array
-    baseline: Polynomials
+    products: Index
+    begins: Index
+    heads: Index
+    group_begins: Index
+    rows: Index
+    coefficients: Array
+    kept: Index
     components: Index
     sizes: Index
     weights: Array
@@ -120,7 +131,13 @@ class NetworkArrays(NamedTuple):
             input_factor=1.0 / network.tensors["input_scale"],
             output_factor=network.tensors["output_scale"],
             at_rest=np.zeros(len(term_products)),
-            baseline=baseline,
+            products=baseline.products,
+            begins=baseline.begins,
+            heads=baseline.heads,
+            group_begins=baseline.group_begins,
+            rows=baseline.rows,
+            coefficients=baseline.coefficients,
+            kept=baseline.kept,
             components=np.array([component for _, component in features.terms]),
             sizes=np.array([matrices[0].shape[1], *(len(matrix) for matrix in matrices)]),
             weights=np.concatenate([matrix.ravel() for matrix in matrices]),
@@ -128,7 +145,7 @@ class NetworkArrays(NamedTuple):
         )
         # The factors at rest are computed by the very instructions of the kernels, so that the
         # difference factor − factor at rest is exactly 0 there and not only but for rounding.
-        room = make_room(baseline, NETWORK_INPUTS, 0)
+        room = make_room(arrays, NETWORK_INPUTS, 0)
         units = _make_units(arrays, 0)
         room.rows[:NETWORK_INPUTS] = 0.0
         room.rows[ONE] = 1.0
@@ -147,10 +164,9 @@ class Units(NamedTuple):
     """Room for what the units of all layers give, used again for the next block.
 
     Attributes:
-        values: (units, TILES, TILE) values of the units.
-        flat: the same numbers in one row.
-        slopes: (K, units, TILES, TILE) slopes by each of the first K inputs; K may be 0.
-        zeros: as many zeros as a layer has units, the bias of slopes.
+        values: (units, TILES, TILE). flat: the same in one row.
+        slopes: (K, units, TILES, TILE) by each of the first K inputs; K = 0: of none.
+        zeros: as many as a layer has units.
     """
 
     values: Any
@@ -162,19 +178,32 @@ class Units(NamedTuple):
 class BoundArrays(NamedTuple):
     """Range, domain and bound as the arrays that their kernel reads.
 
+    The polynomials are those of `_HEIGHT`, `_BOUND` and `_SQUARE`, of the inputs of
+    `domain.all_inputs`.
+
     Attributes:
         limits: (2, 7) lower and upper ends between which U₁₁, U₂₂, U₁₂ and the entries of A are in
             range; they are wider than the range by the rounding of the range test.
         factor: (7,) by which inputs are multiplied, 1/scale.
         near: (7,) share of each squared input in the size of a state.
-        polynomials: `_HEIGHT`, `_BOUND` and `_SQUARE`, of the inputs of `domain.all_inputs`.
+        products: see `Polynomials`.
+        begins: see `Polynomials`.
+        heads: see `Polynomials`.
+        group_begins: see `Polynomials`.
+        rows: see `Polynomials`.
+        coefficients: see `Polynomials`.
         at_rest: error allowed at rest, as a fraction of the tolerance.
     """
 
     limits: Array
     factor: Array
     near: Array
-    polynomials: Polynomials
+    products: Index
+    begins: Index
+    heads: Index
+    group_begins: Index
+    rows: Index
+    coefficients: Array
     at_rest: float
 
     @classmethod
@@ -224,11 +253,17 @@ class BoundArrays(NamedTuple):
         if np.isinf(most):
             bound = []
         added = [((SQUARES + k,), value) for k, value in enumerate(squares) if value]
+        polynomials = Polynomials.of(ALL_INPUTS, [boundary, bound, added])
         return cls(
             limits=limits,
             factor=factor,
             near=near,
-            polynomials=Polynomials.of(ALL_INPUTS, [boundary, bound, added]),
+            products=polynomials.products,
+            begins=polynomials.begins,
+            heads=polynomials.heads,
+            group_begins=polynomials.group_begins,
+            rows=polynomials.rows,
+            coefficients=polynomials.coefficients,
             at_rest=float(at_rest),
         )
 
@@ -296,10 +331,10 @@ def _lookup_part(  # type: ignore[no-untyped-def]
     Where there is a network, the stress is set, too.
     """
     frame = np.empty((_FRAME_ROWS, TILES, TILE))
-    trust = make_room(bounds.polynomials, ALL_INPUTS, 0)
+    trust = make_room(bounds, ALL_INPUTS, 0)
     of_network = None
     if network is not None:
-        of_network = make_room(network.baseline, NETWORK_INPUTS, 0), _make_units(network, 0)
+        of_network = make_room(network, NETWORK_INPUTS, 0), _make_units(network, 0)
     rooms = frame, trust, of_network
     _lookup_blocks(begin, end, F, F_dot, network, bounds, limit, rooms, stress, status, risk)
 
@@ -308,7 +343,7 @@ def _lookup_part(  # type: ignore[no-untyped-def]
 def _lookup_blocks(  # type: ignore[no-untyped-def]
     begin, end, F, F_dot, network, bounds, limit, rooms, stress, status, risk
 ):
-    """Do the work of `_lookup_part` in the arrays that it made; a bare kernel makes none."""
+    """As `_lookup_part`, in the arrays that it made."""
     frame, trust, of_network = rooms
     for start in range(begin, end, BLOCK):
         _read_points(start, F, F_dot, frame)
@@ -316,7 +351,7 @@ def _lookup_blocks(  # type: ignore[no-untyped-def]
         _set_inside(frame, bounds.limits)
         _scale_inputs(frame, bounds.factor, trust.rows)
         _set_even_inputs(bounds.near, trust.rows)
-        evaluate(bounds.polynomials, trust)
+        evaluate(bounds, trust)
         _divide_by_local_tolerance(bounds.at_rest, trust.y)
         if network is not None:
             room, units = of_network
@@ -344,10 +379,7 @@ def _lookup_blocks(  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _is_plain(frame, y, limit, has_stress, t):  # type: ignore[no-untyped-def]
-    """Return whether the status is 0 at all points of a tile.
-
-    Most tiles are so, and of the others alone the points are judged one by one.
-    """
+    """Whether status is 0 at all points of a tile, which most are: nothing else is asked there."""
     plain = where_less(0.0, load(y, _HEIGHT, t), 0.0, load(frame, _INSIDE, t))
     plain = where_less(load(y, _BOUND, t), limit, plain, 0.0)
     if has_stress:
@@ -360,7 +392,7 @@ def _is_plain(frame, y, limit, has_stress, t):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _judged(frame, y, limit, has_stress, t, lane):  # type: ignore[no-untyped-def]
-    """Return risk and status of one point; of several faults that of the network counts first."""
+    """Risk and status of one point; of several faults that of the network counts first."""
     value, inside = y[_BOUND, t, lane], frame[_INSIDE, t, lane] > 0.0
     if has_stress and inside:
         for i in range(4):
@@ -376,8 +408,7 @@ def _judged(frame, y, limit, has_stress, t, lane):  # type: ignore[no-untyped-de
 @kernel
 def _slopes(F, F_dot, network, P, slopes):  # type: ignore[no-untyped-def]
     frame = np.empty((_FRAME_ROWS, TILES, TILE))
-    room = make_room(network.baseline, NETWORK_INPUTS, INPUTS)
-    units = _make_units(network, INPUTS)
+    room, units = make_room(network, NETWORK_INPUTS, INPUTS), _make_units(network, INPUTS)
     for start in range(0, F.shape[0], BLOCK):
         _read_points(start, F, F_dot, frame)
         _take_rotation_out(frame)
@@ -477,7 +508,7 @@ def _evaluate_network(arrays, room, units):  # type: ignore[no-untyped-def]
     first, y = _evaluate_factors(arrays, room, units), room.y
     y_slopes = room.y_slopes
     for term in range(arrays.components.shape[0]):
-        component, row = arrays.components[term], arrays.baseline.kept[term]
+        component, row = arrays.components[term], arrays.kept[term]
         scale, at_rest = arrays.output_factor[component], arrays.at_rest[term]
         for t in range(TILES):
             factor = (load(units.values, first + term, t) - at_rest) * scale
@@ -501,8 +532,8 @@ def _make_units(arrays, along):  # type: ignore[no-untyped-def]
 @bare_kernel
 def _evaluate_factors(arrays, room, units):  # type: ignore[no-untyped-def]
     """Set y to the baseline, fill the units, all with slopes; return the first factor's row."""
-    kept, values, slopes = arrays.baseline.kept, units.values, units.slopes
-    evaluate(arrays.baseline, room)
+    kept, values, slopes = arrays.kept, units.values, units.slopes
+    evaluate(arrays, room)
     terms = arrays.components.shape[0]
     invariants = kept.shape[0] - terms
     for k in range(arrays.sizes[0]):
