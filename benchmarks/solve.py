@@ -71,7 +71,7 @@ def _rve(bench: Bench, preset: str) -> None:
 
 def _lookup(bench: Bench) -> None:
     recipe = commands.made(commands.shipped(runs.RECIPES["printed"], runs.folder(bench, "printed")))
-    surrogate = read_surrogate(recipe.training_path())
+    surrogate = read_surrogate(recipe.study().training_path())
     law, rve = CachedLaw(surrogate, _law("printed"), CacheSettings(audit=0.0)), _law("printed")
     rng = np.random.default_rng(5)
     F = np.eye(2) + 0.02 * rng.uniform(-1.0, 1.0, (5000, 2, 2))

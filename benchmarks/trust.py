@@ -75,14 +75,16 @@ def run(bench: Bench) -> None:
     """Both presets by the network, then by a table; the picture of docs/trust.md."""
     for preset in bench.pick(tuple(BORNE), ("printed",)):
         recipe = commands.made(commands.shipped(runs.RECIPES[preset], runs.folder(bench, preset)))
-        surrogate, rve = read_surrogate(recipe.training_path()), RveLaw(recipe.cell, recipe.rve)
+        study = recipe.study()
+        surrogate = read_surrogate(study.training_path())
+        rve = RveLaw(study.cell.parameters, recipe.rve)
         allowed = CacheSettings().tolerance * surrogate.stress_spread
         for kind in ("network", "table"):
             audited = above = 0
             for case in cases(preset, bench.pick(250.0, 10.0))[: None if kind == "network" else 4]:
                 law: SurrogateLaw | StressTable = surrogate
                 if kind == "table":
-                    law = StressTable(rve, allowed, recipe.range, surrogate.stress_spread)
+                    law = StressTable(rve, allowed, study.cell.range, surrogate.stress_spread)
                 report = _audited(bench, f"trust.{preset}.{kind}", law, rve, case)
                 audited += report["audited"]
                 above += report["violations"]

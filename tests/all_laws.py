@@ -153,7 +153,7 @@ def figures(folder, start_method=None):
     (folder / "mesh.msh").write_text(MESH, encoding="utf-8")
     found["mesh"] = load_mesh(folder / "mesh.msh").p.sum()
     recipe = load_recipe(folder / "recipe.toml")
-    data = generate_data_set(recipe)
+    data = generate_data_set(recipe.study())
     found["data set"] = read_data_set(data.path).stress.sum()
     if start_method is not None:
         with ProcessPoolExecutor(1) as executor:

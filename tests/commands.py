@@ -44,8 +44,8 @@ def by(law, **changes):
 def train(recipe, folder):
     from surrofe2.workflow.train import train_surrogate  # here and below: torch is heavy
 
-    generate_data_set(recipe)
-    train_surrogate(recipe)
+    generate_data_set(recipe.study())
+    train_surrogate(recipe.study())
 
 
 def refine(recipe, folder):
@@ -62,7 +62,7 @@ def grid(recipe, folder):
 
 
 COMMANDS = {
-    "generate": (SHORT, lambda recipe, folder: generate_data_set(recipe)),
+    "generate": (SHORT, lambda recipe, folder: generate_data_set(recipe.study())),
     "train": (SHORT, train),
     "train on more and more": (GROWING, train),
     "rve": (SHORT, by("rve")),
@@ -90,7 +90,7 @@ def checkpointed(name):
         def patch(module, entry, value):
             patches.enter_context(mock.patch.object(module, entry, value))
 
-        patch(laws, "true_law", lambda recipe, *_: soft.of(recipe.cell, recipe.rve))
+        patch(laws, "true_law", lambda study: soft.of(study.cell.parameters, study.recipe.rve))
         for module in (run, rest, tissue):
             patch(module, "CHECKPOINT_INTERVAL", 0.0)
         patch(samples, "INTERVAL", 0.0)

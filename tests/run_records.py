@@ -13,7 +13,7 @@ def finished_record(recipe, law, wall_time, counts):
         solver="direct",
         package_version="0.1.0",
         created="2026-01-01T00:00:00+00:00",
-        cell_fingerprint=recipe.cell.fingerprint,
+        cell_fingerprint=recipe.study().cell.parameters.fingerprint,
         threads=2,
         wall_time=wall_time,
         counts=counts,

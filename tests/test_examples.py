@@ -25,9 +25,9 @@ FOLDER = ROOT / "examples"
 RECIPES = sorted(FOLDER.glob("*.toml"))
 
 
-def law_of(recipe):
-    rve = recipe.rve
-    return RveLaw(recipe.cell, initialisation=rve.initialisation, solver=rve.solver)
+def law_of(study):
+    rve = study.recipe.rve
+    return RveLaw(study.cell.parameters, initialisation=rve.initialisation, solver=rve.solver)
 
 
 def run_of(recipe, problem):
@@ -130,7 +130,7 @@ def test_a_dropped_sample_meets_the_force_of_the_wave_and_rebounds():
     touching = t[force > 0.02 * force.max()]
     time = touching[-1] - touching[0]
     assert time == pytest.approx(2.0 * 10000.0 / 69.0, rel=0.06)
-    wave = recipe.cell.density * 69.0 * 1.0 * 5000.0
+    wave = recipe.study().cell.parameters.density * 69.0 * 1.0 * 5000.0
     assert np.trapezoid(force, t) / time == pytest.approx(wave, rel=0.06)
     assert force.min() >= 0.0
     assert run.curves["top"].displacement[-1, 1] > 100.0
@@ -139,8 +139,8 @@ def test_a_dropped_sample_meets_the_force_of_the_wave_and_rebounds():
 def test_strips_with_and_without_skin_rest_as_beams_of_their_layers(tmp_path):
     """Within 2 %: bending and shear of layers glued together."""
     recipe = load_recipe(FOLDER / "skin-over-parenchyma.toml")
-    skin, soft = (moduli(part.cell) for part in recipe.parts().values())
-    plain = replace(recipe.cells["skin"], cell=recipe.cells["parenchyma"].cell)
+    skin, soft = (moduli(cell.parameters) for cell in recipe.cells.values())
+    plain = replace(recipe.cells["skin"], parameters=recipe.cells["parenchyma"].parameters)
     without = replace(recipe, cells={**recipe.cells, "skin": plain})
     for study, upper in ((recipe, skin), (without, soft)):
         came_to = rest_study(study, tmp_path / f"{upper[0]:.0f}").met["watched"]
@@ -173,9 +173,9 @@ def test_cached_is_true_within_a_thousandth(path, tmp_path):
     for name in (path.name, "notched-leaf.msh"):
         (tmp_path / "examples" / name).write_bytes((FOLDER / name).read_bytes())
     recipe = load_recipe(tmp_path / "examples" / path.name)
-    for part in recipe.parts().values():
-        generate_data_set(part)
-        train_surrogate(part)
+    for study in recipe.studies().values():
+        generate_data_set(study)
+        train_surrogate(study)
     for law in ("rve", "cached"):
         run_study(recipe, law, tmp_path / law)
     (run,) = compare_runs([tmp_path / "rve", tmp_path / "cached"], tmp_path / "both").runs

@@ -74,7 +74,7 @@ def test_the_page_s_example_in_a_short_form(tmp_path, monkeypatch, caplog):
 
 
 def test_a_saved_run_is_the_one_that_the_command_writes(recipe, tmp_path):
-    law = RveLaw(recipe.cell, recipe.rve)
+    law = RveLaw(recipe.study().cell.parameters, recipe.rve)
     run_study(recipe, "rve", tmp_path / "command")
     save_run(simulate(recipe.problem(), law, recipe.macro), tmp_path / "python")
     files = [numbers(tmp_path / of) for of in ("command", "python")]
@@ -97,10 +97,12 @@ def test_a_saved_run_is_the_one_that_the_command_writes(recipe, tmp_path):
 
 
 def test_samples_are_those_of_the_command(recipe):
-    generate_data_set(recipe)
-    law = RveLaw(recipe.cell, recipe.rve)
-    found = sample_stress(law, recipe.range, recipe.samples.count, seed=3, tangents=False)
-    assert found.fingerprint == read_data_set(recipe.data_path()).fingerprint
+    generate_data_set(recipe.study())
+    law = RveLaw(recipe.study().cell.parameters, recipe.rve)
+    found = sample_stress(
+        law, recipe.study().cell.range, recipe.study().cell.samples.count, seed=3, tangents=False
+    )
+    assert found.fingerprint == read_data_set(recipe.study().data_path()).fingerprint
 
 
 @pytest.mark.parametrize("name", ["block-between-plates", "notched-leaf"])

@@ -101,8 +101,8 @@ def home(tmp_path_factory):
     folder = tmp_path_factory.mktemp("study")
     (folder / "recipe.toml").write_text(CACHED, encoding="utf-8")
     recipe = load_recipe(folder / "recipe.toml")
-    generate_data_set(recipe)
-    train_surrogate(recipe)
+    generate_data_set(recipe.study())
+    train_surrogate(recipe.study())
     return folder
 
 

@@ -64,7 +64,7 @@ def test_water_that_stays_keeps_the_area_and_bears_more(pressed):
 )
 def test_elements_are_at_least_as_wide_as_an_rve_with_a_uniform_fluid(name):
     recipe = load_recipe(ROOT / f"data/{name}.toml")
-    assert recipe.cell.has_uniform_fluid
+    assert recipe.study().cell.parameters.has_uniform_fluid
     assert not [*scale_warnings(recipe)]
 
 

@@ -79,8 +79,8 @@ def study(tmp_path_factory):
         copy(recipe, root / "data")
     recipe = load_recipe(root / "data" / "bending-bar.toml")
     recipe = replace(recipe, calibration=FEWER_PATHS)
-    generate_data_set(recipe)
-    train_surrogate(recipe)
+    generate_data_set(recipe.study())
+    train_surrogate(recipe.study())
     return root
 
 

@@ -51,7 +51,7 @@ def test_a_run_with_a_surface_law(written, tmp_path, made):
     assert told["on"] == ["top", "right"]
     assert (told["sides"], told["oblique"]) == (4, 0)
     law = told["laws"][""]
-    assert law["cell_fingerprint"] == recipe.cell.fingerprint
+    assert law["cell_fingerprint"] == recipe.study().cell.parameters.fingerprint
     assert (law["kind"], law["outer_wall"], law["initialisation"]) == (
         "table", 1.0, "constrained-runs",
     )  # fmt: skip
@@ -75,11 +75,11 @@ def test_a_run_with_a_surface_law(written, tmp_path, made):
 
 def test_a_kept_table_of_another_plant_cell_is_made_again(written, tmp_path, made):
     recipe = load_recipe(written(RECIPE + SIDES))
-    surfaces.cell_surface(recipe, 4.0)
+    surfaces.cell_surface(recipe.study(), 4.0)
     (kept,) = (tmp_path / "kept" / "surfaces").iterdir()
     other = table(CellParameters.preset("water"), "constrained-runs")
     surfaces.write_surface(kept, other, recipe.to_dict())
-    assert surfaces.cell_surface(recipe, 4.0).cell == recipe.cell
+    assert surfaces.cell_surface(recipe.study(), 4.0).cell == recipe.study().cell.parameters
     assert len(made) == 2
 
 

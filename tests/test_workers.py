@@ -88,16 +88,18 @@ def test_processes_end_with_what_started_them(tmp_path):
 
 
 def test_a_data_set_is_the_same_from_one_process_and_from_several(changed_recipe):
-    recipe = load_recipe(changed_recipe("count = 40", "count = 300"))
-    alone = recipe.with_cell(samples=replace(recipe.samples, file="alone.h5"))
+    study = load_recipe(changed_recipe("count = 40", "count = 300")).study()
+    alone = study.with_cell(samples=replace(study.cell.samples, file="alone.h5"))
     generate_data_set(alone, chunk=64)
     with executor_of(2) as executor:
-        made = generate_data_set(recipe, chunk=64, executor=executor)
-        law = RveLaw(recipe.cell, recipe.rve)
-        by_two = sample_stress(law, recipe.range, 1200, executor=executor, tangents=False)
+        made = generate_data_set(study, chunk=64, executor=executor)
+        law = RveLaw(study.cell.parameters, study.recipe.rve)
+        by_two = sample_stress(law, study.cell.range, 1200, executor=executor, tangents=False)
     assert len(made.samples.F) == 300
     assert read_data_set(made.path).fingerprint == read_data_set(alone.data_path()).fingerprint
-    assert by_two.fingerprint == sample_stress(law, recipe.range, 1200, tangents=False).fingerprint
+    assert (
+        by_two.fingerprint == sample_stress(law, study.cell.range, 1200, tangents=False).fingerprint
+    )
 
 
 FORKS = """

@@ -131,17 +131,18 @@ QUANTITIES: tuple[Quantity[Result], ...] = (
 
 def ablation(setting: Setting) -> Study:
     """All contenders at all numbers of samples, for the recipe's plant cell, law and range."""
-    recipe = setting.recipe()
-    law, range_ = RveLaw(recipe.cell, recipe.rve), recipe.sampling_range()
+    study = setting.study()
+    law = RveLaw(study.cell.parameters, study.recipe.rve)
+    range_ = study.sampling_range()
     counts = (64, 128) if setting.quick else (256, 1024)
-    samples = sample_stress(law, range_, max(counts), seed=recipe.samples.seed)
+    samples = sample_stress(law, range_, max(counts), seed=study.cell.samples.seed)
     truth = sample_stress(law, range_, 256 if setting.quick else 2048, seed=TEST_SEED).valid
     results = []
     with threads(1):
         for count in counts:
             for name in CONTENDERS:
                 few = samples.at(np.arange(count))
-                results.append(compete(name, law, few, recipe.training, truth))
+                results.append(compete(name, law, few, study.cell.training, truth))
                 print(f"{name}, {count} samples: {100.0 * results[-1].rms:.2g} %", flush=True)
     return describe(results)
 

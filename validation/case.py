@@ -20,7 +20,7 @@ from surrofe2.macro import Rest, find_rest, simulate
 from surrofe2.macro.equations_of_motion import factorised
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem import BodyForce, Surface
-from surrofe2.recipe.recipe import Recipe, load_recipe, make_recipe
+from surrofe2.recipe.recipe import CellStudy, Recipe, load_recipe, make_recipe
 from surrofe2.report.study import NamedCell
 from surrofe2.report.tables import Quantity
 from surrofe2.run.charts import Curve, Panel
@@ -105,7 +105,9 @@ class Case:
     def compute(self) -> Run:
         """Make the run."""
         recipe = self.recipe
-        references = {name: RveLaw(part.cell).reference for name, part in recipe.parts().items()}
+        references = {
+            name: RveLaw(cell.parameters).reference for name, cell in recipe.cells.items()
+        }
         if self.method == TISSUE:
             tissue, cells, kind = tissue_of(recipe)
             run: Any = simulate_tissue(
@@ -114,10 +116,10 @@ class Case:
             return self._run(run)
         problem = recipe.problem()
         laws = {
-            name: RveLaw(part.cell, part.rve, reference=references[name])
-            for name, part in recipe.parts().items()
+            name: RveLaw(cell.parameters, recipe.rve, reference=references[name])
+            for name, cell in recipe.cells.items()
         }
-        law = law_by_region(recipe, problem.mesh, lambda part: laws[part.cell_name])
+        law = law_by_region(recipe, problem.mesh, lambda study: laws[study.name])
         if self.method == SURFACE:
             skin = surface_of(self.of.cell, rows_across(self.across))
             problem = replace(problem, surface=Surface(law=skin, on=FREE_SIDES))
@@ -346,8 +348,8 @@ class Setting:
         """What the study's numbers depend on besides the cell."""
         return {"sizes": self.sizes, "meshes": self.meshes, "quick": self.quick}
 
-    def recipe(self) -> Recipe:
-        """The shipped recipe of the bar of this preset, its data set and surrogate in `out`.
+    def study(self) -> CellStudy:
+        """Return the study of the shipped recipe of the bar of this preset, its files in `out`.
 
         Raises:
             InputError: the plant cell has no shipped recipe.
@@ -356,14 +358,22 @@ class Setting:
             raise InputError(f"--cell: {self.of.name}; it must be one of {', '.join(RECIPES)}")
         name = RECIPES[self.of.name]
         shipped = load_recipe(ROOT / "data" / name)
-        samples, training, stem = shipped.samples, shipped.training, Path(name).stem
+        cell = shipped.study().cell
+        samples = cell.samples
+        training = cell.training
+        stem = Path(name).stem
         if self.quick:
-            samples, training = replace(samples, count=2048), replace(training, iterations=60)
+            samples = replace(samples, count=2048)
+            training = replace(training, iterations=60)
             stem += "-quick"
-        return replace(shipped, path=self.out / name).with_cell(
-            samples=replace(samples, file=f"{stem}.h5"),
-            training=training,
-            training_file=f"{stem}-surrogate.h5",
+        return (
+            replace(shipped, path=self.out / name)
+            .study()
+            .with_cell(
+                samples=replace(samples, file=f"{stem}.h5"),
+                training=training,
+                training_file=f"{stem}-surrogate.h5",
+            )
         )
 
     def runs(self, cases: Iterable[Case]) -> list[Run]:

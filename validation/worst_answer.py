@@ -135,11 +135,12 @@ def search(found: Search, states: int, starts: int, generations: int) -> Found:
 
 def worst_answer(setting: Setting) -> Study:
     """The search with the surrogate of the preset's shipped recipe, trained where it is not yet."""
-    recipe = setting.recipe()
-    generate_data_set(recipe)
-    surrogate = train_surrogate(recipe).surrogate
+    study = setting.study()
+    generate_data_set(study)
+    surrogate = train_surrogate(study).surrogate
+    rve = RveLaw(study.cell.parameters, study.recipe.rve)
     effort = (2000, 20, 5) if setting.quick else (STATES, STARTS, GENERATIONS)
-    found = search(Search(surrogate, RveLaw(recipe.cell, recipe.rve), CacheSettings()), *effort)
+    found = search(Search(surrogate, rve, CacheSettings()), *effort)
     if not setting.quick:
         publish(setting, found)
     share = np.linspace(0.0, 100.0, found.values.size)

@@ -55,7 +55,7 @@ def the_recipe() -> Recipe:
 @cache
 def the_rve() -> RveLaw:
     """Its RVEs."""
-    law = true_law(the_recipe())
+    law = true_law(the_recipe().study())
     require_tangents(law, "micro_manager")
     return law
 
@@ -63,7 +63,7 @@ def the_rve() -> RveLaw:
 @cache
 def the_surrogate() -> SurrogateLaw:
     """Its surrogate."""
-    law = choose_law(the_recipe(), "surrogate").law
+    law = choose_law(the_recipe().study(), "surrogate").law
     assert isinstance(law, SurrogateLaw)
     return law
 

@@ -61,7 +61,7 @@ def show_comparison(result: Comparison) -> None:
         if run.balance is not None:
             console.print_line(f"{run.name}: {run.balance.sentence}")
         for name, cache in caches_of(run.cache).items():
-            of = f"{run.name}, {name}" if name else run.name
+            of = run.name if name is None else f"{run.name}, {name}"
             if cache["audit"]["audited"]:
                 console.print_line(f"{of}: audit: {audit_sentence(cache)}")
             sentence = closing_sentence(cache)

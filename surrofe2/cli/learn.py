@@ -52,11 +52,15 @@ def generate(
     study = open_study(recipe, threads)
     console.show_notes(recipe_notes(study))
     with executor_of(workers, scheduler) as executor:
-        for name, part in study.parts(cell).items():
-            kept, begun = "the samples so far are kept", (part.data_path(),)
-            what, count = f"generate {name}".rstrip(), wanted_count(part, fresh=fresh)
+        for cell_study in study.studies(cell).values():
+            what = cell_study.title("generate")
+            count = wanted_count(cell_study, fresh=fresh)
+            kept = "the samples so far are kept"
+            begun = (cell_study.data_path(),)
             with console.working(what, count, "samples", kept, begun) as report:
-                data_set = generate_data_set(part, fresh=fresh, executor=executor, report=report)
+                data_set = generate_data_set(
+                    cell_study, fresh=fresh, executor=executor, report=report
+                )
             console.done(data_set.path, data_summary(data_set))
 
 
@@ -88,15 +92,16 @@ def train(
     """
     study = open_study(recipe, threads)
     console.show_notes(recipe_notes(study))
-    parts = study.parts(cell)
-    if add and len(parts) > 1:
-        raise InputError(
-            f"--add: a harvest is of one cell; choose --cell, one of {', '.join(parts)}"
-        )
-    for name, part in parts.items():
-        begun = (unfinished_training(part), part.training_path())
+    studies = study.studies(cell)
+    if add and len(studies) > 1:
+        names = ", ".join(str(name) for name in studies)
+        raise InputError(f"--add: a harvest is of one cell; choose --cell, one of {names}")
+    for name, cell_study in studies.items():
+        begun = (unfinished_training(cell_study), cell_study.training_path())
         with console.on_interrupt("the iterations so far are kept", begun):
-            trained = train_surrogate(part, fresh=fresh, add=add or (), stage=console.progress)
+            trained = train_surrogate(
+                cell_study, fresh=fresh, add=add or (), stage=console.progress
+            )
         errors = trained.surrogate.errors
         quantities: list[Quantity[str]] = [
             Quantity("stress", "", "", str),
@@ -104,12 +109,13 @@ def train(
             Quantity("RMS", "", percent(2), errors["rms"].get),
             Quantity("worst", "", percent(2), errors["worst"].get),
         ]
-        title = f"Held-out errors{name and f' of {name}'}, {errors['points']} samples"
+        whose = "" if name is None else f" of {name}"
+        title = f"Held-out errors{whose}, {errors['points']} samples"
         console.show_table(title, Table(quantities, STRESSES))
         for line in trained.bound.splitlines():
             console.print_line(line)
         console.done(trained.path, training_summary(trained))
-        warning = large_errors(part, trained)
+        warning = large_errors(cell_study, trained)
         if warning is not None:
             console.print_warning(warning)
 
@@ -155,7 +161,7 @@ def refine(
     finally:
         if rows:
             console.show_table("Rounds", Table(QUANTITIES, rows))
-    files = ", ".join(str(folder / of_cell(SURROGATE, name)) for name in study.parts(cell))
+    files = ", ".join(str(folder / of_cell(SURROGATE, name)) for name in study.studies(cell))
     console.done(files, f"settled after {rows[-1].round + 1} rounds")
 
 

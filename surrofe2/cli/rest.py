@@ -126,7 +126,7 @@ def modes(
     record = modes_study(study, methods, count, out, fresh=fresh, stage=console.progress)
     n = study.problem().mesh.nelements
     for state, of_state in record["states"].items():
-        title = f"{state.capitalize()}, {n} elements, preset {study.cells[study.cell_name].preset}"
+        title = f"{state.capitalize()}, {n} elements, preset {study.study().cell.preset}"
         rows = [
             (method, numbers["watched"][1], k, *each)
             for method, numbers in of_state.items()

@@ -12,7 +12,7 @@ from surrofe2.base.units import rough_number, rough_time
 from surrofe2.cli import console
 from surrofe2.cli.compare import REPORT, show_comparison
 from surrofe2.recipe.entries import listed_values
-from surrofe2.recipe.recipe import Recipe
+from surrofe2.recipe.recipe import CellStudy
 from surrofe2.recipe.schema import TEMPLATES, write_recipe
 from surrofe2.report.comparison import compare_runs
 from surrofe2.report.page import write_report
@@ -104,7 +104,9 @@ def check(
         console.print_line(f"the mesh is large: checked with {along} × {across} elements")
     for line in (*checking.parts_of_mesh(mesh), *checking.lines_of_cells(study)):
         console.print_line(line)
-    without = [part.section("range") for part in study.parts().values() if part.range is None]
+    without = [
+        each.section("range") for each in study.studies().values() if each.cell.range is None
+    ]
     if without:
         console.print_line(f"No [{without[0]}]: only `--law rve` can run this recipe.")
     else:
@@ -208,8 +210,9 @@ def study(
         if faults:
             more = f"; and {len(faults) - 1} more, see `surrofe2 check`" if faults[1:] else ""
             raise InputError(f"{faults[0]}{more}")
-        for part in stated.parts().values() if law == "cached" else ():
-            _learn(part, last, fresh, stage)
+        if law == "cached":
+            for cell_study in stated.studies().values():
+                _learn(cell_study, last, fresh, stage)
         for k, each in enumerate(laws, first):
             run_folder = folder / each
             with stage(f"{k}/{last} run by {each}", *extent_of(stated)) as report:
@@ -232,18 +235,19 @@ def study(
     console.done(folder, "all steps done")
 
 
-def _learn(part: Recipe, last: int, fresh: bool, stage: Stage) -> None:
-    """Data set and surrogate of a cell, whatever is missing of both."""
-    path = part.training_path()
-    if not (fresh or part.data_path().exists()) and is_trained(part):  # it needs no data set
+def _learn(cell_study: CellStudy, last: int, fresh: bool, stage: Stage) -> None:
+    """Make the data set and the surrogate of a cell, whatever is missing of both."""
+    path = cell_study.training_path()
+    has_data = cell_study.data_path().exists()
+    if not (fresh or has_data) and is_trained(cell_study):  # it needs no data set
         console.print_line(f"2/{last} surrogate {path}: already trained")
         return
-    data, trained = learn(part, fresh=fresh, stage=stage)
+    data, trained = learn(cell_study, fresh=fresh, stage=stage)
     console.print_line(f"1/{last} data set {data.path}: {data_summary(data)}")
     console.print_line(f"2/{last} surrogate {path}: {training_summary(trained)}")
     for line in trained.bound.splitlines():
         console.print_line(line)
-    warning = large_errors(part, trained)
+    warning = large_errors(cell_study, trained)
     if warning is not None:
         console.print_warning(warning)
 

@@ -248,6 +248,9 @@ def _bodies(where: str, entry: Any) -> tuple[RigidBody, ...]:
 
 # Its plant cells.
 
+CellName = str | None
+"""Name of a plant cell, that of its section [cells.NAME]; None: the one of [cell], which fills the
+tissue and needs no name."""
 REST = "rest"
 """Region that a cell names to fill what no other cell fills; a region of the mesh by that name goes
 first."""
@@ -302,6 +305,7 @@ class CellType:
 
     Attributes:
         preset: name of the preset of its parameters.
+        parameters: the constants of its walls, contacts and fluid, and how cells are arranged.
         names_fluid: whether the recipe names its fluid, and does not leave it to the preset.
         overruled: constants in the recipe that are not taken, each with the measurement beside it
             that determines it.
@@ -311,7 +315,7 @@ class CellType:
     """
 
     preset: str
-    cell: CellParameters
+    parameters: CellParameters
     names_fluid: bool
     overruled: Mapping[str, str]
     regions: tuple[str, ...]
@@ -325,7 +329,7 @@ class CellType:
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """Return the sections of a recipe that state this cell, with defaults filled in."""
         sections = {
-            "cell": {"preset": self.preset, **self.cell.to_dict()},
+            "cell": {"preset": self.preset, **self.parameters.to_dict()},
             "samples": asdict(self.samples),
             "training": {**asdict(self.training), "file": self.training_file},
         }
@@ -334,15 +338,15 @@ class CellType:
         return sections
 
 
-def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
-    """Read the cell types that a recipe's tables state, by name; that of [cell] is called "".
+def cell_types(table: Mapping[str, Any]) -> dict[CellName, CellType]:
+    """Read the cell types that a recipe's tables state, by name.
 
     Raises:
         InputError: naming the entry that is not what it must be.
     """
     shared = {name: table[name] for name in CELL_SECTIONS if name in table}
     if "cells" not in table:
-        return {"": _cell_type("", table.get("cell", {}), shared)}
+        return {None: _cell_type(None, table.get("cell", {}), shared)}
     cells = table["cells"]
     if not isinstance(cells, dict) or not cells:
         raise InputError(
@@ -372,9 +376,9 @@ def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
     return types
 
 
-def _check_files_differ(types: Mapping[str, CellType]) -> None:
+def _check_files_differ(types: Mapping[CellName, CellType]) -> None:
     """Reject a file of samples or of a surrogate that two cells name: one would overwrite it."""
-    owners: dict[tuple[str, str], str] = {}  # name of the cell, by section and file
+    owners: dict[tuple[str, str], CellName] = {}  # name of the cell, by section and file
     for name, cell in types.items():
         files = (cell.samples.file, cell.training_file)
         for section, file in zip(_WITH_FILE, files, strict=True):
@@ -387,15 +391,15 @@ def _check_files_differ(types: Mapping[str, CellType]) -> None:
                 )
 
 
-def _cell_type(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]]) -> CellType:
-    """Read the cell of [cell], whose name is "", or of [cells.NAME].
+def _cell_type(name: CellName, entries: Any, shared: Mapping[str, Mapping[str, Any]]) -> CellType:
+    """Read the cell of [cell], which has no name, or of [cells.NAME].
 
     Args:
         shared: the recipe's sections of `CELL_SECTIONS`, for keys that the cell's leave out.
     """
-    is_named = name != ""
+    is_named = name is not None
     where = f"cells.{name}" if is_named else "cell"
-    if is_named and not re.fullmatch(r"[\w-]+", name):
+    if name is not None and not re.fullmatch(r"[\w-]+", name):
         raise InputError(where, f"{quoted(name)}; a name must be of letters, digits, _ and -")
     if not isinstance(entries, dict):
         raise InputError(where, f"{quoted(entries)}; it must be a section [{where}]")
@@ -418,7 +422,7 @@ def _cell_type(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]])
         cell = build(make, constants, where, known, of=CellParameters, **measured)
     if is_named:
         with faults.noted():
-            stated = entries.get("regions", [name])
+            stated = entries.get("regions", [name])  # by default the region of its own name
             regions = check_value(f"{where}.regions", stated, tuple[str, ...], {})
             if not regions:
                 raise InputError(f"{where}.regions", "[]; it must name a region of the mesh")
@@ -439,7 +443,7 @@ def _cell_type(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]])
     faults.check()
     return CellType(
         preset=preset,
-        cell=cell,
+        parameters=cell,
         names_fluid="fluid" in parameters,
         overruled=overruled(parameters),
         regions=regions,
@@ -453,7 +457,7 @@ def _takes_rest(cell: CellType, known: Container[str]) -> bool:
     return not cell.regions or (REST in cell.regions and REST not in known)
 
 
-def kinds_of_cells(problem: Problem, types: Mapping[str, CellType], middles: Array) -> Index:
+def kinds_of_cells(problem: Problem, types: Mapping[CellName, CellType], middles: Array) -> Index:
     """Return the number (n,) of the type of each plant cell of a full tissue.
 
     Args:
@@ -501,14 +505,13 @@ class Recipe:
 
     Attributes:
         path: the recipe's file, against which its files resolve.
-        cells: plant cells by name; that of a section [cell] is called "".
-        part: name of the selected cell; None: the only one, or all of several.
+        cells: plant cells by name; that of a section [cell] has the name None.
         is_bar: whether section [load] states the problem.
         sha256: digest of the mesh file; None without one.
     """
 
     path: Path
-    cells: Mapping[str, CellType]
+    cells: Mapping[CellName, CellType]
     mesh: MeshSettings = setting(about="the tissue")
     conditions: tuple[Condition, ...] = setting((), "what holds and loads it", read=_conditions)
     bodies: tuple[RigidBody, ...] = setting((), "that it touches", read=_bodies)
@@ -526,94 +529,56 @@ class Recipe:
     rest: RestSettings | None = setting(None, "load steps to rest, instead of a run in time")
     surface: SurfaceSettings | None = setting(None, "free sides with a law of their own")
     cache: CacheSettings = setting(CacheSettings(), "cache of RVE stresses, by a surrogate")
-    part: str | None = None
     is_bar: bool = False
     sha256: str | None = None
 
-    def parts(self, name: str | None = None) -> dict[str, Recipe]:
-        """Return the recipe for each of its cells by name, or for one of them.
+    def study(self) -> CellStudy:
+        """Return the study of the only plant cell.
 
-        Args:
-            name: the cell to select; None: the one that is selected already, or all.
+        Raises:
+            InputError: there are several.
+        """
+        if len(self.cells) > 1:
+            names = ", ".join(str(name) for name in self.cells)
+            raise InputError(
+                f"{self.path.name}: cells: {names}; this needs a recipe with one [cell]"
+            )
+        return CellStudy(self, next(iter(self.cells)))
+
+    def studies(self, name: str | None = None) -> dict[CellName, CellStudy]:
+        """Return the studies of all plant cells by name, or of the one that is named.
 
         Raises:
             InputError: there is no cell of that name; the cell of [cell] has none.
         """
-        if name is not None:
-            name = with_micro_sign(name)
-            if name == "" or name not in self.cells:
-                known = [cell or "[cell]" for cell in self.cells]
-                raise unknown(f"--cell: {quoted(name)}", name, "cell", known)
-            names = [name]
-        elif self.part is not None:
-            names = [self.part]
-        else:
-            names = list(self.cells)
-        return {name: replace(self, part=name) for name in names}
-
-    @property
-    def cell_name(self) -> str:
-        """The name of the selected cell, or of the only one.
-
-        Raises:
-            InputError: there are several, and none is selected.
-        """
-        if self.part is not None:
-            return self.part
-        if len(self.cells) > 1:
-            raise InputError(
-                f"{self.path.name}: cells: {', '.join(self.cells)}; this needs a recipe with one "
-                "[cell]"
-            )
-        return next(iter(self.cells))
-
-    @property
-    def cell(self) -> CellParameters:
-        """The parameters of the selected plant cell, as `cell_name` says."""
-        return self.cells[self.cell_name].cell
-
-    @property
-    def range(self) -> SamplingRange | None:
-        """The range of (F, Ḟ) in which the selected cell's stress is sampled and learnt."""
-        return self.cells[self.cell_name].range
-
-    @property
-    def samples(self) -> SampleSettings:
-        """The samples of the selected cell's stress."""
-        return self.cells[self.cell_name].samples
-
-    @property
-    def training(self) -> TrainingSettings:
-        """The training of the selected cell's surrogate."""
-        return self.cells[self.cell_name].training
-
-    @property
-    def training_file(self) -> str | None:
-        """The file of the selected cell's surrogate, relative to the recipe."""
-        return self.cells[self.cell_name].training_file
-
-    def with_cell(self, **changes: Any) -> Recipe:
-        """Return the recipe with other settings of the selected cell."""
-        name = self.cell_name
-        cell = replace(self.cells[name], **changes)
-        return replace(self, cells={**self.cells, name: cell})
+        if name is None:
+            return {each: CellStudy(self, each) for each in self.cells}
+        name = with_micro_sign(name)
+        if name not in self.cells:
+            known = [each or "[cell]" for each in self.cells]
+            raise unknown(f"--cell: {quoted(name)}", name, "cell", known)
+        return {name: CellStudy(self, name)}
 
     @property
     def fingerprint(self) -> str:
-        """The fingerprints of all cells in their order, or that of the selected cell."""
-        return " ".join(part.cell.fingerprint for part in self.parts().values())
+        """The fingerprints of the parameters of all cells, in their order."""
+        return " ".join(cell.parameters.fingerprint for cell in self.cells.values())
 
     def points_of_cells(self, mesh: skfem.Mesh) -> dict[str, Index]:
-        """Return the numbers of the points of the mesh that each cell fills.
+        """Return the numbers of the points of the mesh that each cell of [cells.NAME] fills.
 
-        Together the cells fill the whole mesh.
+        Together the cells fill the whole mesh. The cell of [cell] needs no such numbers: it fills
+        every point, and the dictionary is empty.
 
         Raises:
             InputError: there is no such region, or an element is of no cell or of two.
         """
         regions = mesh.subdomains or {}
+        named = {name: cell for name, cell in self.cells.items() if name is not None}
+        if not named:
+            return {}
         elements_of: dict[str, Index] = {}
-        for name, cell in self.cells.items():
+        for name, cell in named.items():
             members = [np.zeros(0, np.int64)]
             for part in cell.regions:
                 is_remainder = part == REST and part not in regions
@@ -622,7 +587,7 @@ class Recipe:
             elements_of[name] = np.unique(np.concatenate(members))
         filled = np.concatenate([*elements_of.values()])
         remainder = np.setdiff1d(np.arange(mesh.nelements), filled)
-        for name, cell in self.cells.items():
+        for name, cell in named.items():
             if _takes_rest(cell, regions):
                 elements_of[name] = np.union1d(elements_of[name], remainder)
             if not elements_of[name].size:
@@ -630,20 +595,6 @@ class Recipe:
                     f"cells.{name}.regions", f"{REST}; the other cells fill the whole mesh"
                 )
         return points_by_region(mesh.with_subdomains(elements_of), tuple(elements_of), "cells")
-
-    def sampling_range(self) -> SamplingRange:
-        """Return the range of (F, Ḟ), for commands that need one.
-
-        Raises:
-            InputError: the recipe states none.
-        """
-        if self.range is None:
-            name = self.section("range")
-            raise InputError(
-                f"{self.path.name}: {name}: missing; this command needs the section [{name}] with "
-                "stretch, shear and rate (1/µs)"
-            )
-        return self.range
 
     @contextmanager
     def named(self, *kinds: type[FileError | InputError]) -> Iterator[None]:
@@ -705,13 +656,83 @@ class Recipe:
         """Length of the run, µs."""
         return self.time.duration
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the whole recipe, with defaults filled in, as JSON can hold it.
+
+        It has no absolute folder.
+        """
+        only = self.cells.get(None)
+        if only is not None:
+            return self.entries_with(only.to_dict())
+        return self.entries_with(
+            {"cells": {name: _entries(cell) for name, cell in self.cells.items()}}
+        )
+
+    def entries_with(self, of_cells: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the recipe as JSON can hold it, with these sections for its cells."""
+        entries: dict[str, Any] = {"recipe": self.path.name, **of_cells}
+        for name in _OF_ALL_CELLS:
+            settings = getattr(self, name)
+            if settings is not None:
+                entries[name] = asdict(settings)
+        entries["mesh"] = {**self.mesh.to_dict(), "sha256": self.sha256}
+        entries |= sections_of(self.conditions, self.bodies, self.watch or {})
+        entries["time"] = self.time
+        recipe: dict[str, Any] = plain(entries)
+        return recipe
+
+
+@dataclass(frozen=True, slots=True)
+class CellStudy:
+    """One plant cell of a recipe: the commands that sample and learn its stress take it.
+
+    Attributes:
+        recipe: the recipe, with what all of its cells share: RVEs, calibration, problem.
+        name: name of the cell.
+    """
+
+    recipe: Recipe
+    name: CellName
+
+    @property
+    def cell(self) -> CellType:
+        """The plant cell, with its range, samples and training."""
+        return self.recipe.cells[self.name]
+
+    def with_cell(self, **changes: Any) -> CellStudy:
+        """Return the study with other entries of its `CellType`, in its recipe too."""
+        cells = {**self.recipe.cells, self.name: replace(self.cell, **changes)}
+        return replace(self, recipe=replace(self.recipe, cells=cells))
+
+    def title(self, what: str) -> str:
+        """Return the words for a piece of work, with the cell's name where it has one."""
+        return what if self.name is None else f"{what} {self.name}"
+
+    def section(self, name: str) -> str:
+        """Return the name that a section of the cell has in the recipe."""
+        return name if self.name is None else f"cells.{self.name}.{name}"
+
+    def sampling_range(self) -> SamplingRange:
+        """Return the range of (F, Ḟ), for commands that need one.
+
+        Raises:
+            InputError: the recipe states none.
+        """
+        if self.cell.range is None:
+            name = self.section("range")
+            raise InputError(
+                f"{self.recipe.path.name}: {name}: missing; this command needs the section "
+                f"[{name}] with stretch, shear and rate (1/µs)"
+            )
+        return self.cell.range
+
     def data_path(self) -> Path:
-        """Return the path of the selected cell's data set."""
-        return self._path_of("samples", self.samples.file, "data set (.h5)")
+        """Return the path of the cell's data set."""
+        return self._path_of("samples", self.cell.samples.file, "data set (.h5)")
 
     def training_path(self) -> Path:
-        """Return the path of the selected cell's surrogate."""
-        return self._path_of("training", self.training_file, "trained surrogate (.h5)")
+        """Return the path of the cell's surrogate."""
+        return self._path_of("training", self.cell.training_file, "trained surrogate (.h5)")
 
     def _path_of(self, section: str, file: str | None, content: str) -> Path:
         """Return the path of a file of the recipe.
@@ -723,7 +744,7 @@ class Recipe:
         Raises:
             InputError: the section states no file, or a name that no file can have.
         """
-        entry = f"{self.path.name}: {self.section(section)}.file"
+        entry = f"{self.recipe.path.name}: {self.section(section)}.file"
         if file is None:
             raise InputError(
                 f"{entry}: missing; this command needs the file of the {content}, relative to the "
@@ -732,34 +753,11 @@ class Recipe:
         longest = max(len(os.fsencode(part)) for part in file.split("/"))
         if "\0" in file or longest > _LONGEST_NAME:
             raise InputError(f"{entry}: {quoted(file)}; no file can be called so")
-        return Path(os.path.normpath(self.path.parent / file))
-
-    def section(self, name: str) -> str:
-        """Return the name that a section of the selected cell has in the file."""
-        if self.cell_name == "":  # the cell of [cell]
-            return name
-        return f"cells.{self.cell_name}.{name}"
+        return Path(os.path.normpath(self.recipe.path.parent / file))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the whole recipe, with defaults filled in, as JSON can hold it.
-
-        It has no absolute folder. The recipe of one cell has the sections of a [cell], whatever
-        the cell's name.
-        """
-        entries: dict[str, Any] = {"recipe": self.path.name}
-        if self.part is not None or "" in self.cells:
-            entries |= self.cells[self.cell_name].to_dict()
-        else:
-            entries["cells"] = {name: _entries(cell) for name, cell in self.cells.items()}
-        for name in _OF_ALL_CELLS:
-            settings = getattr(self, name)
-            if settings is not None:
-                entries[name] = asdict(settings)
-        entries["mesh"] = {**self.mesh.to_dict(), "sha256": self.sha256}
-        entries |= sections_of(self.conditions, self.bodies, self.watch or {})
-        entries["time"] = self.time
-        recipe: dict[str, Any] = plain(entries)
-        return recipe
+        """Return the recipe of this cell alone, with the sections of a [cell], as JSON can hold."""
+        return self.recipe.entries_with(self.cell.to_dict())
 
 
 def _entries(cell: CellType) -> dict[str, Any]:

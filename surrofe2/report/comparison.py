@@ -16,7 +16,7 @@ from surrofe2.plant_cell.parameters import PRESETS
 from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.run.charts import Curve, Panel, draw_panels, encoded, in_words
 from surrofe2.run.displacement_curve import CurveDifference, DisplacementCurve, difference
-from surrofe2.store.run_folder import RunRecord, StoredRun, is_rest, read_run
+from surrofe2.store.run_folder import RunRecord, StoredRun, cells_of, is_rest, read_run
 from surrofe2.store.store import digest, flat, keep, write_bytes
 
 COMPARISON_FILES = ("comparison.json", "comparison.png")
@@ -528,9 +528,8 @@ def _problem_of(recipe: Mapping[str, Any]) -> str:
 
 def _cells_of(recipe: Mapping[str, Any]) -> str:
     """Name the preset of each cell, with the constants that are not the preset's."""
-    cells = {"": recipe["cell"]} if "cell" in recipe else recipe.get("cells", {})
     titles = []
-    for name, cell in cells.items():
+    for name, cell in cells_of(recipe).items():
         preset = str(cell.get("preset", "none"))
         of_preset = PRESETS[preset].to_dict() if preset in PRESETS else {}
         changed = []
@@ -540,7 +539,7 @@ def _cells_of(recipe: Mapping[str, Any]) -> str:
         if len(changed) > _MOST_NAMED:
             changed = [*changed[:_MOST_NAMED], f"{len(changed) - _MOST_NAMED} more constants"]
         constants = f" with {', '.join(changed)}" if changed else ""
-        which = f"cell {name}" if name else "cell"
+        which = "cell" if name is None else f"cell {name}"
         titles.append(f"{which} by preset “{preset}”{constants}")
     return ", ".join(titles)
 

@@ -35,7 +35,7 @@ class NamedCell:
         if not name.endswith(".toml"):
             return cls(CellParameters.preset(name), name)
         recipe = load_recipe(name)
-        return cls(recipe.cell, Path(name).stem, "recipe")
+        return cls(recipe.study().cell.parameters, Path(name).stem, "recipe")
 
     def identity(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """Return all on which numbers about the cell depend.

@@ -203,14 +203,17 @@ class StoredRun(ViewedRun):
     def caches(self) -> dict[str, Mapping[str, Any]]:
         """The reports of its caches, by its name and that of the cell where there are several."""
         caches = caches_of(self.record.cache)
-        return {f"{self.name}, {cell}" if cell else self.name: caches[cell] for cell in caches}
+        return {
+            self.name if cell is None else f"{self.name}, {cell}": report
+            for cell, report in caches.items()
+        }
 
     def facts(self) -> Facts:
         record = self.record
-        recipe = record.recipe
-        cells = {"": recipe["cell"]} if "cell" in recipe else recipe.get("cells", {})
-        presets = {name: cell.get("preset", "none") for name, cell in cells.items()}
-        named = [f"{name}: {preset}" if name else preset for name, preset in presets.items()]
+        named = []
+        for name, cell in cells_of(record.recipe).items():
+            preset = cell.get("preset", "none")
+            named.append(preset if name is None else f"{name}: {preset}")
         return {
             "folder": plain(str(self.folder)),
             "law": f"{record.law}, {record.initialisation}",
@@ -429,10 +432,19 @@ class RunFolder:
         return f"a {self.record.law} run"
 
 
-def of_cell(file: str, cell: str) -> str:
-    """Return the file's name with that of the cell, harvest-skin.h5; "" is the only cell."""
+def of_cell(file: str, cell: str | None) -> str:
+    """Return the file's name with that of the cell, harvest-skin.h5, if the cell has a name."""
+    if cell is None:
+        return file
     name, dot, kind = file.rpartition(".")
-    return f"{name}-{cell}{dot}{kind}" if cell else file
+    return f"{name}-{cell}{dot}{kind}"
+
+
+def cells_of(recipe: Mapping[str, Any]) -> dict[str | None, Mapping[str, Any]]:
+    """Return the cells in the recipe of a record by name; that of [cell] has none."""
+    if "cell" in recipe:
+        return {None: recipe["cell"]}
+    return dict(recipe.get("cells", {}))
 
 
 def _learnt_files(folder: Path) -> tuple[str, ...]:
@@ -443,7 +455,7 @@ def _learnt_files(folder: Path) -> tuple[str, ...]:
         return ()
     recipe = stored.get("recipe")
     cells = recipe.get("cells") if isinstance(recipe, dict) else None
-    names = [*cells] if cells and isinstance(cells, dict) else [""]
+    names = [*cells] if cells and isinstance(cells, dict) else [None]
     law = stored.get("law")
     harvests = [of_cell(HARVEST, name) for name in names if law in ("cached", "table")]
     tables = [of_cell(TABLE, name) for name in names if law == "table"]
@@ -463,9 +475,11 @@ def describe_origin() -> dict[str, Any]:
     }
 
 
-def caches_of(cache: Mapping[str, Any] | None) -> dict[str, Mapping[str, Any]]:
-    """Return the reports in a record's `cache` by name of the cell, "" where there is one."""
-    return dict(cache.get("cells", {"": cache})) if cache else {}
+def caches_of(cache: Mapping[str, Any] | None) -> dict[str | None, Mapping[str, Any]]:
+    """Return the reports in a record's `cache` by name of the cell; that of [cell] has none."""
+    if not cache:
+        return {}
+    return dict(cache["cells"]) if "cells" in cache else {None: cache}
 
 
 def write_record(folder: Path, record: RunRecord) -> None:

@@ -31,7 +31,7 @@ from surrofe2.plant_cell.measurements import DETERMINED, measurements_of
 from surrofe2.plant_cell.parameters import CellParameters, LivingTissue
 from surrofe2.problem import Problem
 from surrofe2.problem.mesh import area_of, element_nodes, extent, facet_nodes, length_of
-from surrofe2.recipe.recipe import Recipe, load_recipe
+from surrofe2.recipe.recipe import CellName, CellStudy, Recipe, load_recipe
 from surrofe2.run.loop import Report, no_report
 from surrofe2.store.surrogates import check_surrogate, read_surrogate
 from surrofe2.surrogate.deformation_paths import WatchedLaw
@@ -82,12 +82,13 @@ def study_faults(recipe: Recipe, kinds: Sequence[str], *, fresh: bool = False) -
     checks: list[Callable[[], Any]] = [partial(_check_problem, recipe)]
     if "table" in kinds:
         checks.append(partial(laws.check_solver, recipe))
-    for part in recipe.parts().values():
+    for study in recipe.studies().values():
         if kinds != ("rve",):
-            checks.append(part.sampling_range)
+            checks.append(study.sampling_range)
         if "cached" in kinds:
-            checks += [part.data_path, part.training_path]
-            checks += [] if fresh else [partial(_check_files, part)]
+            checks += [study.data_path, study.training_path]
+            if not fresh:
+                checks.append(partial(_check_files, study))
     faults = []
     for check in checks:
         try:
@@ -144,7 +145,7 @@ def lines_of_cells(recipe: Recipe) -> list[str]:
     constants that mean the same."""
     lines = []
     for name, each in recipe.cells.items():
-        cell = each.cell
+        cell = each.parameters
         values = measurements_of(cell)
         units = {item.name: item.metadata["unit"] for item in fields(LivingTissue)}
         measured = [f"{key} {value:.4g} {units[key]}" for key, value in values.items()]
@@ -155,7 +156,7 @@ def lines_of_cells(recipe: Recipe) -> list[str]:
         names = dict.fromkeys(each for names in DETERMINED.values() for each in names)
         constants = [f"{key} {getattr(cell, key):.4g} {units[key]}" for key in names]
         lines += [
-            f"{f'cell {name}' if name else 'plant cell'}: {', '.join(measured)}",
+            f"{'plant cell' if name is None else f'cell {name}'}: {', '.join(measured)}",
             f"  as constants: {', '.join(constants)}",
         ]
     return lines
@@ -166,16 +167,18 @@ def _counted(number: int, what: str) -> str:
     return f"{number:,} {what}" if number == 1 else f"{number:,} {what}s"
 
 
-def _check_files(part: Recipe) -> None:
-    """Whether data set and surrogate, as far as they are there and whole, are of this recipe."""
-    if part.range is None or part.samples.file is None or part.training_file is None:
+def _check_files(study: CellStudy) -> None:
+    """Check that data set and surrogate, as far as they are there and whole, are of this recipe."""
+    cell = study.cell
+    if cell.range is None or cell.samples.file is None or cell.training_file is None:
         return  # another check reports it
-    data, trained = part.data_path(), part.training_path()
+    data = study.data_path()
     if data.exists():
-        check_data(part, data)
+        check_data(study, data)
+    trained = study.training_path()
     if trained.exists():
         surrogate = read_surrogate(trained)
-        check_surrogate(trained, surrogate, part.cell, part.rve.initialisation)
+        check_surrogate(trained, surrogate, cell.parameters, study.recipe.rve.initialisation)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,9 +198,9 @@ class DryRun:
     points: int
     calls: float
     reached: float
-    met: dict[str, MetRange]
-    steps: dict[str, list[tuple[Array, Array]]]
-    shares: dict[str, float]
+    met: dict[CellName, MetRange]
+    steps: dict[CellName, list[tuple[Array, Array]]]
+    shares: dict[CellName, float]
     with_tangents: bool = False
     displacement: float = 0.0
     omitted: str = ""
@@ -325,18 +328,19 @@ def _dry_run(recipe: Recipe, seconds: float, report: Report) -> DryRun:
     )
 
 
-def _recorded_law(recipe: Recipe, problem: Problem) -> tuple[StressLaw, dict[str, _Recorder]]:
-    """The quadratic law of a tissue, and by name of the cell what records it."""
-    recorders: dict[str, _Recorder] = {}
+def _recorded_law(recipe: Recipe, problem: Problem) -> tuple[StressLaw, dict[CellName, _Recorder]]:
+    """Make the quadratic law of a tissue, and by name of the cell what records it."""
+    recorders: dict[CellName, _Recorder] = {}
 
-    def recorded(part: Recipe) -> StressLaw:
-        recorder = recorders[part.cell_name] = _Recorder(laws.quadratic_law(part))
+    def recorded(study: CellStudy) -> StressLaw:
+        recorder = _Recorder(laws.quadratic_law(study))
+        recorders[study.name] = recorder
         return recorder
 
     return law_by_region(recipe, problem.mesh, recorded), recorders
 
 
-def _tried(recorders: Mapping[str, _Recorder], **entries: Any) -> DryRun:
+def _tried(recorders: Mapping[CellName, _Recorder], **entries: Any) -> DryRun:
     """What was recorded of a dry run, with entries of its own."""
     points = sum(each.points for each in recorders.values())
     return DryRun(
@@ -423,9 +427,11 @@ def _dry_rest(recipe: Recipe, seconds: float, report: Report) -> DryRun:
 
 def seconds_by_rves(recipe: Recipe, run: DryRun) -> float:
     """The order of magnitude of a run by RVEs: its solves times a timed one, along a dry run."""
-    parts = recipe.parts()
     return run.solves * sum(
-        share * _seconds_a_solve(laws.true_law(parts[name]), run.steps[name], run.with_tangents)
+        share
+        * _seconds_a_solve(
+            laws.true_law(CellStudy(recipe, name)), run.steps[name], run.with_tangents
+        )
         for name, share in run.shares.items()
     )
 
@@ -448,11 +454,11 @@ def _seconds_a_solve(law: StressLaw, steps: list[tuple[Array, Array]], tangents:
 
 def advised_law(recipe: Recipe, seconds: float) -> str:
     """The law by which a first run probably ends first, if one by RVEs takes so many seconds."""
-    parts = recipe.parts().values()
-    has_files = all(part.samples.file and part.training_file for part in parts)
-    if any(part.range is None for part in parts):
+    cells = recipe.cells.values()
+    has_files = all(cell.samples.file and cell.training_file for cell in cells)
+    if any(cell.range is None for cell in cells):
         return "rve"
-    if has_files and all(is_trained(part) for part in parts):
+    if has_files and all(is_trained(study) for study in recipe.studies().values()):
         return "cached"
     if seconds < _LEARNING:
         return "rve"
@@ -486,9 +492,10 @@ def proposed_range(met: MetRange, margin: float = MARGIN) -> SamplingRange:
     return SamplingRange(stretch=stretch, shear=shear, rate=max(rate, LEAST_RATE))
 
 
-def range_section(range: SamplingRange, cell: str = "") -> str:
-    """The section of a recipe, or of one of its cells, in TOML."""
-    (low, high), name = range.stretch, f"cells.{cell}.range" if cell else "range"
+def range_section(range: SamplingRange, cell: CellName = None) -> str:
+    """Return the section of a range in TOML, as a recipe of [cell] or of several cells has it."""
+    low, high = range.stretch
+    name = "range" if cell is None else f"cells.{cell}.range"
     return f"[{name}]\nstretch = [{low}, {high}]\nshear = {range.shear}\nrate = {range.rate}"
 
 

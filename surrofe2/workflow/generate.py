@@ -20,7 +20,7 @@ from surrofe2.base.sampling import SamplingRange, training_points
 from surrofe2.base.tensors import stress_error, stress_spread
 from surrofe2.law.samples import TANGENTS, StressSamples
 from surrofe2.law.stress_law import StressLaw, StressResponse, describe
-from surrofe2.recipe.recipe import Recipe
+from surrofe2.recipe.recipe import CellStudy
 from surrofe2.run.loop import Report, Stage, no_report, no_stage
 from surrofe2.rve import RveLaw
 from surrofe2.store.hdf5 import read_header
@@ -58,11 +58,13 @@ class Generated:
     added: int
 
 
-def wanted_count(recipe: Recipe, *, fresh: bool = False) -> int:
-    """How many samples the recipe's data set is to have: what training begins with, or as many as
-    it has needed before.
+def wanted_count(study: CellStudy, *, fresh: bool = False) -> int:
+    """Return how many samples the data set of a plant cell is to have.
+
+    These are as many as training begins with, or as many as it has needed before.
     """
-    counts, path = recipe.samples.counts(recipe.training.bound), recipe.data_path()
+    counts = study.cell.samples.counts(study.cell.training.bound)
+    path = study.data_path()
     if len(counts) == 1 or fresh or not path.exists():
         return counts[0]
     there = stored_count(path).rows
@@ -70,7 +72,7 @@ def wanted_count(recipe: Recipe, *, fresh: bool = False) -> int:
 
 
 def generate_data_set(
-    recipe: Recipe,
+    study: CellStudy,
     *,
     count: int = 0,
     fresh: bool = False,
@@ -78,7 +80,7 @@ def generate_data_set(
     executor: Any = None,
     report: Report = no_report,
 ) -> Generated:
-    """Sample the recipe's range, solve the RVE there, and write the recipe's data set.
+    """Sample a plant cell's range, solve the RVE there, and write the data set.
 
     Each sample is solved for itself, without a warm start, so a data set that was continued, or
     made by several processes, equals one made in one go, to the bit.
@@ -89,19 +91,23 @@ def generate_data_set(
     Raises:
         InputError: tangents are wanted of RVEs that have none.
     """
-    path, settings, wanted = recipe.data_path(), recipe.samples, recipe.sampling_range()
-    if settings.tangents and recipe.rve.solver == "iterated":
+    path = study.data_path()
+    settings = study.cell.samples
+    wanted = study.sampling_range()
+    rve = study.recipe.rve
+    if settings.tangents and rve.solver == "iterated":
         raise InputError('samples.tangents: true; it needs rve.solver = "direct"')
-    law, count = laws.true_law(recipe), max(count, wanted_count(recipe, fresh=fresh))
+    law = laws.true_law(study)
+    count = max(count, wanted_count(study, fresh=fresh))
     header = DataSetHeader(
-        cell=recipe.cell,
-        rve=asdict(recipe.rve),
+        cell=study.cell.parameters,
+        rve=asdict(rve),
         range=wanted,
         count=count,
         seed=settings.seed,
         chunk=chunk,
         version=version("surrofe2"),
-        recipe=recipe.to_dict(),
+        recipe=study.to_dict(),
         rest_length=law.rest_length,
         tangents=settings.tangents,
         is_open=settings.count is None,
@@ -188,41 +194,47 @@ def data_summary(generated: Generated) -> str:
 
 
 def training_samples(
-    recipe: Recipe, count: int, harvests: Sequence[Path] = (), *, stage: Stage = no_stage
+    study: CellStudy, count: int, harvests: Sequence[Path] = (), *, stage: Stage = no_stage
 ) -> StressSamples:
-    """The first `count` samples of the recipe's data set, and all of the harvests.
+    """Return the first `count` samples of a plant cell's data set, and all of the harvests.
 
-    A data set whose number of samples the recipe leaves out is continued where it has fewer; one
-    of another recipe is a MismatchError."""
-    path = recipe.data_path()
+    A data set whose number of samples the recipe leaves out is continued where it has fewer.
+
+    Raises:
+        FileError: there is no data set.
+        MismatchError: it is of another recipe.
+    """
+    path = study.data_path()
     if not path.exists():
-        raise FileError(f"{path}: no such file; make it with `surrofe2 generate {recipe.path}`")
+        command = f"surrofe2 generate {study.recipe.path}"
+        raise FileError(f"{path}: no such file; make it with `{command}`")
     there = stored_count(path)
-    may_grow = there.is_open and recipe.samples.count is None
+    may_grow = there.is_open and study.cell.samples.count is None
     if may_grow and not (there.is_finished and there.rows >= count):
-        wanted = max(count, wanted_count(recipe))
+        wanted = max(count, wanted_count(study))
         with stage("generate", wanted, "samples") as report:
-            generate_data_set(recipe, count=wanted, report=report)
+            generate_data_set(study, count=wanted, report=report)
     samples = read_data_set(path)
-    check_data(recipe, path)
+    check_data(study, path)
     first = samples if len(samples.F) <= count else samples.at(np.arange(count))
-    return with_harvests(first, harvests, recipe)
+    return with_harvests(first, harvests, study)
 
 
-def check_data(recipe: Recipe, source: Path) -> None:
+def check_data(study: CellStudy, source: Path) -> None:
     """Refuse a data set of another recipe by a MismatchError that names what differs."""
+    samples = study.cell.samples
     here = {
-        "cell": recipe.cell.to_dict(),
-        "rve": {"initialisation": recipe.rve.initialisation},
-        "range": asdict(recipe.sampling_range()),
-        "samples": {"seed": recipe.samples.seed, "count": recipe.samples.count},
+        "cell": study.cell.parameters.to_dict(),
+        "rve": {"initialisation": study.recipe.rve.initialisation},
+        "range": asdict(study.sampling_range()),
+        "samples": {"seed": samples.seed, "count": samples.count},
     }
-    advice = f"generate it again with `surrofe2 generate {recipe.path} --fresh`"
+    advice = f"generate it again with `surrofe2 generate {study.recipe.path} --fresh`"
     check_same(source, here, read_header(source, DATA_SET)["compared"], advice)
 
 
 def with_harvests(
-    samples: StressSamples, paths: Iterable[Path], recipe: Recipe, law: StressLaw | None = None
+    samples: StressSamples, paths: Iterable[Path], study: CellStudy, law: StressLaw | None = None
 ) -> StressSamples:
     """The samples and, after them, the RVE stresses in these harvests.
 
@@ -239,7 +251,7 @@ def with_harvests(
         part = _arrays_of(harvest)
         if samples.P_by_F is not None:
             spread = stress_spread(samples.stress[samples.status == 0])
-            part = _with_tangents(law or laws.true_law(recipe), part, _SAME * spread)
+            part = _with_tangents(law or laws.true_law(study), part, _SAME * spread)
         omitted += len(harvest.F) - len(part["F"])
         parts.append(part)
     if len(parts) == 1:

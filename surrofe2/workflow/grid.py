@@ -14,7 +14,7 @@ from surrofe2.base.environment import cores
 from surrofe2.base.errors import InputError, SimulationError, quoted
 from surrofe2.base.settings import unknown
 from surrofe2.recipe.entries import name_of_values
-from surrofe2.recipe.recipe import PROBLEM_SECTIONS, Recipe, load_recipe
+from surrofe2.recipe.recipe import PROBLEM_SECTIONS, CellName, CellStudy, Recipe, load_recipe
 from surrofe2.report.chosen import Chosen
 from surrofe2.report.grid import Grid, grid_row, write_grid_map, write_grid_plot
 from surrofe2.run.loop import Stage, no_stage
@@ -54,7 +54,7 @@ class _Run:
     law: str
     values: Mapping[str, Any]
     true: str
-    needs: Mapping[str, Path]
+    needs: Mapping[CellName, Path]
 
 
 def run_grid(
@@ -95,8 +95,8 @@ def run_grid(
         threads = max(1, cores() // executor.workers)
     with locked_folder(out):
         learning = {
-            str(recipe.training_path()): partial(_learn, recipe, is_own, threads, fresh)
-            for recipe, is_own in surrogates
+            str(study.training_path()): partial(_learn, study, is_own, threads, fresh)
+            for study, is_own in surrogates
         }
         errors = _done(learning, executor, stage, "surrogates")
         for name, run in runs.items():
@@ -132,7 +132,7 @@ def run_grid(
 
 def _planned(
     path: Path, values: Mapping[str, Sequence[Any]], laws: Sequence[str], out: Path
-) -> tuple[list[tuple[Recipe, bool]], dict[str, _Run]]:
+) -> tuple[list[tuple[CellStudy, bool]], dict[str, _Run]]:
     """Surrogates, each with whether it is the recipe's own, and runs by name, all checked."""
     count = len(laws)
     for law in laws:
@@ -143,7 +143,7 @@ def _planned(
         if not 0 < count <= MOST_RUNS:
             raise InputError(f"{name}: {count:,} runs; a grid has 1 to {MOST_RUNS:,}")
     base, checked = load_recipe(path), list[Any]()
-    surrogates: dict[Path, tuple[Recipe, bool]] = {}
+    surrogates: dict[Path, tuple[CellStudy, bool]] = {}
     runs: dict[str, _Run] = {}
     for combination in itertools.product(*values.values()):
         changes = dict(zip(values, combination, strict=True))
@@ -158,14 +158,14 @@ def _planned(
             for law in LAWS
         }
         for law in laws:
-            needs: dict[str, Path] = {}
-            for name, part in recipe.parts().items():
+            needs: dict[CellName, Path] = {}
+            for cell, study in recipe.studies().items():
                 if law == "table":
-                    part.sampling_range()
+                    study.sampling_range()
                 elif law in ("cached", "surrogate"):
-                    known, is_own = _surrogate(base, name, part, changes, out)
-                    needs[name] = known.training_path()
-                    surrogates[needs[name]] = known, is_own
+                    known, is_own = _surrogate(base, study, changes, out)
+                    needs[cell] = known.training_path()
+                    surrogates[needs[cell]] = (known, is_own)
             run = _Run(
                 recipe=recipe,
                 law=law,
@@ -178,39 +178,55 @@ def _planned(
 
 
 def _surrogate(
-    base: Recipe, name: str, part: Recipe, changes: Mapping[str, Any], out: Path
-) -> tuple[Recipe, bool]:
-    """The surrogate of a cell, the base's where what it learns is the same, else one in `out`; and
-    whether it is the base's, which is never started over."""
-    original = base.parts().get(name)
-    if original is not None and _learnt(original) == _learnt(part):
-        known, stem = original, f"{base.path.stem}{name and '-'}{name}"
-        data, trained = known.samples.file, known.training_file
+    base: Recipe, study: CellStudy, changes: Mapping[str, Any], out: Path
+) -> tuple[CellStudy, bool]:
+    """Return the study whose surrogate a run takes, and whether that is the base's.
+
+    It is the base's where the cell learns the same there, and is then never started over; else it
+    is one in `out`.
+    """
+    name = study.name
+    suffix = "" if name is None else f"-{name}"
+    original = base.studies().get(name)
+    data: str | None = None
+    trained: str | None = None
+    if original is not None and _learnt(original) == _learnt(study):
+        known = original
+        stem = f"{base.path.stem}{suffix}"
+        data = known.cell.samples.file
+        trained = known.cell.training_file
     else:
-        others = tuple(f"cells.{other}." for other in part.cells if other != name)
+        others = tuple(f"cells.{other}." for other in study.recipe.cells if other != name)
         counting = {
             key: value
             for key, value in changes.items()
             if key.partition(".")[0] in _LEARNT and not key.startswith(others)
         }
         # what calibrates it is the base's problem, whatever else the grid changes
-        cells = {**base.cells, name: part.cells[name]}
-        known = replace(base, cells=cells, rve=part.rve, calibration=part.calibration, part=name)
-        data, trained, stem = None, None, f"{name_of_values(counting)}{name and '-'}{name}"
+        recipe = replace(
+            base,
+            cells={**base.cells, name: study.cell},
+            rve=study.recipe.rve,
+            calibration=study.recipe.calibration,
+        )
+        known = CellStudy(recipe, name)
+        stem = f"{name_of_values(counting)}{suffix}"
     here = os.path.relpath(out / stem, base.path.parent)
-    recipe = known.with_cell(
-        samples=replace(known.samples, file=data or f"{here}.h5"),
+    known = known.with_cell(
+        samples=replace(known.cell.samples, file=data or f"{here}.h5"),
         training_file=trained or f"{here}-surrogate.h5",
     )
-    if trained is None or not recipe.training_path().exists():
-        recipe.sampling_range()
-    return recipe, trained is not None
+    if trained is None or not known.training_path().exists():
+        known.sampling_range()  # it is trained first, and that needs a range
+    return known, trained is not None
 
 
-def _learnt(part: Recipe) -> tuple[Any, ...]:
-    """All that the surrogate of a cell depends on, but for the problem."""
-    samples = replace(part.samples, file=None)
-    return part.cell, part.rve, part.range, samples, part.training, part.calibration
+def _learnt(study: CellStudy) -> tuple[Any, ...]:
+    """Return all that the surrogate of a cell depends on, but for the problem."""
+    cell = study.cell
+    recipe = study.recipe
+    samples = replace(cell.samples, file=None)
+    return cell.parameters, recipe.rve, cell.range, samples, cell.training, recipe.calibration
 
 
 def _done(
@@ -241,13 +257,13 @@ def _error_of(work: Work, stage: Stage) -> str | None:
     return None
 
 
-def _learn(recipe: Recipe, is_own: bool, threads: int | None, fresh: bool, stage: Stage) -> None:
+def _learn(study: CellStudy, is_own: bool, threads: int | None, fresh: bool, stage: Stage) -> None:
     """Make data set and surrogate of a cell where they are not there."""
     use_threads(threads)
-    if not (is_own and is_trained(recipe)):
-        name = recipe.training_path().stem
+    if not (is_own and is_trained(study)):
+        name = study.training_path().stem
         fresh = fresh and not is_own
-        learn(recipe, fresh=fresh, stage=lambda what, *of: stage(f"{what} {name}", *of))
+        learn(study, fresh=fresh, stage=lambda what, *of: stage(f"{what} {name}", *of))
 
 
 def _run(run: _Run, folder: Path, threads: int | None, fresh: bool, stage: Stage) -> None:

@@ -33,7 +33,7 @@ from surrofe2.macro.free_sides import free_sides
 from surrofe2.problem import Problem, Surface
 from surrofe2.problem.mesh import extent
 from surrofe2.ranks.distributed_law import shared
-from surrofe2.recipe.recipe import Recipe, load_recipe
+from surrofe2.recipe.recipe import CellName, CellStudy, Recipe, load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.store.hdf5 import read_seconds
 from surrofe2.store.run_folder import RunRecord
@@ -56,14 +56,16 @@ SURFACE_RANGE = 0.94, 1.04, 0.01
 _MARGIN, _FASTER = 0.01, 1.5  # beyond the range of samples
 
 
-def true_law(recipe: Recipe) -> RveLaw:
-    """The RVEs of a recipe, around their kept reference state, see `kept_reference`."""
-    return RveLaw(recipe.cell, recipe.rve, reference=kept_reference(recipe.cell))
+def true_law(study: CellStudy) -> RveLaw:
+    """Make the RVEs of a plant cell, around their kept reference state, see `kept_reference`."""
+    parameters = study.cell.parameters
+    return RveLaw(parameters, study.recipe.rve, reference=kept_reference(parameters))
 
 
-def quadratic_law(recipe: Recipe) -> QuadraticLaw:
-    """The tangents at rest of the RVE of a recipe's only cell, as a law."""
-    return QuadraticLaw.of(true_law(replace(recipe, rve=replace(recipe.rve, solver="direct"))))
+def quadratic_law(study: CellStudy) -> QuadraticLaw:
+    """Make a law of the tangents at rest of a plant cell's RVE."""
+    direct = replace(study.recipe.rve, solver="direct")  # iterated RVEs have no tangents
+    return QuadraticLaw.of(true_law(replace(study, recipe=replace(study.recipe, rve=direct))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,34 +85,35 @@ def check_solver(recipe: Recipe) -> None:
 
 
 def choose_law(
-    recipe: Recipe,
+    study: CellStudy,
     kind: str,
     surrogate_file: Path | None = None,
     tables: Sequence[Path] = (),
     on_true_answer: OnTrueAnswer | None = None,
 ) -> ChosenLaw:
-    """The law called `kind` for a recipe; its surrogate from `surrogate_file` or the recipe.
+    """Make the law called `kind` of a plant cell, by default with the surrogate of the recipe.
 
     RVEs are on all ranks where this process drives several. A run by a table starts from `tables`.
 
     Raises:
         FileError: the surrogate is not there or cannot be read.
-        InputError: tables for a law that takes none, or the recipe has several cells.
+        InputError: tables for a law that takes none.
         MismatchError: surrogate or table are of other cell parameters or initialisation.
     """
     if tables and kind != "table":
         raise InputError(f"--table: not with --law {kind}; it must be table")
     if kind == "rve":
-        return ChosenLaw(shared(true_law(recipe)))
+        return ChosenLaw(shared(true_law(study)))
     if kind == "table":
-        rve = shared(true_law(recipe))
-        table = make_table(recipe, rve, tables)
-        law = CachedLaw(table, rve, recipe.cache, on_true_answer)
+        rve = shared(true_law(study))
+        table = make_table(study, rve, tables)
+        law = CachedLaw(table, rve, study.recipe.cache, on_true_answer)
         return ChosenLaw(law, _record_of(tables), table)
-    path = surrogate_file or recipe.training_path()
+    path = surrogate_file or study.training_path()
     if surrogate_file is None and not path.exists():
         raise FileError(
-            f"{path}: cannot be read: no such file; make it with `surrofe2 train {recipe.path}`"
+            f"{path}: cannot be read: no such file; make it with `surrofe2 train "
+            f"{study.recipe.path}`"
         )
     surrogate = read_surrogate(path)
     record = {
@@ -119,23 +122,24 @@ def choose_law(
         "errors": surrogate.errors,
         "seconds": dict(surrogate.seconds),
     }
-    check_surrogate(path, surrogate, recipe.cell, recipe.rve.initialisation)
+    check_surrogate(path, surrogate, study.cell.parameters, study.recipe.rve.initialisation)
     if kind == "surrogate":
         return ChosenLaw(surrogate, record)
-    law = CachedLaw(surrogate, shared(true_law(recipe)), recipe.cache, on_true_answer)
+    law = CachedLaw(surrogate, shared(true_law(study)), study.recipe.cache, on_true_answer)
     return ChosenLaw(law, record)
 
 
-def make_table(recipe: Recipe, law: Fallback, files: Sequence[Path] = ()) -> StressTable:
-    """A table for a recipe, with the records of these files, or of the undeformed state.
+def make_table(study: CellStudy, law: Fallback, files: Sequence[Path] = ()) -> StressTable:
+    """Make a table of a plant cell, with the records of these files, or of the undeformed state.
 
     What it begins with took its `seconds`. The spread of the stress is that of the first file, or
     of samples. A file of other cell parameters or initialisation is a MismatchError."""
-    wanted = recipe.sampling_range()
+    recipe = study.recipe
+    wanted = study.sampling_range()
     meter = Meter()
     found = [read_table(path) for path in files]
     for path, stored in zip(files, found, strict=True):
-        check_table(path, stored, recipe.cell, recipe.rve.initialisation)
+        check_table(path, stored, study.cell.parameters, recipe.rve.initialisation)
     spread = found[0].stress_spread if found else sampled_spread(law, wanted)
     tolerance, most = recipe.table.tolerance * spread, recipe.table.most_records
     table = StressTable(law, tolerance, wanted, spread, most_records=most)
@@ -156,35 +160,42 @@ def _record_of(tables: Sequence[Path]) -> dict[str, Any] | None:
     return {"file": ", ".join(names), "fingerprint": " ".join(prints), "errors": {}, **made}
 
 
-def surrogates_by_cell(recipe: Recipe, files: Sequence[Path]) -> dict[str, Path]:
+def surrogates_by_cell(recipe: Recipe, files: Sequence[Path]) -> dict[CellName, Path]:
     """Files of surrogates by name of the cells that they were trained for, at most one for each."""
-    found = files_by_cell(recipe, files, "--surrogate")
-    for name, paths in found.items():
+    files_of = files_by_cell(recipe, files, "--surrogate")
+    for name, paths in files_of.items():
         if len(paths) > 1:
-            of = f"cell {name}" if name else "the recipe's only cell"
+            of = "the recipe's only cell" if name is None else f"cell {name}"
             raise InputError(f"--surrogate: {paths[0]} and {paths[1]}; both are of {of}, give one")
-    return {name: paths[0] for name, paths in found.items() if paths}
+    return {name: paths[0] for name, paths in files_of.items() if paths}
 
 
-def files_by_cell(recipe: Recipe, files: Sequence[Path], option: str) -> dict[str, list[Path]]:
-    """Files given by --surrogate or --table, by name of the cells whose parameters and
-    initialisation they have; a MismatchError where one is of none of several cells."""
-    parts = recipe.parts()
-    if len(parts) == 1:  # whether they are of it is seen where they are taken
-        return {name: [*files] for name in parts}
-    found: dict[str, list[Path]] = {name: [] for name in parts}
+def files_by_cell(recipe: Recipe, files: Sequence[Path], option: str) -> dict[CellName, list[Path]]:
+    """Sort the files of --surrogate or --table by the cells whose RVEs they are of.
+
+    Raises:
+        MismatchError: a file has the parameters and initialisation of none of several cells.
+    """
+    if len(recipe.cells) == 1:  # whether they are of it is seen where they are taken
+        return {name: [*files] for name in recipe.cells}
+    files_of: dict[CellName, list[Path]] = {name: [] for name in recipe.cells}
     for path in files:
         stored = read_table(path) if option == "--table" else read_surrogate(path)
-        of = stored.cell, stored.initialisation
-        own = [name for name, part in parts.items() if of == (part.cell, part.rve.initialisation)]
-        if not own:
+        same_method = stored.initialisation == recipe.rve.initialisation
+        names = [
+            name
+            for name, cell in recipe.cells.items()
+            if same_method and cell.parameters == stored.cell
+        ]
+        if not names:
+            cells = ", ".join(str(name) for name in recipe.cells)
             raise MismatchError(
                 f"{option}: {path}; cell parameters {stored.cell.fingerprint} by "
-                f"{stored.initialisation} are of none of the cells {', '.join(parts)}"
+                f"{stored.initialisation} are of none of the cells {cells}"
             )
-        for name in own:
-            found[name].append(path)
-    return found
+        for name in names:
+            files_of[name].append(path)
+    return files_of
 
 
 def cell_of_elements(law: StressLaw, elements: int) -> Array | None:
@@ -198,19 +209,23 @@ def cell_of_elements(law: StressLaw, elements: int) -> Array | None:
 
 
 def law_by_region(
-    recipe: Recipe, mesh: skfem.Mesh, law_of: Callable[[Recipe], StressLaw]
+    recipe: Recipe, mesh: skfem.Mesh, law_of: Callable[[CellStudy], StressLaw]
 ) -> StressLaw:
-    """The law of a recipe's cell, or of its cells, each at the points of its regions."""
-    laws = {name: law_of(part) for name, part in recipe.parts().items()}
-    return laws[""] if "" in laws else RegionalLaw(laws, recipe.points_of_cells(mesh))
+    """Make the law of a recipe's cell, or of its cells, each at the points of its regions."""
+    points = recipe.points_of_cells(mesh)
+    if not points:  # [cell] fills all of them
+        return law_of(recipe.study())
+    return RegionalLaw({name: law_of(CellStudy(recipe, name)) for name in points}, points)
 
 
-def surrogate_record(surrogates: Mapping[str, Mapping[str, Any]]) -> dict[str, Any] | None:
-    """What to record of the surrogates of several cells, or of the only one, called ""."""
+def surrogate_record(
+    surrogates: Mapping[CellName, Mapping[str, Any]],
+) -> dict[str, Any] | None:
+    """Return what to record of surrogates by name of the cell; None where there is none."""
     if not surrogates:
         return None
-    if "" in surrogates:
-        return dict(surrogates[""])
+    if None in surrogates:
+        return dict(surrogates[None])
     return {
         "file": ", ".join(each["file"] for each in surrogates.values()),
         "fingerprint": " ".join(each["fingerprint"] for each in surrogates.values()),
@@ -229,27 +244,32 @@ def with_surface(recipe: Recipe, problem: Problem) -> Problem:
         return problem
     low, high = extent(problem.mesh)
     thickness = (high - low).min()
-    laws: dict[str, SurfaceLaw] = {
-        name: cell_surface(part, float(thickness / part.cell.cell_side))
-        for name, part in recipe.parts().items()
-    }
-    if "" in laws:
-        return replace(problem, surface=Surface(law=laws[""], on=recipe.surface.on))
-    share = problem.mesh.nelements
+
+    def law_of(study: CellStudy) -> SurfaceLaw:
+        return cell_surface(study, float(thickness / study.cell.parameters.cell_side))
+
     points = recipe.points_of_cells(problem.mesh)
+    if not points:  # [cell] fills all of them
+        return replace(problem, surface=Surface(law=law_of(recipe.study()), on=recipe.surface.on))
+    laws = {name: law_of(CellStudy(recipe, name)) for name in points}
+    share = problem.mesh.nelements
     n_q = sum(map(len, points.values())) // share
     elements = {name: np.unique(own // n_q) for name, own in points.items()}
     return replace(problem, surface=Surface(law=laws, on=recipe.surface.on, regions=elements))
 
 
-def cell_surface(recipe: Recipe, across: float) -> TabulatedSurface:
-    """The surface law of a recipe's only cell, `across` plant cells: its table, kept or made."""
-    cell, method, rows = recipe.cell, recipe.rve.initialisation, rows_across(across)
+def cell_surface(study: CellStudy, across: float) -> TabulatedSurface:
+    """Read or make the table of the surface law of a tissue that is `across` plant cells thick."""
+    cell = study.cell.parameters
+    method = study.recipe.rve.initialisation
+    rows = rows_across(across)
     low, high, rate = SURFACE_RANGE
-    if recipe.range is not None:
-        (low, high), margin = recipe.range.stretch, _MARGIN
-        low, high = low - margin, float(np.hypot(high, recipe.range.shear)) + margin
-        rate = _FASTER * max(recipe.range.rate, 1e-4)
+    samples = study.cell.range
+    if samples is not None:
+        shortest, longest = samples.stretch
+        low = shortest - _MARGIN
+        high = float(np.hypot(longest, samples.shear)) + _MARGIN  # a sheared side is longer, too
+        rate = _FASTER * max(samples.rate, 1e-4)
 
     def slab() -> SlabLaw:
         reference = kept_reference(cell)
@@ -263,7 +283,7 @@ def cell_surface(recipe: Recipe, across: float) -> TabulatedSurface:
     except (FileError, MismatchError):
         table = table_within(slab(), (low, high), rate)
         with suppress(FileError):  # a folder that cannot be written keeps nothing
-            write_surface(path, table, recipe.to_dict())
+            write_surface(path, table, study.to_dict())
     return replace(table, rows=rows, beyond=cache(slab))
 
 
@@ -271,7 +291,7 @@ def surface_record(problem: Problem) -> dict[str, Any]:
     """The free sides of a problem with a surface law, and whose law they have."""
     assert problem.surface is not None
     sides, law = free_sides(problem), problem.surface.law
-    laws = law if isinstance(law, Mapping) else {"": law}
+    laws = law if isinstance(law, Mapping) else {"": law}  # JSON has no other key for no name
     return {
         "on": problem.surface.on,
         "sides": len(sides.nodes),
@@ -302,13 +322,13 @@ def recipe_notes(recipe: Recipe) -> Iterator[tuple[str, bool]]:
     are not taken where a measurement determines them.
     """
     for name, each in recipe.cells.items():
-        section = f"cells.{name}" if name else "cell"
+        section = "cell" if name is None else f"cells.{name}"
         for constant, measured in each.overruled.items():
             yield f"{section}.{constant}: not taken, as {section}.{measured} determines it", True
     unnamed = [each for each in recipe.cells.values() if not each.names_fluid]
-    changed = [each for each in unnamed if each.cell.has_uniform_fluid]
+    changed = [each for each in unnamed if each.parameters.has_uniform_fluid]
     if changed:
-        names = sorted({f"{each.preset}, {each.cell.arrangement}" for each in changed})
+        names = sorted({f"{each.preset}, {each.parameters.arrangement}" for each in changed})
         yield (
             f"fluid: uniform, the default of {'; '.join(names)}; earlier versions had "
             'fluid = "sph" there',

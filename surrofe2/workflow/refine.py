@@ -19,7 +19,7 @@ from surrofe2.base.sampling import SamplingRange, neighbours, range_holding, sam
 from surrofe2.base.tensors import stress_error
 from surrofe2.base.units import time_text
 from surrofe2.cache.protocols import Surrogate
-from surrofe2.recipe.recipe import Recipe
+from surrofe2.recipe.recipe import CellName, CellStudy, Recipe
 from surrofe2.report.tables import NONE, Quantity, percent
 from surrofe2.run.loop import Stage, no_stage
 from surrofe2.store.hdf5 import read_seconds
@@ -50,7 +50,7 @@ MOST_NEIGHBOURS = 20_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Round:
-    """A row of the table of rounds, of one cell; "" is the only one.
+    """A row of the table of rounds, of one cell.
 
     Attributes:
         hits: fraction of the answers at accepted steps that came from the surrogate.
@@ -62,7 +62,7 @@ class Round:
     """
 
     round: int
-    cell: str = ""
+    cell: CellName = None
     hits: float
     unknown: int
     samples: int
@@ -82,7 +82,7 @@ class Round:
     @property
     def sentence(self) -> str:
         """What became of the round."""
-        of = self.cell and f"{self.cell}: "
+        of = "" if self.cell is None else f"{self.cell}: "
         return (
             f"round {self.round}: {of}{100 * self.hits:.4g} % hits, {self.unknown} unknown states, "
             f"{self.added} samples added"
@@ -91,7 +91,7 @@ class Round:
 
 QUANTITIES: tuple[Quantity[Round], ...] = (
     Quantity("round", "", "", lambda row: row.round),
-    Quantity("cell", "", "", lambda row: row.cell or None),
+    Quantity("cell", "", "", lambda row: row.cell),
     Quantity("hits", "", percent(4), lambda row: row.hits),
     Quantity("unknown", "", "", lambda row: row.unknown),
     Quantity("samples", "", "", lambda row: row.samples),
@@ -124,19 +124,19 @@ def refine_surrogate(
     """
     if rounds < 1:
         raise InputError(f"rounds: {rounds}; it must be at least 1")
-    parts = recipe.parts(cell)
+    studies = recipe.studies(cell)
     with locked_folder(out):
-        done = _open_rounds(recipe, parts, out, fresh)
+        done = _open_rounds(recipe, studies, out, fresh)
         for k in range(rounds):
             if not any(row.round == k for row in done):
-                done += _round(recipe, parts, out, done, k, stage)
-                _write_rounds(recipe, parts, out, done)
+                done += _round(recipe, studies, out, done, k, stage)
+                _write_rounds(recipe, studies, out, done)
             rows = [row for row in done if row.round == k]
             for row in rows:
                 tell(row)
             if all(row.settled for row in rows):
-                for name, part in parts.items():
-                    last, _ = _learnt_from(part, out, done)
+                for name, study in studies.items():
+                    last, _ = _learnt_from(study, out, done)
                     write_bytes(out / of_cell(SURROGATE, name), read_bytes(last.training_path()))
                 return done
     unknown = sum(row.unknown for row in rows)
@@ -147,95 +147,112 @@ def refine_surrogate(
     )
 
 
-def _open_rounds(recipe: Recipe, parts: Iterable[str], out: Path, fresh: bool) -> list[Round]:
-    """The rounds that are finished."""
+def _open_rounds(recipe: Recipe, cells: Iterable[CellName], out: Path, fresh: bool) -> list[Round]:
+    """Read the rounds that are finished."""
     begun = out / ROUNDS
     if begun.exists() and not fresh:
         stored = read_json(begun)
-        here, there = ({"--cell": names} for names in ([*parts], stored.get("cells", [""])))
+        here = {"--cell": [name or "" for name in cells]}
+        there = {"--cell": stored.get("cells", [""])}
         check_same(out, recipe.to_dict() | here, stored["recipe"] | there)
-        return [Round(**row) for row in stored["rounds"]]
+        return [Round(**{**row, "cell": row["cell"] or None}) for row in stored["rounds"]]
     remove(begun)  # first: its rounds are those that are there
     for folder in out.glob("round-*"):
         remove_tree(folder)
     for path in out.glob("surrogate*.h5"):
         remove(path)
-    _write_rounds(recipe, parts, out, [])
+    _write_rounds(recipe, cells, out, [])
     return []
 
 
-def _write_rounds(recipe: Recipe, parts: Iterable[str], out: Path, done: Sequence[Round]) -> None:
-    rows = [asdict(row) for row in done]
-    write_json(out / ROUNDS, {"recipe": recipe.to_dict(), "cells": [*parts], "rounds": rows})
+def _write_rounds(
+    recipe: Recipe, cells: Iterable[CellName], out: Path, done: Sequence[Round]
+) -> None:
+    """Write the rounds that are finished; the cell of [cell] is written as ""."""
+    rows = [{**asdict(row), "cell": row.cell or ""} for row in done]
+    names = [name or "" for name in cells]
+    write_json(out / ROUNDS, {"recipe": recipe.to_dict(), "cells": names, "rounds": rows})
 
 
-def _learnt_from(recipe: Recipe, out: Path, done: Sequence[Round]) -> tuple[Recipe, list[Round]]:
-    """The recipe of a cell with the surrogate after these rounds, and those that it learns from."""
-    name = recipe.cell_name
-    grown = [row for row in done if row.cell == name and row.added]
+def _learnt_from(
+    study: CellStudy, out: Path, done: Sequence[Round]
+) -> tuple[CellStudy, list[Round]]:
+    """Return a study with the surrogate after these rounds, and those that it learns from."""
+    grown = [row for row in done if row.cell == study.name and row.added]
     if not grown:
-        return recipe, []
-    file = out / f"round-{grown[-1].round + 1}" / of_cell(SURROGATE, name)
-    return recipe.with_cell(training_file=str(file.resolve())), grown
+        return study, []
+    file = out / f"round-{grown[-1].round + 1}" / of_cell(SURROGATE, study.name)
+    return study.with_cell(training_file=str(file.resolve())), grown
 
 
 def _round(
     recipe: Recipe,
-    parts: Mapping[str, Recipe],
+    studies: Mapping[CellName, CellStudy],
     out: Path,
     done: Sequence[Round],
     k: int,
     stage: Stage,
 ) -> list[Round]:
-    """One round, a row for each cell; what it has finished before an interruption is kept."""
-    begin, folder = time.perf_counter(), out / f"round-{k}"
-    trained = {name: _train(part, out, done, k, stage) for name, part in parts.items()}
+    """Make one round, a row for each cell; what it finished before an interruption is kept."""
+    begin = time.perf_counter()
+    folder = out / f"round-{k}"
+    trained = {name: _train(study, out, done, k, stage) for name, study in studies.items()}
     files = {name: each.path for name, each in trained.items()}
     with stage(f"round {k}: run", recipe.duration, "µs") as report:
         record = run_study(recipe, "cached", folder / "run", surrogates=files, report=report)
     rows = []
-    for name, part in parts.items():
+    for name, study in studies.items():
         counts = caches_of(record.cache)[name]["accepted"]
         hits = counts["hits"] / max(1, counts["hits"] + counts["fallbacks"])
-        rows.append(_row(part, folder, k, trained[name], hits, begin, stage))
+        rows.append(_row(study, folder, k, trained[name], hits, begin, stage))
     return rows
 
 
-def _train(recipe: Recipe, out: Path, done: Sequence[Round], k: int, stage: Stage) -> Trained:
-    """The surrogate of a cell that round k runs on, made where it is not there."""
-    name = recipe.cell_name
-    recipe, grown = _learnt_from(recipe, out, done)
+def _train(study: CellStudy, out: Path, done: Sequence[Round], k: int, stage: Stage) -> Trained:
+    """Return the surrogate of a cell that round k runs on, made where it is not there."""
+    study, grown = _learnt_from(study, out, done)
     if not grown:
-        return learn(recipe, stage=stage)[1]
+        _, trained = learn(study, stage=stage)
+        return trained
     return train_surrogate(
-        recipe,
-        add=[out / f"round-{row.round}" / of_cell(_NEW, name) for row in grown],
+        study,
+        add=[out / f"round-{row.round}" / of_cell(_NEW, study.name) for row in grown],
         range=SamplingRange(**grown[-1].wider),
-        stage=lambda what, *rest: stage(f"round {k}: {what} {name}".rstrip(), *rest),
+        stage=lambda what, *rest: stage(study.title(f"round {k}: {what}"), *rest),
     )
 
 
 def _row(
-    recipe: Recipe, folder: Path, k: int, trained: Trained, hits: float, begin: float, stage: Stage
+    study: CellStudy,
+    folder: Path,
+    k: int,
+    trained: Trained,
+    hits: float,
+    begin: float,
+    stage: Stage,
 ) -> Round:
-    """What the run of a round met that its surrogate did not know, and the samples of that."""
-    surrogate, name = trained.surrogate, recipe.cell_name
-    spread, tolerance = surrogate.stress_spread, recipe.cache.tolerance
+    """Collect what the run of a round met that its surrogate did not know, and sample there."""
+    name = study.name
+    cache = study.recipe.cache
+    surrogate = trained.surrogate
+    spread = surrogate.stress_spread
+    tolerance = cache.tolerance
     source = folder / "run" / of_cell(HARVEST, name)
     harvest = read_harvest(source) if source.exists() else None  # None: the surrogate knew it all
-    held = surrogate.with_tolerance(tolerance, recipe.cache.relative)
+    held = surrogate.with_tolerance(tolerance, cache.relative)
     unknown, audit = unknown_states(harvest, held, tolerance * spread)
     added, wider = 0, surrogate.range
     if len(unknown) and harvest is not None:
-        states, seed = (harvest.F[unknown], harvest.F_dot[unknown]), recipe.samples.seed + k + 1
+        states = (harvest.F[unknown], harvest.F_dot[unknown])
+        seed = study.cell.samples.seed + k + 1  # of its own in each round
         wider = range_holding(surrogate.range, *states)
         count = min(len(unknown), MOST_NEIGHBOURS)
         wanted = [(NEIGHBOUR, *neighbours(wider, *states, count, seed))]
         if wider != surrogate.range:  # as many samples of it as the recipe has of its own
-            count = stored_count(recipe.data_path()).rows
+            count = stored_count(study.data_path()).rows
             wanted.append((WIDENED, *sample(wider, count, seed)))
         path = folder / of_cell(_NEW, name)
-        added = _write_samples(path, recipe, harvest, wanted, read_seconds(source), k, stage)
+        added = _write_samples(path, study, harvest, wanted, read_seconds(source), k, stage)
     return Round(
         round=k,
         cell=name,
@@ -279,7 +296,7 @@ def unknown_states(
 
 def _write_samples(
     path: Path,
-    recipe: Recipe,
+    study: CellStudy,
     harvest: Harvest,
     wanted: list[tuple[int, Array, Array]],
     seconds: float | None,
@@ -287,12 +304,13 @@ def _write_samples(
     stage: Stage,
 ) -> int:
     """Write the harvest and RVE stresses at further states (why, F, F_dot); how many."""
-    law, meter = laws.true_law(recipe), Meter(seconds or 0.0)
-    done, total = 0, sum(len(F) for _, F, _ in wanted)
-    writer = HarvestWriter(path, origin_of(recipe))
+    law = laws.true_law(study)
+    meter = Meter(seconds or 0.0)
+    done = 0
+    total = sum(len(F) for _, F, _ in wanted)
+    writer = HarvestWriter(path, origin_of(study))
     writer(harvest.F, harvest.F_dot, harvest.stress, harvest.status, harvest.why)
-    title = f"round {k}: sample {recipe.cell_name}".rstrip()
-    with stage(title, total, "samples") as report:
+    with stage(study.title(f"round {k}: sample"), total, "samples") as report:
         for why, all_F, all_F_dot in wanted:
             for first in range(0, len(all_F), CHUNK):
                 F, F_dot = (tensors[first : first + CHUNK] for tensors in (all_F, all_F_dot))

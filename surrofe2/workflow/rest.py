@@ -27,7 +27,7 @@ from surrofe2.macro.elements import make_discretisation
 from surrofe2.macro.forces import check_bodies
 from surrofe2.macro.rest import RestState
 from surrofe2.macro.settings import RestSettings
-from surrofe2.recipe.recipe import Recipe, changed
+from surrofe2.recipe.recipe import CellName, Recipe, changed
 from surrofe2.report.comparison import buckling_sentence
 from surrofe2.run.journal import FRAME_TIMES, part_of, within
 from surrofe2.run.loop import Report, Stage, no_report, no_stage
@@ -78,7 +78,7 @@ def rest_study(
     *,
     factor: float | None = None,
     load_steps: int | None = None,
-    surrogates: Mapping[str, Path] = MappingProxyType({}),
+    surrogates: Mapping[CellName, Path] = MappingProxyType({}),
     tables: Sequence[Path] = (),
     correct: bool = False,
     fresh: bool = False,

@@ -41,7 +41,7 @@ from surrofe2.problem.mesh import boundary, element_nodes, extent, length_of
 from surrofe2.problem.problem import label, sections_of
 from surrofe2.ranks.distributed_law import own_part
 from surrofe2.ranks.driver import driver_at_work
-from surrofe2.recipe.recipe import Recipe
+from surrofe2.recipe.recipe import CellName, CellStudy, Recipe
 from surrofe2.report.comparison import (
     BUCKLED,
     audit_sentence,
@@ -85,7 +85,7 @@ def run_study(
     kind: str,
     folder: Path,
     *,
-    surrogates: Mapping[str, Path] = MappingProxyType({}),
+    surrogates: Mapping[CellName, Path] = MappingProxyType({}),
     tables: Sequence[Path] = (),
     fresh: bool = False,
     report: Report = no_report,
@@ -187,8 +187,8 @@ class LawOfRun:
     folder: Path
     law: StressLaw
     surrogate: dict[str, Any] | None
-    harvests: Mapping[str, HarvestWriter]
-    tables: Mapping[str, StressTable]
+    harvests: Mapping[CellName, HarvestWriter]
+    tables: Mapping[CellName, StressTable]
     earlier: float
 
     def write_learnt(self, seconds: float | None = None) -> None:
@@ -204,14 +204,14 @@ class LawOfRun:
         """All that a checkpoint must have of law and harvests, `law_state` being committed."""
         arrays = within("law", state_arrays(self.law, law_state))
         for cell, writer in self.harvests.items():
-            arrays |= within(f"harvest of {cell}", writer.to_arrays())
+            arrays |= within(f"harvest of {cell or ''}", writer.to_arrays())
         return arrays
 
     def restored(self, arrays: Mapping[str, NDArray]) -> Any:
         """The committed state whose `to_arrays` are among these arrays; harvests go on from it."""
         law_state = state_of(self.law, part_of(arrays, "law"))
         for cell, writer in self.harvests.items():
-            writer.restore(part_of(arrays, f"harvest of {cell}"))
+            writer.restore(part_of(arrays, f"harvest of {cell or ''}"))
         return law_state
 
 
@@ -220,23 +220,24 @@ def law_of_run(
     problem: Problem,
     kind: str,
     folder: Path,
-    surrogates: Mapping[str, Path],
+    surrogates: Mapping[CellName, Path],
     tables: Sequence[Path],
 ) -> LawOfRun:
     """The law called `kind` of a run that is written to a folder; the others as of `run_study`."""
-    harvests: dict[str, HarvestWriter] = {}
-    chosen: dict[str, laws.ChosenLaw] = {}
+    harvests: dict[CellName, HarvestWriter] = {}
+    chosen: dict[CellName, laws.ChosenLaw] = {}
     tables_of = laws.files_by_cell(recipe, tables, "--table")
-    for name, part in recipe.parts().items():
+    for name, study in recipe.studies().items():
         if kind in ("cached", "table"):
-            harvests[name] = HarvestWriter(folder / of_cell(HARVEST, name), origin_of(part))
-        file, taker = surrogates.get(name), harvests.get(name)
-        chosen[name] = laws.choose_law(part, kind, file, tables_of[name], taker)
+            harvests[name] = HarvestWriter(folder / of_cell(HARVEST, name), origin_of(study))
+        chosen[name] = laws.choose_law(
+            study, kind, surrogates.get(name), tables_of[name], harvests.get(name)
+        )
     learnt = {name: each.surrogate for name, each in chosen.items() if each.surrogate}
     return LawOfRun(
         recipe=recipe,
         folder=folder,
-        law=laws.law_by_region(recipe, problem.mesh, lambda part: chosen[part.cell_name].law),
+        law=laws.law_by_region(recipe, problem.mesh, lambda study: chosen[study.name].law),
         surrogate=laws.surrogate_record(learnt),
         harvests=harvests,
         tables={name: each.table for name, each in chosen.items() if each.table is not None},
@@ -261,20 +262,22 @@ def write_decisions(folder: Path, decisions: Sequence[Mapping[str, Any]] | None)
         write_events(folder, decisions)
 
 
-def origin_of(recipe: Recipe) -> dict[str, Any]:
-    """Where answers for a recipe come from, as entries of a header."""
-    rve = recipe.rve
-    return origin(recipe.cell, rve.initialisation, rve=asdict(rve), recipe=recipe.to_dict())
+def origin_of(study: CellStudy) -> dict[str, Any]:
+    """Return where stresses of a plant cell come from, as entries of a header."""
+    cell = study.cell.parameters
+    rve = study.recipe.rve
+    return origin(cell, rve.initialisation, rve=asdict(rve), recipe=study.to_dict())
 
 
 def new_record(recipe: Recipe, law: str, /, **entries: Any) -> RunRecord:
     """The record of a run by the law of this name that is about to start."""
+    seeds = [cell.samples.seed for cell in recipe.cells.values()]
     known = {
         "recipe": recipe.to_dict(),
         "initialisation": recipe.rve.initialisation,
         "solver": recipe.rve.solver,
         "cell_fingerprint": recipe.fingerprint,
-        "seed": None if len(recipe.cells) > 1 else recipe.samples.seed,
+        "seed": seeds[0] if len(seeds) == 1 else None,
     }
     return RunRecord(status="running", law=law, **describe_origin(), **(known | entries))
 
@@ -376,7 +379,7 @@ class FrameFiles:
 
 
 def with_results(
-    record: RunRecord, run: MacroRun, tables: Mapping[str, StressTable] = MappingProxyType({})
+    record: RunRecord, run: MacroRun, tables: Mapping[CellName, StressTable] = MappingProxyType({})
 ) -> RunRecord:
     """The record with what a run, whole or not, met and cost, and what its tables began with."""
     driver, begun = driver_at_work(), sum(table.seconds for table in tables.values())
@@ -403,7 +406,7 @@ def with_results(
 
 
 def with_costs(
-    record: RunRecord, run: MacroRun | Rest, tables: Mapping[str, StressTable]
+    record: RunRecord, run: MacroRun | Rest, tables: Mapping[CellName, StressTable]
 ) -> RunRecord:
     """The record with what the answers of the law cost, and what its caches report."""
     counts, back = Counter({**run.counts, **run.effort}), Counter(run.rolled_back)
@@ -459,8 +462,8 @@ def problem_record(problem: Problem, thickness: float | None = None) -> dict[str
 
 def thickness_of(recipe: Recipe) -> float | None:
     """The thickness of the tissue, µm; None where its cells have several."""
-    found = {part.cell.tissue_thickness for part in recipe.parts().values()}
-    return found.pop() if len(found) == 1 else None
+    several = {cell.parameters.tissue_thickness for cell in recipe.cells.values()}
+    return several.pop() if len(several) == 1 else None
 
 
 def sharp_bodies(problem: Problem) -> dict[str, list[float]]:
@@ -513,17 +516,24 @@ def _places(problem: Problem, thickness: float | None) -> dict[str, dict[str, An
 
 def _record_of(run: MacroRun) -> RunRecord:
     """The record of a run that no recipe stated."""
-    of_cells = run.law.laws if isinstance(run.law, RegionalLaw) else {"": run.law}
-    found = {name: _law_entries(law) for name, law in of_cells.items()}
+    entries: dict[CellName, dict[str, Any]] = {}
+    sections: dict[str, Any] = {}
     if isinstance(run.law, RegionalLaw):
-        sections: dict[str, Any] = {"cells": {}}
-        for name, each in found.items():
-            sections["cells"][name] = {**each["cell"], "rve": each["rve"], "regions": [name]}
+        entries |= {name: _law_entries(law) for name, law in run.law.laws.items()}
+        sections["cells"] = {
+            name: {**each["cell"], "rve": each["rve"], "regions": [name]}
+            for name, each in entries.items()
+        }
     else:
-        sections = {k: found[""][k] for k in ("cell", "rve")} if found[""]["cell"] else {}
-    sections |= next(({"cache": each["cache"]} for each in found.values() if each["cache"]), {})
+        only = _law_entries(run.law)
+        entries[None] = only
+        if only["cell"]:
+            sections = {"cell": only["cell"], "rve": only["rve"]}
+    caches = [each["cache"] for each in entries.values() if each["cache"]]
+    if caches:
+        sections["cache"] = caches[0]
     sections |= {**_stated_problem(run.problem), "macro": asdict(run.settings)}
-    learnt = {name: each["surrogate"] for name, each in found.items() if each["surrogate"]}
+    learnt = {name: each["surrogate"] for name, each in entries.items() if each["surrogate"]}
 
     def joined(values: Iterable[str]) -> str:
         return ", ".join(dict.fromkeys(values))
@@ -531,10 +541,12 @@ def _record_of(run: MacroRun) -> RunRecord:
     return RunRecord(
         status="running",
         recipe=plain({"recipe": None, **sections}),
-        law=joined(each["kind"] for each in found.values()),
-        initialisation=joined(each["rve"].get("initialisation", "none") for each in found.values()),
-        solver=joined(each["rve"].get("solver", "none") for each in found.values()),
-        cell_fingerprint=" ".join(each["fingerprint"] for each in found.values()),
+        law=joined(each["kind"] for each in entries.values()),
+        initialisation=joined(
+            each["rve"].get("initialisation", "none") for each in entries.values()
+        ),
+        solver=joined(each["rve"].get("solver", "none") for each in entries.values()),
+        cell_fingerprint=" ".join(each["fingerprint"] for each in entries.values()),
         surrogate=laws.surrogate_record(learnt),
         problem=problem_record(run.problem),
         **describe_origin(),
@@ -679,7 +691,7 @@ def costs(counts: Mapping[str, int]) -> str:
 def cache_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
     """Notes on audits and trust of a run, each with whether it is a warning."""
     for name, cache in caches_of(record.cache).items():
-        of = name and f"{name}: "
+        of = "" if name is None else f"{name}: "
         yield f"{of}audit: {audit_sentence(cache)}", False
         left = cache.get("left_range")
         if left:

@@ -19,7 +19,7 @@ from surrofe2.base.errors import InputError
 from surrofe2.base.units import number, rough_number, rough_time
 from surrofe2.macro.elements import make_discretisation
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.recipe.recipe import Recipe
+from surrofe2.recipe.recipe import CellName, Recipe
 from surrofe2.store.samples import kept_reference
 
 PARTICLE_STEPS = 3e7
@@ -62,9 +62,10 @@ def scale_warnings(recipe: Recipe, halvings: int = 0) -> Iterator[str]:
         halvings: how often elements were merged each way for this recipe's mesh.
     """
     elements = _elements_by_cell(recipe)
-    for name, part in recipe.parts().items():
-        cell, smallest = part.cell, float(elements[name].widths.min()) / 2**halvings
-        where = f" of {name}" if name else ""
+    for name, each in recipe.cells.items():
+        cell = each.parameters
+        smallest = float(elements[name].widths.min()) / 2**halvings
+        where = "" if name is None else f" of {name}"
         width = float(np.linalg.norm(cell.tessellation.lattice, axis=0).max())
         if smallest < cell.cell_side * (1.0 - _ROUNDING):
             yield (
@@ -87,7 +88,9 @@ def sap_notes(recipe: Recipe, step: float | None = None) -> Iterator[tuple[str, 
         step: mean step of a finished run, µs; None: before the run.
     """
     undrained = {
-        name: part.cell for name, part in recipe.parts().items() if part.cell.sap_bulk_modulus > 0.0
+        name: cell.parameters
+        for name, cell in recipe.cells.items()
+        if cell.parameters.sap_bulk_modulus > 0.0
     }
     is_explicit = recipe.rest is None and recipe.macro.integrator == "explicit"
     if not (undrained and is_explicit):
@@ -124,8 +127,8 @@ def all_particles(recipe: Recipe) -> Particles:
     elements = _elements_by_cell(recipe)
     plant_cells = particles = 0.0
     step = math.inf if recipe.tissue.micro_step is None else recipe.tissue.micro_step
-    for name, part in recipe.parts().items():
-        cell = part.cell
+    for name, each in recipe.cells.items():
+        cell = each.parameters
         count = float(elements[name].areas.sum()) / cell.cell_side**2
         plant_cells += count
         particles += count * _particles_of(cell)
@@ -157,8 +160,8 @@ def _particles_of(cell: CellParameters) -> float:
     return cell.fluid_particles + walls / cell.cells
 
 
-def _elements_by_cell(recipe: Recipe) -> dict[str, _Elements]:
-    """The elements of each kind of plant cell by its name."""
+def _elements_by_cell(recipe: Recipe) -> dict[CellName, _Elements]:
+    """Return the elements of each kind of plant cell by its name."""
     mesh = recipe.problem().mesh
     space = make_discretisation(mesh)
     corners = 4 if space.pressure_apart else 3
@@ -166,9 +169,10 @@ def _elements_by_cell(recipe: Recipe) -> dict[str, _Elements]:
     edges = np.linalg.norm(outline - np.roll(outline, 1, axis=1), axis=2)
     # of a triangle its height over the longest side
     widths = (1.0 if corners == 4 else 2.0) * space.areas / edges.max(axis=1)
-    names = [*recipe.parts()]
-    if len(names) == 1:
-        return {names[0]: _Elements(space.areas, widths)}
-    points, per_element = recipe.points_of_cells(mesh), space.points_per_element
-    numbers = {name: np.unique(points[name] // per_element) for name in names}
-    return {name: _Elements(space.areas[k], widths[k]) for name, k in numbers.items()}
+    if len(recipe.cells) == 1:
+        return {name: _Elements(space.areas, widths) for name in recipe.cells}
+    elements: dict[CellName, _Elements] = {}
+    for name, points in recipe.points_of_cells(mesh).items():
+        numbers = np.unique(points // space.points_per_element)
+        elements[name] = _Elements(space.areas[numbers], widths[numbers])
+    return elements

@@ -76,7 +76,7 @@ def time_scales(recipe: Recipe, problem: Problem, law: StressLaw) -> TimeScales:
     modulus = float(change[:, 0, 0].min()) / _STRAIN
     speed = np.sqrt(modulus / float(np.max(law.density)))
     wave = float((high - low).max() / speed)
-    side = max(part.cell.cell_side for part in recipe.parts().values())
+    side = max(cell.parameters.cell_side for cell in recipe.cells.values())
     swing = max(4.0 * wave, _slowest_period(recipe, problem, law))
     return TimeScales(cell=side / speed, wave=wave, swing=swing, load=_fastest(problem))
 

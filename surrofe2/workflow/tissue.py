@@ -42,7 +42,7 @@ def tissue_of(
         InputError: naming what a tissue of particles does not take.
     """
     problem, section = recipe.problem(), "load" if recipe.is_bar else "mesh"
-    cells = [each.cell for each in recipe.cells.values()]
+    cells = [each.parameters for each in recipe.cells.values()]
     with recipe.named(InputError):
         problem.check_course()
         reference = kept_reference(cells[0])
@@ -55,7 +55,7 @@ def tissue_of(
 
 def step_notes(recipe: Recipe) -> Iterator[tuple[str, bool]]:
     """A message on the step that undrained sap makes a tissue take, and that it is no warning."""
-    if not any(part.cell.sap_bulk_modulus > 0.0 for part in recipe.parts().values()):
+    if not any(each.parameters.sap_bulk_modulus > 0.0 for each in recipe.cells.values()):
         return
     problem, cells, kind = tissue_of(recipe)
     references = [kept_reference(cell) for cell in cells]

@@ -29,7 +29,7 @@ from surrofe2.problem.amplitude import Amplitude, Table, Value
 from surrofe2.problem.bar import LoadCase
 from surrofe2.problem.conditions import BodyForce, Condition, DrivenCondition, InitialVelocity
 from surrofe2.problem.rigid_bodies import RigidBody
-from surrofe2.recipe.recipe import Recipe
+from surrofe2.recipe.recipe import CellStudy, Recipe
 from surrofe2.report.tables import percent
 from surrofe2.run.loop import Report, Stage, no_report, no_stage
 from surrofe2.rve import RveLaw
@@ -96,14 +96,14 @@ class Trained:
 
 
 def train_surrogate(
-    recipe: Recipe,
+    study: CellStudy,
     *,
     fresh: bool = False,
     add: Sequence[Path] = (),
     range: SamplingRange | None = None,
     stage: Stage = no_stage,
 ) -> Trained:
-    """Train on the recipe's data set, calibrate the bound and write the recipe's surrogate.
+    """Train on a plant cell's data set, calibrate the bound and write the surrogate.
 
     As long as the bound is above the one wanted and more samples have helped, training is repeated
     on twice as many. The surrogate is written before its calibration too, with no bound yet.
@@ -117,16 +117,19 @@ def train_surrogate(
     """
     if find_spec("torch") is None:
         raise InputError("training needs PyTorch, which is not installed: pip install torch")
-    if recipe.training.bound and not recipe.calibration.walks:
+    settings = study.cell.training
+    calibration = study.recipe.calibration
+    if settings.bound and not calibration.walks:
         raise InputError(
-            f"training.bound: {recipe.training.bound:g}; it must be 0 where calibration.walks is"
+            f"training.bound: {settings.bound:g}; it must be 0 where calibration.walks is"
         )
-    path, unfinished = recipe.training_path(), unfinished_training(recipe)
-    counts = recipe.samples.counts(recipe.training.bound)
+    path = study.training_path()
+    unfinished = unfinished_training(study)
+    counts = study.cell.samples.counts(settings.bound)
 
     @cache
     def take(count: int) -> StressSamples:
-        samples = training_samples(recipe, count, add, stage=stage)
+        samples = training_samples(study, count, add, stage=stage)
         return samples if range is None else replace(samples, range=range)
 
     surrogate, begun, fingerprint = None, _Begun(), ""
@@ -138,37 +141,38 @@ def train_surrogate(
         fingerprint = surrogate.data_fingerprint
     number, samples = 0, take(counts[0])
     if len(counts) > 1 and fingerprint:  # it may be of more
-        there = stored_count(recipe.data_path()).rows
+        there = stored_count(study.data_path()).rows
         known = (k for k, count in enumerate(counts) if count <= there)
         number = next((k for k in known if take(counts[k]).fingerprint == fingerprint), 0)
         samples = take(counts[number])
 
     def trained(surrogate: SurrogateLaw, *, kept: bool) -> Trained:
-        bound = bound_summary(surrogate, samples, recipe.cache.tolerance)
+        bound = bound_summary(surrogate, samples, study.recipe.cache.tolerance)
         return Trained(path, surrogate, kept, bound, samples)
 
     if surrogate is not None:
-        _check_surrogate(recipe, surrogate, samples)
+        _check_surrogate(study, surrogate, samples)
         if surrogate.is_calibrated and not file_lock(path).exists():
             return trained(surrogate, kept=True)
     with locked_file(path):
         if surrogate is not None and surrogate.is_calibrated:  # killed after its last file
             return trained(surrogate, kept=True)
-        law, shaping = laws.true_law(recipe), list[Truth]()
+        law = laws.true_law(study)
+        shaping: Sequence[Truth] = ()
         if surrogate is None:
             if fresh:
                 remove(unfinished)
             for count in counts[number:]:
                 samples = take(count)
-                with stage("train", recipe.training.iterations, "iterations") as report:
-                    if recipe.training.bound and not shaping:
-                        shaping = shaping_truths(samples, law, recipe.calibration)
-                    surrogate, bound, seconds = _train(recipe, samples, shaping, begun, report)
-                if bound <= WISH * recipe.training.bound or bound >= _HELPS * begun.before:
+                with stage("train", settings.iterations, "iterations") as report:
+                    if settings.bound and not shaping:
+                        shaping = shaping_truths(samples, law, calibration)
+                    surrogate, bound, seconds = _train(study, samples, shaping, begun, report)
+                if bound <= WISH * settings.bound or bound >= _HELPS * begun.before:
                     break
                 begun = _Begun(seconds=seconds, before=bound)
             assert surrogate is not None
-            parts = [read_seconds(each) for each in (recipe.data_path(), *add)]
+            parts = [read_seconds(each) for each in (study.data_path(), *add)]
             # none where nobody knows those of a file
             data = {} if None in parts else {"data": sum(each or 0.0 for each in parts)}
             surrogate = replace(surrogate, seconds={**data, "training": seconds})
@@ -176,33 +180,43 @@ def train_surrogate(
             remove(unfinished)
         meter = Meter()
         with stage("calibrate", 1.0, "of the paths") as report:
-            given, runs = (samples, law, recipe.calibration), partial(_runs, recipe, surrogate)
-            surrogate = calibrate(surrogate, *given, report=report, shaping=shaping, runs=runs)
+            surrogate = calibrate(
+                surrogate,
+                samples,
+                law,
+                calibration,
+                report=report,
+                shaping=shaping,
+                runs=partial(_runs, study, surrogate),
+            )
         surrogate = replace(surrogate, seconds={**surrogate.seconds, "calibration": meter.seconds})
         write_surrogate(surrogate, path)
     return trained(surrogate, kept=False)
 
 
 def learn(
-    recipe: Recipe, *, fresh: bool = False, stage: Stage = no_stage
+    study: CellStudy, *, fresh: bool = False, stage: Stage = no_stage
 ) -> tuple[Generated, Trained]:
-    """Make the data set and the surrogate of a recipe's cell, whatever is missing of both."""
-    what, count = f"generate {recipe.cell_name}".rstrip(), wanted_count(recipe, fresh=fresh)
-    with stage(what, count, "samples") as report:
-        data = generate_data_set(recipe, fresh=fresh, report=report)
-    return data, train_surrogate(recipe, fresh=fresh, stage=stage)
+    """Make the data set and the surrogate of a plant cell, whatever is missing of both."""
+    count = wanted_count(study, fresh=fresh)
+    with stage(study.title("generate"), count, "samples") as report:
+        data = generate_data_set(study, fresh=fresh, report=report)
+    return data, train_surrogate(study, fresh=fresh, stage=stage)
 
 
-def is_trained(recipe: Recipe) -> bool:
-    """Whether the recipe's surrogate is there, whole and with its bound."""
-    path = recipe.training_path()
-    is_whole = path.exists() and not unfinished_training(recipe).exists()
+def is_trained(study: CellStudy) -> bool:
+    """Return whether the surrogate of a plant cell is there, whole and with its bound."""
+    path = study.training_path()
+    is_whole = path.exists() and not unfinished_training(study).exists()
     return is_whole and read_surrogate(path).is_calibrated
 
 
-def unfinished_training(recipe: Recipe) -> Path:
-    """What a training leaves to resume from; where it is there, no surrogate is finished."""
-    return recipe.training_path().with_suffix(".unfinished.h5")
+def unfinished_training(study: CellStudy) -> Path:
+    """Return the path of what a training leaves to resume from.
+
+    While it is there, no surrogate is finished.
+    """
+    return study.training_path().with_suffix(".unfinished.h5")
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,14 +238,15 @@ def _read_unfinished(path: Path) -> _Begun:
 
 
 def _train(
-    recipe: Recipe,
+    study: CellStudy,
     samples: StressSamples,
     shaping: Sequence[Truth],
     begun: _Begun,
     report: Report,
 ) -> tuple[SurrogateLaw, float, float]:
     """A surrogate, its bound by the spread of stress (0: none wanted), the seconds so far."""
-    path, wanted = unfinished_training(recipe), WISH * recipe.training.bound
+    path = unfinished_training(study)
+    wanted = WISH * study.cell.training.bound
     meter = Meter(begun.seconds)
 
     from surrofe2.surrogate.training import train
@@ -252,7 +267,7 @@ def _train(
     try:
         surrogate = train(
             samples,
-            recipe.training,
+            study.cell.training,
             progress=lambda i, n, figures: report(
                 i, f"held-out error {100 * figures['held_out_rms']:.2g} %"
             ),
@@ -265,27 +280,28 @@ def _train(
     return surrogate, bound_of(surrogate), meter.seconds
 
 
-def _check_surrogate(recipe: Recipe, surrogate: SurrogateLaw, samples: StressSamples) -> None:
+def _check_surrogate(study: CellStudy, surrogate: SurrogateLaw, samples: StressSamples) -> None:
     """Refuse to keep a surrogate of other data or settings."""
-    path = recipe.training_path()
+    path = study.training_path()
     if surrogate.data_fingerprint != samples.fingerprint:
         raise MismatchError(f"{path}: it was trained on other samples; {START_OVER}")
-    here = {"training": asdict(recipe.training)}
+    here = {"training": asdict(study.cell.training)}
     there = {"training": asdict(surrogate.settings)}
     if surrogate.is_calibrated and surrogate.calibration is not None:
-        here["calibration"] = asdict(recipe.calibration)
+        here["calibration"] = asdict(study.recipe.calibration)
         there["calibration"] = dict(surrogate.calibration.settings)
     check_same(path, here, there)
 
 
-def large_errors(recipe: Recipe, trained: Trained) -> str | None:
-    """What to do where a component's error is so large that much will be left to RVEs."""
+def large_errors(study: CellStudy, trained: Trained) -> str | None:
+    """Return what to do where a component's error is so large that much will be left to RVEs."""
     rms = trained.surrogate.errors["rms"]
     name = max(STRESSES, key=lambda each: rms[each])
     if rms[name] <= LARGE_ERROR:
         return None
-    sampled, samples = recipe.section("range"), recipe.section("samples")
-    more = "state" if recipe.samples.count is None else "raise"
+    sampled = study.section("range")
+    samples = study.section("samples")
+    more = "state" if study.cell.samples.count is None else "raise"
     return (
         f"{trained.path}: the error of {name} is {100 * rms[name]:.2g} % RMS, from "
         f"{len(trained.samples.valid.F)} usable samples: narrow {sampled} to what "
@@ -405,33 +421,40 @@ def shaped_bound(
     return _edge(bounded, samples) / stress_spread(samples.valid.stress)
 
 
-def _runs(recipe: Recipe, surrogate: SurrogateLaw, count: int, seed: int) -> Iterator[list[State]]:
-    """What runs under other loads meet at points of a cell; others follow their quadratic law."""
-    problem, whole, macro = _coarse_problem(recipe), replace(recipe, part=None), recipe.macro
+def _runs(
+    study: CellStudy, surrogate: SurrogateLaw, count: int, seed: int
+) -> Iterator[list[State]]:
+    """Yield what runs under other loads meet at points of a cell.
+
+    All other cells of the recipe follow their quadratic law.
+    """
+    recipe = study.recipe
+    problem = _coarse_problem(recipe)
+    macro = recipe.macro
     cases = varied_problems(problem, count, seed)
     if recipe.is_bar:
         cases = random_loads(problem, count, seed)
         macro = replace(macro, integrator="explicit")
     others = {
-        name: laws.quadratic_law(part)
-        for name, part in whole.parts().items()
-        if name != recipe.cell_name
+        name: laws.quadratic_law(other)
+        for name, other in recipe.studies().items()
+        if name != study.name
     }
 
     def tissue(watched: StressLaw) -> StressLaw:
-        return law_by_region(whole, problem.mesh, lambda part: others.get(part.cell_name, watched))
+        return law_by_region(recipe, problem.mesh, lambda each: others.get(each.name, watched))
 
     return _met_in_runs(surrogate, cases, macro, seed, tissue)
 
 
 def _coarse_problem(recipe: Recipe) -> Problem:
-    """The recipe's problem, on a coarser mesh where that is a rectangle and has all it names."""
-    whole, mesh = replace(recipe, part=None), recipe.mesh
-    if mesh.elements is not None and len(whole.cells) == 1:
+    """Make the recipe's problem, on a coarser mesh where that is a rectangle with all it names."""
+    mesh = recipe.mesh
+    if mesh.elements is not None and len(recipe.cells) == 1:
         along, across = (min(n, RUN_ELEMENTS) for n in mesh.elements)
-        with suppress(InputError):
-            return replace(whole, mesh=replace(mesh, elements=(along, across))).problem()
-    return whole.problem()
+        with suppress(InputError):  # a coarse mesh may lack a part of the boundary
+            return replace(recipe, mesh=replace(mesh, elements=(along, across))).problem()
+    return recipe.problem()
 
 
 def _met_in_runs(

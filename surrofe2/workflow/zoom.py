@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from surrofe2.base.errors import FileError, InputError
 from surrofe2.law.stress_law import describe
 from surrofe2.macro.elements import find_element
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.recipe.recipe import Recipe, make_recipe
+from surrofe2.recipe.recipe import CellName, Recipe, make_recipe
 from surrofe2.run.charts import encoded
 from surrofe2.run.loop import Report, no_report
 from surrofe2.rve import RveLaw
@@ -28,7 +27,7 @@ from surrofe2.store.fields import (
     read_fields,
     write_rve_fields,
 )
-from surrofe2.store.run_folder import RunRecord, read_record
+from surrofe2.store.run_folder import RunRecord, cells_of, read_record
 from surrofe2.store.store import locked_folder, write_bytes, write_columns
 from surrofe2.workflow.laws import true_law
 
@@ -40,14 +39,14 @@ _AT_ONCE = 512
 @dataclass(frozen=True, slots=True)
 class Zoom:
     """The RVE `seen` at the times of the fields of a run, `motion`, in an element at an unloaded
-    `point`, µm; `cell` is the name of its plant cell, of several."""
+    `point`, µm; `cell` is the name of its plant cell."""
 
     point: tuple[float, float]
     element: int
     motion: StoredFields
     seen: Particles
     is_rest: bool
-    cell: str = ""
+    cell: CellName = None
 
     @property
     def t(self) -> Array:
@@ -76,7 +75,7 @@ def zoom_into(folder: str | Path, point: tuple[float, float]) -> Zoom:
     element, _ = find_element(motion.points, motion.cells, np.array(point))
     recipes = recipes_of(record)
     name, recipe = [*recipes.items()][cell_numbers(motion, recipes)[element]]
-    law = true_law(recipe)
+    law = true_law(recipe.study())
     F, F_dot = (motion.values[what][:, element] for what in (F_NAME, F_DOT_NAME))
     answer = law.respond(F, F_dot)
     for k in np.flatnonzero(answer.status)[:1]:
@@ -96,7 +95,7 @@ def write_zoom(found: Zoom, out: str | Path, report: Report = no_report) -> None
 
     out = Path(out)
     x, y = found.point
-    of = found.cell and f" “{found.cell}”"
+    of = "" if found.cell is None else f" “{found.cell}”"
     title = f"Plant cells{of} at ({x:.4g}, {y:.4g}) µm, element {found.element}"
     columns = {"factor" if found.is_rest else "t_us": found.t, **found.seen.extremes()}
     with locked_folder(out):
@@ -110,10 +109,10 @@ def write_zoom(found: Zoom, out: str | Path, report: Report = no_report) -> None
         write_rve_fields(out, found.seen, found.t)
 
 
-def recipes_of(record: RunRecord) -> dict[str, Recipe]:
-    """Cell and initialisation of a run as a recipe for each of its cells by name, "" of one."""
+def recipes_of(record: RunRecord) -> dict[CellName, Recipe]:
+    """Return a recipe with the parameters and initialisation of each cell of a run, by name."""
     stored = record.recipe
-    cells: Mapping[str, Any] = stored.get("cells") or {"": stored.get("cell", {})}
+    cells = cells_of(stored) or {None: {}}  # a run of a law without plant cells records none
     if not all("preset" in cell for cell in cells.values()):
         raise InputError(
             f"law: {record.law}; it has no plant cells to look into, as rve and cached have"
@@ -131,7 +130,7 @@ def recipes_of(record: RunRecord) -> dict[str, Recipe]:
     }
 
 
-def cell_numbers(motion: StoredFields, recipes: Mapping[str, Recipe]) -> Index:
+def cell_numbers(motion: StoredFields, recipes: Mapping[CellName, Recipe]) -> Index:
     """(e,) number of the recipe of each element's cell."""
     if len(recipes) == 1:
         return np.zeros(len(motion.cells), np.int64)
@@ -152,7 +151,7 @@ def add_cell_fields(folder: Path) -> int:
         values: dict[str, Array] = {}
         for k, recipe in enumerate(recipes.values()):
             own = numbers == k
-            found = extremes_of(true_law(recipe), F[:, own], F_dot[:, own])
+            found = extremes_of(true_law(recipe.study()), F[:, own], F_dot[:, own])
             for name, of_cell in found.items():
                 values.setdefault(name, np.full(F.shape[:2], np.nan))[:, own] = of_cell
         add_to_elements(folder, values)

@@ -50,17 +50,17 @@ def recipe(tmp_path_factory):
     path = tmp_path_factory.mktemp("study") / "recipe.toml"
     path.write_text(RECIPE, encoding="utf-8")
     found = load_recipe(path)
-    law = true_law(found)
-    samples = sample_stress(law, found.range, 400)
+    law = true_law(found.study())
+    samples = sample_stress(law, found.study().cell.range, 400)
     paths = CalibrationSettings(walks=50, runs=0, alpha=0.1, length=6)
-    surrogate = calibrate(train(samples, found.training), samples, law, paths)
-    write_surrogate(surrogate, found.training_path())
+    surrogate = calibrate(train(samples, found.study().cell.training), samples, law, paths)
+    write_surrogate(surrogate, found.study().training_path())
     return found
 
 
 @pytest.fixture(scope="module")
 def law(recipe):
-    return true_law(recipe)
+    return true_law(recipe.study())
 
 
 @pytest.fixture

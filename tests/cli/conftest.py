@@ -30,7 +30,9 @@ def stand_in(monkeypatch):
 
     def put(law=SoftLaw):
         make = law if isinstance(law, type) else lambda: law
-        monkeypatch.setattr(laws, "true_law", lambda part, *_: make().of(part.cell, part.rve))
+        monkeypatch.setattr(
+            laws, "true_law", lambda study: make().of(study.cell.parameters, study.recipe.rve)
+        )
 
     return put
 

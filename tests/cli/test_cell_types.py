@@ -30,14 +30,18 @@ def invoke(invoke):
 
 def test_each_cell_has_its_own_parameters_range_and_files(written):
     recipe = load_recipe(written(CELLS))
-    skin, flesh = recipe.parts().values()
-    assert skin.cell == CellParameters.preset("printed", wall_stiffness=8000.0)
-    assert flesh.cell == CellParameters.preset("water")
-    assert (skin.range.rate, flesh.range.rate) == (0.01, 0.02)
-    assert (skin.samples.seed, flesh.samples.seed, flesh.samples.count) == (2, 3, 40)
+    skin, flesh = recipe.studies().values()
+    assert skin.cell.parameters == CellParameters.preset("printed", wall_stiffness=8000.0)
+    assert flesh.cell.parameters == CellParameters.preset("water")
+    assert (skin.cell.range.rate, flesh.cell.range.rate) == (0.01, 0.02)
+    assert (skin.cell.samples.seed, flesh.cell.samples.seed) == (2, 3)
+    assert flesh.cell.samples.count == 40
     assert flesh.training_path().name == "flesh-surrogate.h5"
-    assert recipe.fingerprint.split() == [skin.cell.fingerprint, flesh.cell.fingerprint]
-    assert list(recipe.parts("flesh")) == ["flesh"]
+    assert recipe.fingerprint.split() == [
+        skin.cell.parameters.fingerprint,
+        flesh.cell.parameters.fingerprint,
+    ]
+    assert list(recipe.studies("flesh")) == ["flesh"]
 
 
 def test_points_of_a_cell_are_those_of_its_regions(written):
@@ -78,8 +82,8 @@ def test_each_cell_has_its_table(invoke, written, tmp_path):
     files = [tmp_path / "first" / f"table-{name}.h5" for name in ("skin", "flesh")]
     first = read_record(tmp_path / "first").counts
     tables = [read_table(file) for file in files]
-    parts = load_recipe(path).parts()
-    assert [table.cell for table in tables] == [part.cell for part in parts.values()]
+    cells = load_recipe(path).cells.values()
+    assert [table.cell for table in tables] == [cell.parameters for cell in cells]
     sizes = [len(table.records.centre) for table in tables]
     assert sum(sizes) == first["table_records"] == first["table_added"]
     assert min(sizes) > 1  # each begins with the undeformed state
@@ -193,7 +197,7 @@ def test_cached_runs_learn_audit_and_go_on_by_cell(invoke, written, tmp_path, mo
         assert f"{name}: audit: {cache['audit']['audited']} of " in done.output
         assert cache["audit"]["audited"] > 10
         harvest = read_harvest(tmp_path / "whole" / f"harvest-{name}.h5")
-        assert harvest.cell == load_recipe(path).parts()[name].cell
+        assert harvest.cell == load_recipe(path).cells[name].parameters
     assert whole.surrogate["file"] == "skin-surrogate.h5, flesh-surrogate.h5"
 
     class Stopping(SoftCell, StoppingLaw):

@@ -129,12 +129,12 @@ def test_a_dry_run_that_is_cut_short_is_extrapolated(recipe_path, monkeypatch):
     short = check.dry_run(recipe, 1.4 * steps)
     assert short.points == whole.points == 320
     assert short.reached == 1.0  # of 4 × 4 elements, whose steps are longer
-    assert len(short.steps[""][0][0]) == 80
+    assert len(short.steps[None][0][0]) == 80
     assert short.calls == pytest.approx(whole.calls, rel=0.1)
     assert not short.omitted
     monkeypatch.setattr(check, "MOST_ELEMENTS", 16)
     coarse = check.dry_run(recipe, math.inf)
-    assert len(coarse.steps[""][0][0]) == 80
+    assert len(coarse.steps[None][0][0]) == 80
     assert coarse.points == 320
     assert coarse.calls == pytest.approx(whole.calls, rel=0.5)
     ticks = itertools.count()
@@ -220,7 +220,7 @@ UNDRAINED = 'preset = "apple"\nsap_bulk_modulus = 2200.0'
 def test_explicit_runs_with_undrained_sap_name_their_step_and_why(changed_recipe):
     """Water in `apple`: √(2200 MPa / 860 kg/m³) = 1,599 m/s, through an element of 50 µm."""
     recipe = load_recipe(changed_recipe('preset = "printed"', UNDRAINED))
-    assert sap_wave_speed(recipe.cell) == pytest.approx(1599.0, rel=1e-3)
+    assert sap_wave_speed(recipe.study().cell.parameters) == pytest.approx(1599.0, rel=1e-3)
     ((before, is_warning),) = sap_notes(recipe)
     ((after, _),) = sap_notes(recipe, 0.01234)
     assert not is_warning
@@ -317,7 +317,9 @@ def test_a_true_run_stays_within_the_range_proposed(bending_bar):
     assert "by the quadratic law of the RVE at rest" in printed
     assert "margin 20 %" in printed
     recipe = load_recipe(bending_bar)
-    met = simulate(recipe.problem(), RveLaw(recipe.cell, recipe.rve), recipe.macro).met
+    met = simulate(
+        recipe.problem(), RveLaw(recipe.study().cell.parameters, recipe.rve), recipe.macro
+    ).met
     assert range.stretch[0] < met.stretch[0] < met.stretch[1] < range.stretch[1]
     assert met.shear < range.shear
     assert met.rate < range.rate

@@ -83,10 +83,10 @@ def test_error_is_one_line_and_traceback_on_request(invoke, changed_recipe):
 
 def test_tangents_are_those_of_the_rve(changed_recipe):
     path = changed_recipe("count = 40", "count = 20\ntangents = true")
-    study = load_recipe(path)
+    study = load_recipe(path).study()
     generate_data_set(study)
     samples = read_data_set(study.data_path())
-    law = RveLaw(study.cell, study.rve)
+    law = RveLaw(study.cell.parameters, study.recipe.rve)
     asked = law.respond(samples.F, samples.F_dot, tangents=True).tangents
     # the two were computed in tiles of other neighbours
     np.testing.assert_allclose(samples.P_by_F, asked.P_by_F, rtol=0, atol=1e-9)

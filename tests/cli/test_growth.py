@@ -139,26 +139,26 @@ KNOWN, HARVESTED, FAILED, OTHERWISE = 40, 30, 3, 2
 @pytest.fixture
 def samples(invoke, recipe, changed_recipe):
     invoke("generate", changed_recipe("count = 40", "count = 40\ntangents = true"))
-    return read_data_set(recipe.data_path())
+    return read_data_set(recipe.study().data_path())
 
 
 @pytest.fixture
 def harvest(recipe, tmp_path):
     """The first states failed, the next were on another branch."""
-    F, F_dot = sample(recipe.range, HARVESTED, 2)
+    F, F_dot = sample(recipe.study().cell.range, HARVESTED, 2)
     stress = square_stress(F, F_dot)
     status = np.zeros(HARVESTED, dtype=np.int8)
     stress[:FAILED], status[:FAILED] = np.nan, 1
     stress[FAILED : FAILED + OTHERWISE] += 0.1
     path = tmp_path / "harvest.h5"
-    writer = HarvestWriter(path, origin_of(recipe))
+    writer = HarvestWriter(path, origin_of(recipe.study()))
     writer(F, F_dot, stress, status, np.zeros(HARVESTED, dtype=np.int8))
     writer.flush()
     return path
 
 
 def test_harvested_states_get_the_tangents_they_lack(samples, harvest, recipe, caplog):
-    joined = with_harvests(samples, [harvest], recipe, SquareLaw())
+    joined = with_harvests(samples, [harvest], recipe.study(), SquareLaw())
     new = slice(KNOWN, None)
     assert len(joined.F) == KNOWN + HARVESTED - OTHERWISE
     np.testing.assert_array_equal(joined.P_by_F[:KNOWN], samples.P_by_F)
@@ -174,7 +174,7 @@ def test_harvested_states_get_the_tangents_they_lack(samples, harvest, recipe, c
 
 def test_without_tangents_every_harvested_state_is_taken(samples, harvest, recipe):
     plain = replace(samples, P_by_F=None, P_by_F_dot=None)
-    joined = with_harvests(plain, [harvest], recipe)
+    joined = with_harvests(plain, [harvest], recipe.study())
     assert len(joined.F) == KNOWN + HARVESTED
     assert joined.P_by_F is None
-    assert with_harvests(samples, [], recipe) is samples
+    assert with_harvests(samples, [], recipe.study()) is samples

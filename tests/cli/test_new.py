@@ -19,10 +19,10 @@ def test_each_kind_loads_and_runs_some_steps(invoke, tmp_path, kind):
     done = invoke("new", path, "--example", kind)
     assert done.stdout.startswith(f"{path}: recipe of {TEMPLATES[kind]}")
     recipe = load_recipe(path)
-    for part in recipe.parts().values():
+    for part in recipe.studies().values():
         assert part.data_path().parent == part.training_path().parent == tmp_path
         assert part.data_path().stem.startswith("mine")
-        assert part.range is not None
+        assert part.cell.range is not None
     of = "load" if recipe.is_bar else "time"
     text = path.read_text(encoding="utf-8")
     long = re.search(rf"(?ms)^\[{of}\].*?^(duration = \S+)", text)[1]
@@ -128,4 +128,4 @@ def test_a_file_that_new_did_not_write_stays(invoke, tmp_path, name, fresh):
 def test_a_name_may_have_quotes(tmp_path):
     path = tmp_path / 'a"b\\.toml'
     write_recipe(path, "bar")
-    assert load_recipe(path).data_path() == tmp_path / 'a"b\\.h5'
+    assert load_recipe(path).study().data_path() == tmp_path / 'a"b\\.h5'

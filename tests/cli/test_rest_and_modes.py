@@ -23,7 +23,7 @@ from tests.laws import SquareLaw, failing
 def test_rest_writes_its_load_path_and_fields(recipe, recipe_path, tmp_path):
     out = tmp_path / "rest"
     done = call("rest", recipe_path, "--out", out, "--load-steps", 4)
-    law = RveLaw(recipe.cell, recipe.rve)
+    law = RveLaw(recipe.study().cell.parameters, recipe.rve)
     expected = find_rest(recipe.problem(), law, recipe.macro, load_steps=4)
     lines = (out / "path.csv").read_text(encoding="utf-8").splitlines()
     names = [f"force {name} {axis}_uN" for name in expected.system.force_names for axis in "xy"]
@@ -50,7 +50,7 @@ def test_rest_writes_its_load_path_and_fields(recipe, recipe_path, tmp_path):
     assert (high >= np.eye(2)).all()
     assert record.met["stretch"][0] < 1.0 < record.met["stretch"][1]
     assert record.met["shear"] > 0.0 == record.met["rate"]
-    assert record.cell_fingerprint == recipe.cell.fingerprint
+    assert record.cell_fingerprint == recipe.study().cell.parameters.fingerprint
     stored = read_fields(out, (), None)
     shapes = [values.shape for values in stored.values.values()]
     assert shapes.count((5, 9, 2)) == 2  # displacement and velocity
@@ -216,8 +216,8 @@ def test_modes_about_both_states(recipe, recipe_path, tmp_path):
     done = call("modes", recipe_path, "--initialisation", "elastic", "--count", 2, "--out", out)
     assert "Unloaded, 4 elements, preset printed" in done.stdout
     record = json.loads(out.read_text(encoding="utf-8"))
-    assert record["fingerprint"] == recipe.cell.fingerprint
-    law = RveLaw(recipe.cell, initialisation="elastic")
+    assert record["fingerprint"] == recipe.study().cell.parameters.fingerprint
+    law = RveLaw(recipe.study().cell.parameters, initialisation="elastic")
     for state, factor in (("unloaded", 0.0), ("loaded", 1.0)):
         numbers = record["states"][state]["elastic"]
         modes = find_modes(find_rest(recipe.problem(), law, recipe.macro, factor=factor), 2)
@@ -275,7 +275,7 @@ def test_cells_of_an_image_become_a_recipe(tmp_path, monkeypatch):
     done = call("cells", image, "--pixel", 0.5, "--cells", 4, "--out", out)
     assert "mean aspect ratio" in done.stdout
     assert "variation of areas" in done.stdout.rpartition("RVE of 4 cells")[2]
-    cell = load_recipe(out).cell
+    cell = load_recipe(out).study().cell.parameters
     assert (cell.arrangement, cell.cells) == ("voronoi", 4)
     assert cell.cell_side == pytest.approx(np.sqrt((labels > 0).sum() / 4) * 0.5, rel=1e-3)
     assert (tmp_path / "tissue.png").stat().st_size > 10_000

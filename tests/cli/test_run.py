@@ -45,7 +45,7 @@ def test_run_folder(run, recipe_path, folder, recipe):
     text = (folder / "run.json").read_text(encoding="utf-8")
     assert str(recipe_path.parent) not in text
     assert platform.node() not in text
-    assert stored["cell_fingerprint"] == recipe.cell.fingerprint
+    assert stored["cell_fingerprint"] == recipe.study().cell.parameters.fingerprint
     assert stored["units"]["time"] == "µs"
     wall = stored["wall_time"]
     assert wall["total"] == pytest.approx(wall["law"] + wall["macro"], abs=1e-6)

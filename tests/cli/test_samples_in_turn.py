@@ -56,40 +56,44 @@ def same(path, other):
 
 def test_the_first_samples_suffice(wanting):
     recipe = wanting(MET)
-    assert len(generate_data_set(recipe).samples.F) == 40
+    assert len(generate_data_set(recipe.study()).samples.F) == 40
     stage = Mock(wraps=no_stage)
-    trained = train_surrogate(recipe, stage=stage)
+    trained = train_surrogate(recipe.study(), stage=stage)
     assert shown(stage) == [("train", 40), ("calibrate", 1.0)]
-    assert stored_count(recipe.data_path()) == (40, True, True)
-    assert trained.surrogate.data_fingerprint == read_data_set(recipe.data_path()).fingerprint
+    assert stored_count(recipe.study().data_path()) == (40, True, True)
+    assert (
+        trained.surrogate.data_fingerprint == read_data_set(recipe.study().data_path()).fingerprint
+    )
 
 
 def test_more_are_taken_until_they_do_not_help(wanting, written, monkeypatch):
     recipe = wanting(NEVER)
-    generate_data_set(recipe)
+    generate_data_set(recipe.study())
     stage = Mock(wraps=no_stage)
     monkeypatch.setattr("surrofe2.workflow.train._HELPS", np.inf)
-    trained = train_surrogate(recipe, stage=stage)
+    trained = train_surrogate(recipe.study(), stage=stage)
     told = [("train", 40), ("generate", 80), ("train", 40), ("generate", 160), ("train", 40)]
     assert shown(stage) == [*told, ("calibrate", 1.0)]
-    samples = read_data_set(recipe.data_path())
+    samples = read_data_set(recipe.study().data_path())
     assert len(samples.F) == 160
     assert trained.surrogate.data_fingerprint == samples.fingerprint
-    assert trained.surrogate.seconds["data"] == pytest.approx(read_seconds(recipe.data_path()))
+    assert trained.surrogate.seconds["data"] == pytest.approx(
+        read_seconds(recipe.study().data_path())
+    )
     # all of them are what a stated number gives
     text = recipe.path.read_text(encoding="utf-8")
     text = changed(text, "cells.", "stated.", "seed = 3", "seed = 3\ncount = 160")
     stated = load_recipe(written(text, "stated.toml"))
-    generate_data_set(stated)
-    assert read_data_set(stated.data_path()).fingerprint == samples.fingerprint
+    generate_data_set(stated.study())
+    assert read_data_set(stated.study().data_path()).fingerprint == samples.fingerprint
 
 
 def test_more_that_do_not_help_are_the_last(wanting, monkeypatch):
     recipe = wanting(NEVER)
-    generate_data_set(recipe)
+    generate_data_set(recipe.study())
     monkeypatch.setattr("surrofe2.workflow.train._HELPS", 1e-30)
-    train_surrogate(recipe)
-    assert stored_count(recipe.data_path()) == (80, True, True)
+    train_surrogate(recipe.study())
+    assert stored_count(recipe.study().data_path()) == (80, True, True)
 
 
 def test_what_is_there_is_kept(wanting, invoke):
@@ -97,13 +101,13 @@ def test_what_is_there_is_kept(wanting, invoke):
     for _ in range(2):
         invoke("generate", recipe.path)
         invoke("train", recipe.path)
-    there = stored_count(recipe.data_path()).rows
+    there = stored_count(recipe.study().data_path()).rows
     assert there > 40
     again = invoke("generate", recipe.path)
     assert f"{there} samples (already finished)" in again.stdout
     assert "(already trained)" in invoke("train", recipe.path).stdout
     invoke("generate", recipe.path, "--fresh")
-    assert stored_count(recipe.data_path()) == (40, True, True)
+    assert stored_count(recipe.study().data_path()) == (40, True, True)
 
 
 def stopping(where, at):
@@ -128,9 +132,9 @@ def whole(wanting, monkeypatch):
     monkeypatch.setattr(recipes, "MOST_COUNT", 80)
     monkeypatch.setattr("surrofe2.workflow.train._HELPS", np.inf)
     recipe = wanting(NEVER)
-    generate_data_set(recipe)
-    path = train_surrogate(recipe).path.rename(recipe.path.with_name("whole-surrogate.h5"))
-    generate_data_set(recipe, fresh=True)
+    generate_data_set(recipe.study())
+    path = train_surrogate(recipe.study()).path.rename(recipe.path.with_name("whole-surrogate.h5"))
+    generate_data_set(recipe.study(), fresh=True)
     return recipe, path
 
 
@@ -138,11 +142,11 @@ def whole(wanting, monkeypatch):
 def test_interrupted_it_goes_on_to_the_bit(whole, where, at):
     recipe, path = whole
     with pytest.raises(KeyboardInterrupt):
-        train_surrogate(recipe, stage=stopping(where, at))
-    there = stored_count(recipe.data_path())
+        train_surrogate(recipe.study(), stage=stopping(where, at))
+    there = stored_count(recipe.study().data_path())
     if where == "generate":
         assert there == (min(40 + 16 * at, 80), at == 0, True)
-    assert same(path, train_surrogate(recipe).path)
+    assert same(path, train_surrogate(recipe.study()).path)
 
 
 @pytest.mark.parametrize(("command", "stated_first"), [("train", True), ("generate", False)])
@@ -151,10 +155,10 @@ def test_samples_of_a_stated_number_and_of_none_are_not_the_same(
 ):
     """Though there are as many."""
     if stated_first:
-        generate_data_set(recipe)
+        generate_data_set(recipe.study())
         wanting(MET)
     else:
-        generate_data_set(wanting(MET))
+        generate_data_set(wanting(MET).study())
         written(RECIPE)
     refused = invoke(command, recipe.path, code=1)
     assert "cells.h5: samples.count: " in refused.stderr
@@ -165,10 +169,10 @@ def test_refining_knows_what_its_surrogate_learnt_from(wanting, changed_recipe):
     changed_recipe("duration = 4.0", "duration = 0.5")
     recipe = wanting(NEVER)
     refine_surrogate(recipe, recipe.path.with_name("refined"), rounds=1)
-    there = stored_count(recipe.data_path()).rows
+    there = stored_count(recipe.study().data_path()).rows
     assert there > 40
     assert rounds_of(recipe)[0]["samples"] == there
-    generate_data_set(recipe, count=160)
+    generate_data_set(recipe.study(), count=160)
     refine_surrogate(recipe, recipe.path.with_name("refined"), rounds=1, fresh=True)
     assert rounds_of(recipe)[0]["samples"] == there
 
@@ -180,6 +184,6 @@ def rounds_of(recipe):
 def test_a_bound_that_is_infinite_wants_no_more_samples(wanting, monkeypatch):
     monkeypatch.setattr("surrofe2.workflow.train.shaped_bound", lambda *_: np.inf)
     recipe = wanting(NEVER)
-    generate_data_set(recipe)
-    train_surrogate(recipe)
-    assert stored_count(recipe.data_path()).rows == 40
+    generate_data_set(recipe.study())
+    train_surrogate(recipe.study())
+    assert stored_count(recipe.study().data_path()).rows == 40

@@ -106,8 +106,8 @@ def test_check_tries_a_rest_where_loads_are_slow(invoke, written):
     assert "stretch = [0.9" in done.stdout
     run = check.dry_rest(load_recipe(path))
     assert run.reached == 1.0
-    assert run.met[""].stretch[1] == pytest.approx(1.04, abs=0.01)
-    assert check.proposed_range(run.met[""]).rate == check.LEAST_RATE
+    assert run.met[None].stretch[1] == pytest.approx(1.04, abs=0.01)
+    assert check.proposed_range(run.met[None]).rate == check.LEAST_RATE
     assert run.displacement == pytest.approx(4.0, abs=0.1)
     stated = path.read_text(encoding="utf-8") + "[rest]\nload_steps = 3\n"
     path.write_text(stated, encoding="utf-8")
@@ -153,7 +153,7 @@ def test_a_dry_rest_keeps_to_its_time(stand_in, written, monkeypatch):
     shorter = check.dry_rest(recipe, whole.solves)
     assert (shorter.reached, shorter.points, shorter.omitted) == (1.0, whole.points, "")
     assert shorter.calls == pytest.approx(whole.calls, rel=0.2)
-    assert shorter.met[""].stretch[1] == pytest.approx(1.04, abs=0.01)
+    assert shorter.met[None].stretch[1] == pytest.approx(1.04, abs=0.01)
     part = check.dry_rest(recipe, 0.1 * whole.solves)
     assert 0.0 < part.reached < 1.0
     assert part.omitted == f"what is met after {100.0 * part.reached:.3g} % of the load"

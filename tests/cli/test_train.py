@@ -32,7 +32,10 @@ def test_writes_the_surrogate_and_shows_its_errors(invoke, recipe_path, surrogat
     assert last.startswith(f"{surrogate_path}: held-out errors up to ")
     assert "worst, from 40 samples, " in last
     surrogate = read_surrogate(surrogate_path)
-    assert (surrogate.cell, surrogate.range) == (recipe.cell, recipe.range)
+    assert (surrogate.cell, surrogate.range) == (
+        recipe.study().cell.parameters,
+        recipe.study().cell.range,
+    )
     assert list(surrogate_path.parent.glob("*-surrogate.h5")) == [surrogate_path]
 
 
@@ -105,31 +108,34 @@ def test_a_new_training_that_ends_at_once_goes_on(
 )
 def test_data_set_of_another_recipe(invoke, recipe, changed_recipe, old, new, name):
     told = invoke("train", changed_recipe(old, new), code=1).stderr
-    assert told.startswith(f"error: {recipe.data_path()}: {name}: this call ")
+    assert told.startswith(f"error: {recipe.study().data_path()}: {name}: this call ")
     assert f"surrofe2 generate {recipe.path} --fresh" in told
 
 
 def test_what_is_missing_names_the_command_that_makes_it(invoke, recipe_path, recipe):
-    recipe.data_path().unlink()
+    recipe.study().data_path().unlink()
     refused = invoke("train", recipe_path, code=1)
     assert f"make it with `surrofe2 generate {recipe_path}`" in refused.stderr
 
 
 def test_unfinished_data_set(invoke, recipe_path, recipe):
-    recipe.data_path().unlink()
+    recipe.study().data_path().unlink()
     invoke("generate", recipe_path, law=StoppingLaw(0), code=130)
     told = "unfinished, 0 of 40 samples; continue it with `surrofe2 generate RECIPE`\n"
-    assert invoke("train", recipe_path, code=1).stderr == f"error: {recipe.data_path()}: {told}"
+    assert (
+        invoke("train", recipe_path, code=1).stderr
+        == f"error: {recipe.study().data_path()}: {told}"
+    )
 
 
 def test_large_errors_are_told_with_what_to_do(invoke, recipe_path, recipe, monkeypatch):
-    trained = train_workflow.train_surrogate(recipe)
+    trained = train_workflow.train_surrogate(recipe.study())
     rms = trained.surrogate.errors["rms"]
     name = max(("xx", "xy", "yx", "yy"), key=lambda each: rms[each])
     monkeypatch.setattr(train_workflow, "LARGE_ERROR", rms[name])
-    assert large_errors(recipe, trained) is None
+    assert large_errors(recipe.study(), trained) is None
     monkeypatch.setattr(train_workflow, "LARGE_ERROR", 0.999 * rms[name])
-    told = large_errors(recipe, trained)
+    told = large_errors(recipe.study(), trained)
     assert f"the error of {name} is {100 * rms[name]:.2g} % RMS, from 40 usable samples" in told
     assert "surrofe2 check" in told
     assert "surrofe2 refine" in told
@@ -176,7 +182,7 @@ def test_training_ends_when_the_bound_is_met(
     invoke("train", path)
     assert states[-1].iterations == iterations
     surrogate = read_surrogate(surrogate_path)
-    edge = train_workflow._edge(surrogate, read_data_set(load_recipe(path).data_path()))
+    edge = train_workflow._edge(surrogate, read_data_set(load_recipe(path).study().data_path()))
     edge /= surrogate.stress_spread
     assert (edge <= bound) == (bound > 1.0)
 
@@ -192,10 +198,10 @@ def test_paths_that_calibrate_are_drawn_by_the_samples(recipe, monkeypatch):
     """So a round of `refine` calibrates on none that chose its samples; those that shape stay."""
     walks = Mock(wraps=random_walks)
     monkeypatch.setattr(train_workflow, "random_walks", walks)
-    samples = read_data_set(recipe.data_path())
+    samples = read_data_set(recipe.study().data_path())
     settings = replace(recipe.calibration, runs=0)
     for part in (samples, samples, samples.at(np.arange(30))):
-        surrogate = training.train(part, replace(recipe.training, iterations=0))
+        surrogate = training.train(part, replace(recipe.study().cell.training, iterations=0))
         train_workflow.calibrate(surrogate, part, SoftLaw(), settings)
     drawn = [call.args[1::2] for call in walks.call_args_list]  # counts and seeds
     (shaping, *shapings), (testing, *others) = drawn[::2], drawn[1::2]
@@ -229,7 +235,7 @@ def test_a_true_law_that_fails_everywhere_leaves_no_bound(
 
 def test_runs_whose_load_is_too_much_end_where_they_leave_the_range(recipe, invoke, recipe_path):
     invoke("train", recipe_path)
-    surrogate = read_surrogate(recipe.training_path())
+    surrogate = read_surrogate(recipe.study().training_path())
     load = with_load(recipe.problem(), acceleration=(0.0, -50.0))
     (met,) = train_workflow._met_in_runs(surrogate, [load], recipe.macro, 1)
     assert all(surrogate.in_range(F, F_dot).all() for F, F_dot in met)
@@ -274,7 +280,7 @@ def test_runs_of_a_stated_problem_are_its_own_with_other_loads(written, monkeypa
     """Pure stretch along x, which no bending bar meets; slower or faster, less or more."""
     recipe = load_recipe(written(LEARNING + BLOCK))
     monkeypatch.setattr(train_workflow, "simulate", recording := Mock(wraps=simulate))
-    runs = list(train_workflow._runs(recipe, SoftLaw(), 40, seed=3))
+    runs = list(train_workflow._runs(recipe.study(), SoftLaw(), 40, seed=3))
     problems = [call.args[0] for call in recording.call_args_list]
     assert [each.mesh.nelements for each in problems] == [2] * 40
     ends = []
@@ -340,11 +346,11 @@ def test_a_cell_sees_its_own_points_among_the_others(written, monkeypatch):
     recipe = load_recipe(written(text + BLOCK + CELLS))
 
     def soft(part):
-        return SoftCell().of(part.cell, part.rve)
+        return SoftCell().of(part.cell.parameters, part.recipe.rve)
 
     monkeypatch.setattr(train_workflow.laws, "quadratic_law", soft)
     monkeypatch.setattr(train_workflow, "simulate", recording := Mock(wraps=simulate))
-    parts = recipe.parts()
+    parts = recipe.studies()
     met = {}
     for name, part in parts.items():
         (states,) = train_workflow._runs(part, soft(part), 1, seed=4)

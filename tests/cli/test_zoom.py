@@ -52,7 +52,7 @@ def seen(study):
     recipe, run = study
     motion = read_fields(run, FIELDS_OF_MOTION, (CELL,))
     settings = load_recipe(recipe)
-    law = RveLaw(settings.cell, settings.rve)
+    law = RveLaw(settings.study().cell.parameters, settings.rve)
     return motion, law.particles(*(motion.values[name][:, 3] for name in (F_NAME, F_DOT_NAME)))
 
 
@@ -144,7 +144,7 @@ def test_several_cells_are_looked_into_by_the_cell_of_the_point(written, tmp_pat
     stored = read_fields(run, [CELL, "largest_wall_stretch"])
     assert stored.values[CELL][2].tolist() == [1.0, 0.0, 1.0, 0.0]
     stretch = stored.values["largest_wall_stretch"][2]
-    cells = {name: part.cell for name, part in load_recipe(path).parts().items()}
+    cells = {name: cell.parameters for name, cell in load_recipe(path).cells.items()}
     for y, name in ((75.0, "skin"), (25.0, "flesh")):
         found = zoom_into(run, (25.0, y))
         assert found.cell == name

@@ -149,7 +149,7 @@ def test_a_name_that_no_file_can_have(folder):
         with pytest.raises(
             InputError, match=r"recipe\.toml: samples\.file: .*no file can be called so"
         ):
-            load_recipe(path).data_path()
+            load_recipe(path).study().data_path()
     done = CliRunner().invoke(app, ["compare", "x" * 300, "y" * 300, "--out", str(folder)])
     assert done.exit_code == 1
     assert "File name too long" in done.stderr

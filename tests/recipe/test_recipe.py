@@ -27,11 +27,11 @@ def message(error, path):
 @pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.name)
 def test_shipped_recipes_load(path):
     recipe = load_recipe(path)
-    if recipe.samples.file is None:  # a press at rest, by RVEs
+    if recipe.study().cell.samples.file is None:  # a press at rest, by RVEs
         assert path.name.startswith("apple-press")
         return
-    assert recipe.data_path().parent == path.parent
-    assert recipe.training_path().resolve().parent == path.parents[1] / "training"
+    assert recipe.study().data_path().parent == path.parent
+    assert recipe.study().training_path().resolve().parent == path.parents[1] / "training"
 
 
 def test_shipped_recipes_are_the_paper_s_bar():
@@ -39,13 +39,13 @@ def test_shipped_recipes_are_the_paper_s_bar():
     printed = shipped["bending-bar"]
     empty = make_recipe({})
     assert all(getattr(printed, name) == getattr(empty, name) for name in PROBLEM_SECTIONS)
-    assert printed.cell == CellParameters.preset("printed")
-    assert shipped["bending-bar-water"].cell == CellParameters.preset("water")
+    assert printed.study().cell.parameters == CellParameters.preset("printed")
+    assert shipped["bending-bar-water"].study().cell.parameters == CellParameters.preset("water")
     triple = shipped["bending-bar-triple-load"]
     weights = [each.conditions[-1].acceleration for each in (printed, triple)]
     assert weights[1] == pytest.approx((0.0, 3 * weights[0][1]))
-    assert triple.data_path() == printed.data_path()
-    assert triple.training_path() == printed.training_path()
+    assert triple.study().data_path() == printed.study().data_path()
+    assert triple.study().training_path() == printed.study().training_path()
 
 
 def test_single_constants_change_a_preset():
@@ -55,14 +55,17 @@ def test_single_constants_change_a_preset():
             "range": {"stretch": [0.9, 1.1], "shear": 0.1, "rate": 0.01},
         }
     )
-    assert recipe.cell == CellParameters.preset("water", wall_stiffness=1000.0)
+    assert recipe.study().cell.parameters == CellParameters.preset("water", wall_stiffness=1000.0)
     assert recipe.problem().conditions == LoadCase().conditions
     by_paper = make_recipe({"cell": {"preset": "ghysels2009-light", "wall_stiffness": 1000}})
-    assert (by_paper.cells[""].preset, by_paper.cell) == ("water", recipe.cell)
+    assert (by_paper.study().cell.preset, by_paper.study().cell.parameters) == (
+        "water",
+        recipe.study().cell.parameters,
+    )
 
 
 def test_files_are_relative_to_the_recipe(recipe, recipe_path):
-    assert recipe.data_path() == recipe_path.parent / "cells.h5"
+    assert recipe.study().data_path() == recipe_path.parent / "cells.h5"
 
 
 def test_to_dict_is_strict_json_without_folders(recipe, recipe_path):
@@ -114,9 +117,9 @@ def test_a_mistake_gets_one_sentence(changed_recipe, old, new, sentence):
     ],
 )  # fmt: skip
 def test_what_is_missing_is_told_by_the_command_that_needs_it(changed_recipe, part, ask, sentence):
-    recipe = load_recipe(changed_recipe(part, ""))
+    study = load_recipe(changed_recipe(part, "")).study()
     with pytest.raises(InputError) as caught:
-        getattr(recipe, ask)()
+        getattr(study, ask)()
     assert str(caught.value).startswith(f"recipe.toml: {sentence}")
 
 
@@ -148,18 +151,20 @@ def test_measurements_stand_in_a_cell_beside_its_preset():
     entries = {"preset": "apple", "turgor": 0.8, "wall_modulus": 400, "arrangement": "hexagon"}
     changes = {key: value for key, value in entries.items() if key != "preset"}
     expected = living_cell("apple", **changes)
-    assert make_recipe({"cell": entries}).cell == expected
+    assert make_recipe({"cell": entries}).study().cell.parameters == expected
     section = {
         "mesh": MESH,
         "conditions": HELD,
         "cells": {"pith": {**entries, "regions": ["rest"]}},
     }
-    assert make_recipe(section).cells["pith"].cell == expected
+    assert make_recipe(section).cells["pith"].parameters == expected
 
 
 def test_measurements_can_be_changed_as_a_grid_does(changed_recipe):
     path = changed_recipe('preset = "printed"', 'preset = "apple"')
-    cells = [load_recipe(path, {"cell.turgor": value}).cell for value in (0.2, 0.4)]
+    cells = [
+        load_recipe(path, {"cell.turgor": value}).study().cell.parameters for value in (0.2, 0.4)
+    ]
     assert cells == [living_cell("apple", turgor=value) for value in (0.2, 0.4)]
     assert cells[0].fingerprint != cells[1].fingerprint
 

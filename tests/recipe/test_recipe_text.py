@@ -76,7 +76,7 @@ def test_cells_are_chosen_with_greek_mu():
     table = read_toml(f'{BAR}[cells."{GREEK}1"]\nregions = ["rest"]\n')
     recipe = make_recipe(table)
     assert [*recipe.cells] == [f"{MICRO}1"]
-    assert [*recipe.parts(f"{GREEK}1")] == [*recipe.parts(f"{MICRO}1")] == [f"{MICRO}1"]
+    assert [*recipe.studies(f"{GREEK}1")] == [*recipe.studies(f"{MICRO}1")] == [f"{MICRO}1"]
     changed = with_changes(table, {f"cells.{MICRO}1.wall_stiffness": 1.0})
     assert changed == with_changes(table, {f"cells.{GREEK}1.wall_stiffness": 1.0})
     assert changed["cells"][f"{MICRO}1"]["wall_stiffness"] == 1.0
@@ -95,8 +95,8 @@ def test_names_of_files_stay_as_the_disk_has_them(tmp_path):
         "training": {"file": f"{GREEK}-t.h5"},
     }
     recipe = make_recipe(table, tmp_path / "bar.toml")
-    assert recipe.data_path().name == f"{GREEK}.h5"
-    assert recipe.training_path().name == f"{GREEK}-t.h5"
+    assert recipe.study().data_path().name == f"{GREEK}.h5"
+    assert recipe.study().training_path().name == f"{GREEK}-t.h5"
     settings = build(MeshSettings, {"file": f"{GREEK}.msh"}, "mesh")
     assert settings.file == f"{GREEK}.msh"
 

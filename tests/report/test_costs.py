@@ -40,17 +40,19 @@ def learnt(recipe, monkeypatch):
     from surrofe2.workflow import laws
     from surrofe2.workflow.train import train_surrogate
 
-    monkeypatch.setattr(laws, "true_law", lambda part, *_: SoftLaw().of(part.cell, part.rve))
-    generate_data_set(recipe)
-    train_surrogate(recipe)
+    monkeypatch.setattr(
+        laws, "true_law", lambda study: SoftLaw().of(study.cell.parameters, study.recipe.rve)
+    )
+    generate_data_set(recipe.study())
+    train_surrogate(recipe.study())
     return recipe
 
 
 def test_a_surrogate_knows_what_it_took_and_a_comparison_counts_it(learnt, tmp_path):
-    path = learnt.training_path()
+    path = learnt.study().training_path()
     seconds = read_surrogate(path).seconds
     assert set(seconds) == {"data", "training", "calibration"}
-    assert seconds["data"] == read_seconds(learnt.data_path())
+    assert seconds["data"] == read_seconds(learnt.study().data_path())
     assert min(seconds.values()) > 0.0
     for law in ("rve", "cached"):
         run_study(learnt, law, tmp_path / law)
@@ -67,8 +69,8 @@ def test_a_surrogate_knows_what_it_took_and_a_comparison_counts_it(learnt, tmp_p
 
 
 def test_the_fingerprint_of_a_surrogate_is_not_of_its_seconds(learnt, tmp_path):
-    surrogate = read_surrogate(learnt.training_path())
-    wanted = content_fingerprint(learnt.training_path())
+    surrogate = read_surrogate(learnt.study().training_path())
+    wanted = content_fingerprint(learnt.study().training_path())
     other = tmp_path / "other-surrogate.h5"
     write_surrogate(replace(surrogate, seconds={"training": 9.0}), other)
     assert content_fingerprint(other) == wanted

@@ -44,20 +44,24 @@ class Study:
     def __init__(self, name, initialisation, range, samples, iterations, calibration, states):
         recipe = load_recipe(DATA / f"{name}.toml")
         self.states = states
-        self.recipe = recipe = replace(
+        recipe = replace(
             recipe,
             rve=replace(recipe.rve, initialisation=initialisation),
             calibration=calibration,
-        ).with_cell(
-            range=range or recipe.range,
-            training=replace(recipe.training, iterations=iterations),
         )
-        self.rve = RveLaw(recipe.cell, recipe.rve)
-        self.samples = sample_stress(self.rve, recipe.range, samples, seed=1)
-        surrogate = train(self.samples, recipe.training)
+        cell = recipe.study().cell
+        study = recipe.study().with_cell(
+            range=range or cell.range,
+            training=replace(cell.training, iterations=iterations),
+        )
+        self.recipe = study.recipe
+        self.range = study.cell.range
+        self.rve = RveLaw(cell.parameters, recipe.rve)
+        self.samples = sample_stress(self.rve, self.range, samples, seed=1)
+        surrogate = train(self.samples, study.cell.training)
         self.surrogate = training.calibrate(
             surrogate, self.samples, self.rve, calibration,
-            runs=partial(training._runs, recipe, surrogate),
+            runs=partial(training._runs, study, surrogate),
         )  # fmt: skip
         self.tolerance = TOLERANCE * self.surrogate.stress_spread
 
@@ -86,7 +90,7 @@ def study(request):
 
 
 def test_the_bound_holds_on_random_states_in_range(study):
-    F, F_dot = sample(study.recipe.range, study.states, seed=71)
+    F, F_dot = sample(study.range, study.states, seed=71)
     error, bound, inside = study.errors(F, F_dot)
     alpha = study.recipe.calibration.alpha
     assert np.isfinite(error[inside]).all()  # nowhere inside is the RVE without a stress
@@ -96,7 +100,7 @@ def test_the_bound_holds_on_random_states_in_range(study):
 
 def test_the_bound_holds_on_fresh_walks(study):
     count = study.states // 20
-    walks = random_walks(study.recipe.range, count, 12, seed=72)
+    walks = random_walks(study.range, count, 12, seed=72)
     error, inside = errors_along(study.surrogate, true_stress(walks, study.rve))
     bound = study.surrogate.error_bound(*walks.states)
     broken = walks.largest(np.where(inside & (error > bound), 1.0, 0.0))
@@ -125,7 +129,7 @@ def out_of_range(range, count, seed=73):
 
 
 def test_nothing_is_accepted_out_of_range_with_a_large_error(study):
-    F, F_dot = out_of_range(study.recipe.range, study.states)
+    F, F_dot = out_of_range(study.range, study.states)
     error, _, accepted = study.errors(F, F_dot, study.tolerance)
     assert accepted.mean() < 0.01
     assert (error[accepted] <= study.tolerance).all()
@@ -133,12 +137,12 @@ def test_nothing_is_accepted_out_of_range_with_a_large_error(study):
 
 def test_nothing_unstable_is_accepted_with_a_large_error(study):
     """States within the bounds of the range of which the RVE has no stress, or one of several."""
-    F, F_dot = sample(study.recipe.range, study.states, seed=74)
+    F, F_dot = sample(study.range, study.states, seed=74)
     answer = study.rve.respond(F, F_dot)
     unstable = answer.status != 0
     if answer.left_bifurcation is not None:
         unstable |= answer.left_bifurcation
-    if study.recipe.range is WIDE:
+    if study.range is WIDE:
         assert unstable.sum() > 100
     stress, status, _ = study.surrogate.lookup(F, F_dot, study.tolerance)
     accepted = unstable & (status == 0)
@@ -167,5 +171,5 @@ def test_the_bar_is_accepted(study):
     simulate(load, watched, recipe.macro)
     F, F_dot = (np.concatenate([state[part] for state in seen[::4]]) for part in (0, 1))
     error, _, accepted = study.errors(F, F_dot, study.tolerance)
-    assert accepted.mean() >= (0.85 if recipe.range is WIDE else 0.99)
+    assert accepted.mean() >= (0.85 if study.range is WIDE else 0.99)
     assert (error[accepted] <= study.tolerance).all()
