@@ -35,7 +35,7 @@ from surrofe2.macro.elements import (
     with_transpose,
 )
 from surrofe2.macro.forces import Slopes
-from surrofe2.macro.system import System
+from surrofe2.macro.system import System, Works
 
 
 class Evaluation(NamedTuple):
@@ -47,8 +47,7 @@ class Evaluation(NamedTuple):
         u, v: (n, 2) displacement and velocity of all nodes and bodies. F, F_dot: (n_points, 2, 2).
         internal: (n, 2) internal force, µN; forces: (k, n, 2) the other forces of the system.
         residual: (m,) forces − internal − what prescribed accelerations take, µN.
-        powers: (k + 3,) of the internal force, the other forces, the supports and inertia M ü,
-            pJ/µs.
+        powers: of all that acts, pJ/µs.
         response: what the stress law answered."""
 
     t: float
@@ -59,7 +58,7 @@ class Evaluation(NamedTuple):
     internal: Array
     forces: Array
     residual: Array
-    powers: Array
+    powers: Works
     rate: Array
     F: Array
     F_dot: Array
@@ -167,8 +166,7 @@ class EquationsOfMotion:
             bad = ~np.isfinite(response.stress).all(axis=(1, 2))
             raise self.no_stress(t, int(np.argmax(bad)), F, describe(Status.NOT_FINITE))
         surface = self.system.surface
-        # The last of the forces; behind them are the powers of supports and inertia.
-        if surface is not None and not np.isfinite(now.powers[-3]):
+        if surface is not None and not np.isfinite(now.powers.forces[-1]):  # that of the surface
             message = surface.refusal(self.discretisation.nodes, u, v)
             raise NoStress(f"{self.clock.format(t)}, {message}")
         return now
@@ -200,8 +198,8 @@ class EquationsOfMotion:
         return self._start
 
     def cross_corner(self, now: Evaluation) -> tuple[Evaluation, Array]:
-        """The evaluation by which the next piece of the amplitudes begins, and the work of a jump
-        of prescribed velocities.
+        """Return the evaluation by which the next piece of the amplitudes begins, and the works
+        (k + 3,) of a jump of prescribed velocities.
         """
         before = self.within
         self.enter_piece(self.piece + 1)
@@ -375,16 +373,20 @@ class EquationsOfMotion:
             unbalanced -= system.inertia(pushed)
         residual = system.pick(unbalanced)
         rate = np.concatenate([y[y.size // 2 :], system.solve_mass(residual)])
-        powers = np.zeros(len(forces) + 3)
-        powers[0] = np.vdot(internal, v)
-        powers[1:-2] = np.einsum("kni,ni->k", forces, v)
-        powers[-1] = np.dot(y[y.size // 2 :], residual)
+        powers = Works(
+            internal=float(np.vdot(internal, v)),
+            forces=np.einsum("kni,ni->k", forces, v),
+            inertia=float(np.dot(y[y.size // 2 :], residual)),
+        )
         now = Evaluation(
             t, self.within, y, u, v, internal, forces, residual, powers, rate, F, F_dot, response
         )
-        if system.moving:
-            powers[-2:] = np.vdot(self.reaction(now), v), np.vdot(self.inertia(now), v)
-        return now
+        if not system.moving:
+            return now
+        # Supports that move do work and have inertia; both need the acceleration that is known now.
+        of_supports = float(np.vdot(self.reaction(now), v))
+        of_inertia = float(np.vdot(self.inertia(now), v))
+        return now._replace(powers=powers._replace(motion=of_supports, inertia=of_inertia))
 
     def _ask(self, F: Array, F_dot: Array, tangents: bool = False) -> StressResponse:
         started = clock()

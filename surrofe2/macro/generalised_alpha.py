@@ -26,6 +26,7 @@ from surrofe2.macro.equations_of_motion import (
     factorised,
 )
 from surrofe2.macro.settings import MacroSettings
+from surrofe2.macro.system import Works
 from surrofe2.macro.time_stepping import StepControl, StepResult
 
 MAX_ITERATIONS = 12
@@ -172,21 +173,27 @@ class GeneralisedAlpha:
         raise equations.out_of_balance(now, residual, reason)
 
     def _works(self, start: Evaluation, solved: Solved) -> Array:
-        """(k,) works as `Evaluation.powers` lists them, pJ: mean force times displacement.
+        """Return the works (k + 3,) of a step, pJ: mean force times displacement.
 
         Inertia is that of the method, which leaves Newton's residual. At spectral radius 1 its work
         is the gain of kinetic energy.
         """
-        end, equations = solved.now, self._equations
-        system, moved = equations.system, 0.5 * (end.u - start.u)
-        works = np.zeros(start.powers.size)
-        works[0] = np.vdot(start.internal + end.internal, moved)
-        works[1:-2] = np.einsum("kni,ni->k", start.forces + end.forces, moved)
+        end = solved.now
+        equations = self._equations
+        system = equations.system
+        moved = 0.5 * (end.u - start.u)  # half, since the sums below are twice the mean
+        motion = 0.0
         if system.moving:
-            works[-2] = np.vdot(equations.reaction(start) + equations.reaction(end), moved)
-        works[-1] = np.vdot(equations.inertia(start) + equations.inertia(end), moved)
-        works[-1] += 2.0 * system.pick(moved) @ solved.residual
-        return works
+            reactions = equations.reaction(start) + equations.reaction(end)
+            motion = float(np.vdot(reactions, moved))
+        inertia = float(np.vdot(equations.inertia(start) + equations.inertia(end), moved))
+        inertia += float(2.0 * system.pick(moved) @ solved.residual)
+        return Works(
+            internal=float(np.vdot(start.internal + end.internal, moved)),
+            forces=np.einsum("kni,ni->k", start.forces + end.forces, moved),
+            motion=motion,
+            inertia=inertia,
+        ).row
 
     def _factorised(
         self, now: Evaluation, h: float

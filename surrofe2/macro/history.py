@@ -234,7 +234,7 @@ class MacroState(RunState):
         t: µs. y: (2 m,) displacement and velocity of the free unknowns.
         next_step: length proposed for the next step, µs.
         memory: what the integrator knows besides y; empty if and only if it is the explicit one.
-        work: (k,) since t = 0 of what `Evaluation.powers` lists, pJ.
+        work: (k + 3,) since t = 0, a row of `Works`, pJ.
         journal: ``rows`` (r, c) at the output times passed, the columns of `columns_of`;
             ``samples`` (s, 1 + k) t and rates of dissipation of `System.dissipating`, µs and pJ/µs,
             at ends of steps; ``frames.…`` as of `Frames`.
@@ -296,8 +296,7 @@ def columns_of(system: System) -> list[str]:
     vectors += [f"position {contact.name}" for contact in system.contacts]
     both = [f"{name} {axis}" for name in vectors for axis in "xy"]
     depths = [f"penetration {contact.name}" for contact in system.contacts]
-    works = ["internal", *(force.name for force in system.forces), "motion", "inertia"]
-    last = [BEYOND, "contact", "kinetic", *(f"work {name}" for name in works)]
+    last = [BEYOND, "contact", "kinetic", *(f"work {name}" for name in system.names_of_works)]
     return ["t", *both, *depths, *last]
 
 
@@ -311,7 +310,7 @@ def row_of(
         motion: displacement and velocity (n, 2) of all nodes and bodies.
         forces: (k, 2) of `System.force_names`, µN.
         beyond: points beyond a bifurcation; NaN where the law cannot tell.
-        work: (k,) of what `Evaluation.powers` lists, pJ.
+        work: (k + 3,) a row of `Works`, pJ.
     """
     u, v = motion
     kinetic = 0.5 * np.vdot(v, system.inertia(v))

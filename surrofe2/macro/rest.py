@@ -43,7 +43,7 @@ from surrofe2.macro.history import (
     widen_extremes,
 )
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
-from surrofe2.macro.system import System, system_of
+from surrofe2.macro.system import System, Works, system_of
 from surrofe2.problem.conditions import DrivenCondition, PrescribedMotion
 from surrofe2.problem.problem import Problem
 from surrofe2.run.displacement_curve import DisplacementCurve
@@ -576,17 +576,24 @@ class Newton:
         equations.tally.counts["load_steps"] += factor != 0.0
         system, reaction = equations.system, equations.reaction(now)
         acts = np.stack([now.internal, *now.forces, reaction])
-        works, journal, extremes = np.zeros(len(acts)), Journal.of({}), NO_EXTREMES.copy()
-        if last is not None:
+        if last is None:
+            works = Works(0.0, np.zeros(len(now.forces))).row
+            journal = Journal.of({})
+            extremes = NO_EXTREMES.copy()
+        else:
             # Mean force times displacement: of second order in the load step.
-            step = np.einsum("kni,ni->k", 0.5 * (last.acts + acts), now.u - last.u)
-            journal, extremes = last.journal, last.extremes.copy()
-            works = journal["rows"][-1, -1 - len(acts) : -1] + step
+            internal, *forces, motion = np.einsum(
+                "kni,ni->k", 0.5 * (last.acts + acts), now.u - last.u
+            )
+            step = Works(internal, np.array(forces), motion).row
+            journal = last.journal
+            extremes = last.extremes.copy()
+            works = journal["rows"][-1, -step.size :] + step  # a row ends with its works
         widen_extremes(extremes, now.F, now.F_dot)
         beyond = beyond_bifurcation(equations.law, equations.law_state)
         count = float("nan") if beyond is None else float(beyond.sum())
-        forces, work = system.resultants(now.forces, reaction), np.append(works, 0.0)
-        row = row_of(system, factor, (now.u, now.v), forces, count, work)
+        resultants = system.resultants(now.forces, reaction)
+        row = row_of(system, factor, (now.u, now.v), resultants, count, works)
         sources = None if now.response.sources is None else now.response.sources()
         frame = Frames.of(equations.discretisation, now, sources, beyond=beyond)
         if self.keep_frame is not None:

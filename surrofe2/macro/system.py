@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import scipy.sparse
@@ -34,6 +34,29 @@ from surrofe2.problem.problem import (
 )
 
 T = TypeVar("T", Contact, SurfaceForce)
+
+
+class Works(NamedTuple):
+    """The works of all that acts on a tissue, pJ, or their powers, pJ/µs.
+
+    The works of all forces and of the supports, less the internal one, are that of inertia.
+
+    Attributes:
+        internal: of the internal force, which the tissue takes up.
+        forces: (k,) of each of `System.forces`.
+        motion: of what moves supports.
+        inertia: of M ü, the gain of kinetic energy.
+    """
+
+    internal: float
+    forces: Array
+    motion: float = 0.0
+    inertia: float = 0.0
+
+    @property
+    def row(self) -> Array:
+        """(k + 3,) all of them, for arithmetic and for the columns that `names_of_works` names."""
+        return np.array([self.internal, *self.forces, self.motion, self.inertia])
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +105,7 @@ class System:
 
     @property
     def surface(self) -> SurfaceForce | None:
-        """That of the free sides; None where they have no law."""
+        """The force of the free sides, which is the last one; None where they have no law."""
         last = self.forces[-1] if self.forces else None
         return last if isinstance(last, SurfaceForce) else None
 
@@ -145,8 +168,10 @@ class System:
         return a.reshape(-1, 2) if accelerates else None
 
     def start(self, within: float) -> tuple[Array, Array]:
-        """y at t = 0, and the work (1 + forces + 2,) of what sets supports into motion. Raises
-        `InputError` as of `Problem.check_course`.
+        """Return y at t = 0, and the works (k + 3,) of what sets supports into motion.
+
+        Raises:
+            InputError: as of `Problem.check_course`.
         """
         self.problem.check_course()
         velocity = self.pick(self.initial_velocity)
@@ -154,7 +179,7 @@ class System:
         return self._driven(y, self.initial_velocity, 0.0, within)
 
     def across_corner(self, y: Array, t: float, before: float, after: float) -> tuple[Array, Array]:
-        """y behind a corner of an amplitude, and the work of the jump.
+        """Return y behind a corner of an amplitude, and the works (k + 3,) of the jump.
 
         Where a prescribed velocity jumps, the free velocities follow so that the momentum of every
         free unknown is kept. `before` and `after` are times within the pieces on both sides.
@@ -162,19 +187,29 @@ class System:
         return self._driven(y, self.spread(y, t, before)[1], t, after)
 
     def _driven(self, y: Array, v: Array, t: float, after: float) -> tuple[Array, Array]:
-        """y with the velocities behind a jump of the supports' from those of v (n, 2), and work."""
-        work = np.zeros(3 + len(self.forces))
+        """Return y with the velocities behind a jump of the supports', and the works of the jump.
+
+        Args:
+            v: (n, 2) velocities before the jump, µm/µs.
+            after: a time within the piece of the amplitudes behind it, µs.
+        """
+        none = np.zeros(len(self.forces))
         jump = self.spread(y, t, after)[1] - v
         jump.ravel()[self.free] = 0.0
         if not jump.any():
-            return y, work
+            return y, Works(0.0, none).row
         m = self.free.size
         y = y.copy()
         y[m:] -= self.solve_mass(self.pick(self.inertia(jump)))
         new = self.spread(y, t, after)[1]
         # The impulse acts on the supports alone, at the mean of both velocities.
-        work[-2:] = 0.5 * np.vdot(new + v, self.inertia(new - v))
-        return y, work
+        gained = 0.5 * float(np.vdot(new + v, self.inertia(new - v)))
+        return y, Works(0.0, none, motion=gained, inertia=gained).row
+
+    @property
+    def names_of_works(self) -> tuple[str, ...]:
+        """The names of the entries of `Works.row`."""
+        return "internal", *(force.name for force in self.forces), "motion", "inertia"
 
     @property
     def force_names(self) -> tuple[str, ...]:

@@ -42,7 +42,7 @@ class StepResult:
     Attributes:
         start, end: evaluations at both ends.
         error: root mean square of the error of y relative to the tolerances; kept up to 1.
-        mean_power: (k,) of what `Evaluation.powers` lists, pJ/µs.
+        mean_power: (k + 3,) a row of `Works`, pJ/µs.
         bulge, power_bulge: b of y and of the work; 0 if there is none.
         memory: for the step that begins at its end; empty where the method needs none.
         work_before: of a jump of prescribed velocities where it begins, pJ; 0 if there is none."""
@@ -68,9 +68,10 @@ class StepResult:
         return start.y + self._integral(t, mean, start.rate, end.rate, self.bulge)
 
     def work(self, t: float) -> Array:
-        """(k,) work from the start to t, pJ."""
-        powers = self.start.powers, self.end.powers
-        since = self._integral(t, self.mean_power, *powers, self.power_bulge)
+        """(k + 3,) works from the start to t, a row of `Works`, pJ."""
+        first = self.start.powers.row
+        last = self.end.powers.row
+        since = self._integral(t, self.mean_power, first, last, self.power_bulge)
         return self.work_before + since
 
     def _integral(self, t: float, mean: Array, first: Array, last: Array, b: Any) -> Array:
@@ -308,16 +309,20 @@ class DormandPrince:
         without a say in the error.
         """
         h = t - start.t
-        rates, powers = np.empty((STAGES, start.y.size)), np.empty((STAGES, start.powers.size))
-        rates[0], powers[0], residuals = start.rate, start.powers, [start.residual]
+        rates = np.empty((STAGES, start.y.size))
+        rates[0] = start.rate
+        powers = [start.powers.row]
+        residuals = [start.residual]
         for number in range(1, STAGES - 1):
             y = start.y + h * (WEIGHTS[number] @ rates[:number])
             at = start.t + TIMES[number] * h if number < STAGES - 2 else t
             trial = self.rhs(at, y)
-            rates[number], powers[number] = trial.rate, trial.powers
+            rates[number] = trial.rate
+            powers.append(trial.powers.row)
             residuals.append(trial.residual)
         now = self.rhs(t, start.y + h * (WEIGHTS[-1] @ rates[:-1]))
-        rates[-1], powers[-1] = now.rate, now.powers
+        rates[-1] = now.rate
+        powers.append(now.powers.row)
         residuals.append(now.residual)
         allowed = self._allowed(np.maximum(abs(start.y), abs(now.y)))
         error = _root_mean_square(h * (ERROR @ rates) / allowed)
@@ -327,9 +332,9 @@ class DormandPrince:
             start=start,
             end=now,
             error=error,
-            mean_power=WEIGHTS[-1] @ powers[:-1],
+            mean_power=WEIGHTS[-1] @ np.array(powers[:-1]),
             bulge=BULGE @ rates,
-            power_bulge=BULGE @ powers,
+            power_bulge=BULGE @ np.array(powers),
             memory=NO_MEMORY,
         )
 

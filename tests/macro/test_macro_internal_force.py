@@ -172,7 +172,7 @@ def test_load_power_is_kinetic_rate_plus_internal_power(seed):
     scale = abs(kinetic_rate) + abs(internal_power)
     assert abs(load_power - kinetic_rate - internal_power) < 1e-10 * scale
     powers = [internal_power, load_power, 0.0, kinetic_rate]
-    np.testing.assert_allclose(now.powers, powers, rtol=1e-10)
+    np.testing.assert_allclose(now.powers.row, powers, rtol=1e-10)
 
 
 def test_mass_and_load_are_consistent(rng):
