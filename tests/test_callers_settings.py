@@ -31,6 +31,7 @@ def decimal_commas(tmp_path_factory):
     return {"LOCPATH": str(folder), "LC_ALL": "de_DE.UTF-8"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [

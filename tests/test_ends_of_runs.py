@@ -16,8 +16,8 @@ from tests.cli.conftest import call
 from tests.conftest import BAR, changed
 from tests.folders import assert_same
 
-ENDED = ("rve", "cached", "implicit", "rest", "tissue")
-OF_SEVERAL_RUNS = ("refine", "grid")
+ENDED = ("cached", "rest")
+LONGER = ("rve", "implicit", "tissue", "refine", "grid")
 LOAD = commands.SHORT[commands.SHORT.index("[load]") :]
 JUMPS = changed(
     BAR,
@@ -28,7 +28,7 @@ UNHELD = changed(BAR, 'clamp = { kind = "fixed", on = "left" }\n', "")
 
 
 @pytest.mark.parametrize(
-    "name", [*ENDED, *(pytest.param(each, marks=pytest.mark.slow) for each in OF_SEVERAL_RUNS)]
+    "name", [*ENDED, *(pytest.param(each, marks=pytest.mark.slow) for each in LONGER)]
 )
 def test_a_command_that_an_error_ends_resumes_to_the_bit(name, tmp_path, learnt):
     """At the second checkpoint of a run, and at the next but one."""

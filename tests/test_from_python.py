@@ -47,6 +47,7 @@ def test_public_names_are_there():
     assert all(surrofe2.__getattr__(name) is not None for name in dir(surrofe2))
 
 
+@pytest.mark.slow
 def test_the_page_s_example_in_a_short_form(tmp_path, monkeypatch, caplog):
     """Fewer samples, paths and µs than the page has, and all of its lines."""
     part = (ROOT / "docs/howto/python.md").read_text(encoding="utf-8")

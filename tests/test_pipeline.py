@@ -31,6 +31,7 @@ REPORTED = {
 QUICK = (("printed", "cauchy-born"), ("printed", "constrained-runs"), ("water", "elastic"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("preset", "initialisation"),
     [pytest.param(*each, marks=[pytest.mark.slow] * (each not in QUICK)) for each in REPORTED],

@@ -47,7 +47,7 @@ def wanted(tmp_path_factory, learnt, forks):
 
 ENDS = {"killed": (signal.SIGKILL, -signal.SIGKILL), "interrupted": (signal.SIGINT, 130)}
 """Signal and exit code."""
-QUICK = ("train", "cached", "grid")
+QUICK = ("cached",)
 """Commands that are killed once in the quick tests; the others once in the slow ones."""
 CASES = [
     pytest.param(name, "killed", 1, marks=[pytest.mark.slow] * (name not in QUICK))

@@ -73,6 +73,7 @@ def test_a_run_with_a_surface_law(written, tmp_path, made):
     assert again.problem["surface"] == record.problem["surface"]
 
 
+@pytest.mark.slow
 def test_a_kept_table_of_another_plant_cell_is_made_again(written, tmp_path, made):
     recipe = load_recipe(written(RECIPE + SIDES))
     surfaces.cell_surface(recipe.study(), 4.0)
@@ -83,6 +84,7 @@ def test_a_kept_table_of_another_plant_cell_is_made_again(written, tmp_path, mad
     assert len(made) == 2
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_with_a_surface_law_goes_on(written, tmp_path, made, monkeypatch):
     recipe = load_recipe(written(RECIPE + SIDES))
     run_study(recipe, "rve", tmp_path / "whole")

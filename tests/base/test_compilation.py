@@ -57,6 +57,7 @@ def answer(copy, setting=""):
     return [int(number) for number in done.stdout.split()], done.stderr.splitlines()
 
 
+@pytest.mark.slow
 def test_two_first_starts_at_once_and_an_edited_constant_of_another_file(copy):
     """The second start reads what the first kept; a change of any source file compiles anew."""
     with ThreadPoolExecutor(2) as pool:
@@ -163,6 +164,7 @@ def compiled(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_kernel_is_compiled_again_with_one_note(compiled, tmp_path, damage):
     pattern, change = DAMAGES[damage]
@@ -250,6 +252,7 @@ class Pair(NamedTuple):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("classes", "hits"),
     [

@@ -191,6 +191,7 @@ def simulated(fault, windows, seed):
     return wrong / standing, record["wrong_at_most"], wrong_at_most(violations, audited)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("windows", [1, 10])
 @pytest.mark.parametrize("fault", [by_share, by_place, by_memory])
 def test_the_stated_bound_holds_at_its_confidence(fault, windows, monkeypatch):

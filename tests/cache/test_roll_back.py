@@ -33,6 +33,7 @@ def true_run(settings):
     return simulate(LOAD_CASE, Truth(), settings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shear", [0.0, 0.02, 0.03])
 @pytest.mark.parametrize("integrator", ["explicit", "implicit"])
 def test_no_window_that_stands_has_a_wrong_share(shear, integrator):

@@ -122,6 +122,7 @@ def test_a_grid_learns_the_cells_that_it_changes(invoke, trained, tmp_path):
     assert [a == b for a, b in zip(*used, strict=True)] == [name != "skin" for name in names]
 
 
+@pytest.mark.slow
 def test_refine_teaches_each_cell_until_it_knows(invoke, trained, written, tmp_path):
     path = written(changed(CELLS, "duration = 4.0", "duration = 8.0", "-0.1]", "-0.6]"))
     out = tmp_path / "refined"
@@ -176,6 +177,7 @@ def test_two_regions_of_one_cell_move_as_one_cell_does(invoke, written, tmp_path
     np.testing.assert_allclose(both, alone, rtol=0, atol=1e-6 * abs(alone).max())
 
 
+@pytest.mark.slow
 def test_cached_runs_learn_audit_and_go_on_by_cell(invoke, written, tmp_path, monkeypatch):
     path = written(CELLS)
     for command in ("generate", "train"):

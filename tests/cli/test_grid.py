@@ -68,6 +68,7 @@ def test_a_member_that_is_finished_is_not_done_again_and_a_grid_may_grow(grid):
     assert law.calls == first.calls
 
 
+@pytest.mark.slow
 def test_surrogates_are_made_where_what_they_learn_changes(grid, recipe_path):
     grid("--set", "cell.wall_stiffness=4000,5000", "--set", "load.duration=2.0,3.0",
                 "--law", "rve,cached")  # fmt: skip

@@ -110,6 +110,7 @@ def test_refine_teaches_what_a_run_meets(refine, tmp_path):
     assert law.calls == 0
 
 
+@pytest.mark.slow
 def test_refine_that_does_not_settle_says_so_and_goes_on_with_its_recipe(refine, changed_recipe):
     short = refine("--rounds", 1, code=1)
     assert "states still unknown after 1 rounds; continue with --rounds 2" in short.stderr

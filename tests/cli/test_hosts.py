@@ -28,6 +28,7 @@ os.fsync = fsync
 KEEPS_NONE = "its file system keeps no locks (Function not implemented)"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("host", "warnings"), [(NO_LOCKS, 1), (NO_FOLDERS, 0)], ids=["no locks", "no folders"]
 )

@@ -41,6 +41,7 @@ def test_everything_by_one_command(invoke, recipe_path, tmp_path):
     assert not (tmp_path / "cells.h5").exists()
 
 
+@pytest.mark.slow
 def test_a_true_run_that_was_kept(invoke, recipe_path, tmp_path):
     invoke("run", recipe_path, "--law", "rve", "--out", tmp_path / "rve")
     out = tmp_path / "study"
@@ -49,6 +50,7 @@ def test_a_true_run_that_was_kept(invoke, recipe_path, tmp_path):
     assert _largest_difference(out) < 1e-3
 
 
+@pytest.mark.slow
 def test_without_a_true_run(invoke, recipe_path, tmp_path):
     out = tmp_path / "study"
     done = invoke("study", recipe_path, "--out", out, "--without-true")
@@ -99,6 +101,7 @@ def test_comparison(invoke, runs, tmp_path):
     assert (out / "comparison.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_a_comparison_is_kept_and_one_of_other_runs_refused(invoke, runs, tmp_path):
     out = tmp_path / "comparison"
     invoke("compare", *runs, "--out", out)

@@ -50,6 +50,7 @@ def test_every_point_is_answered_by_the_law_of_its_region():
     assert answer.effort == {"evaluations": 30}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("integrator", ["explicit", "implicit"])
 def test_two_regions_of_one_cell_move_as_one_region_does(integrator):
     settings = MacroSettings(integrator=integrator)

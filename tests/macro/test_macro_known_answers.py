@@ -141,6 +141,7 @@ def impact():
     return simulate(problem, ELASTIC, settings)
 
 
+@pytest.mark.slow
 def test_contact_time_and_mean_force_are_those_of_the_wave(impact):
     """The wave runs to the free end and back, 2 L/c; the force meanwhile is ρ c v₀ h."""
     speed = np.sqrt(100.0 / ELASTIC.density)

@@ -269,7 +269,9 @@ def everything(rng):
     )
 
 
-@pytest.mark.parametrize("integrator", ["explicit", "implicit"])
+@pytest.mark.parametrize(
+    "integrator", ["explicit", pytest.param("implicit", marks=pytest.mark.slow)]
+)
 def test_run_resumes_to_the_bit_across_corners(integrator, rng):
     """From a state in a piece, from one at a corner, and from one behind it."""
     problem, settings = everything(rng), MacroSettings(integrator=integrator, frames=5)
@@ -283,7 +285,9 @@ def test_run_resumes_to_the_bit_across_corners(integrator, rng):
         assert_same_run(resumed(problem, LAW, settings, states[number]), whole)
 
 
-@pytest.mark.parametrize("integrator", ["explicit", "implicit"])
+@pytest.mark.parametrize(
+    "integrator", ["explicit", pytest.param("implicit", marks=pytest.mark.slow)]
+)
 def test_balance_closes_with_everything_that_acts_at_the_default_tolerance(integrator, rng):
     """Works of all loads, bodies, springs and supports, to 1e-6 of the largest term and better."""
     problem = everything(rng)

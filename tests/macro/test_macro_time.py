@@ -107,6 +107,7 @@ def test_weights_keep_their_amplification():
     assert abs(1.0 - amplification(1.0, 0.01)) < 1e-12
 
 
+@pytest.mark.slow
 def test_stiff_viscosity_costs_the_explicit_run_its_steps():
     """Viscosity a hundred times the usual: explicit steps are bound by stability."""
     law = KelvinVoigt(shear_viscosity=2000.0, bulk_viscosity=3000.0)
@@ -191,6 +192,7 @@ def errors_in_tolerances(problem, law, integrators):
 SLOW = [pytest.param(each, marks=pytest.mark.slow) for each in LONG_LOADS]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("load", [*LOADS, *SLOW])
 def test_displacement_is_within_three_tolerances_at_every_output_time(load):
     errors = [*errors_in_tolerances(under(load), KelvinVoigt(), ["explicit", "implicit"])]

@@ -4,12 +4,14 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 from matplotlib.image import imread
 
 from tests.conftest import ROOT
 from tests.report.made_runs import made_runs
 
 
+@pytest.mark.slow
 def test_three_pictures_of_a_run(recipe, tmp_path):
     _, cached = made_runs(recipe, tmp_path)
     script = ROOT / "docs" / "draw_fields.py"

@@ -47,7 +47,7 @@ def test_the_script_shows_runs_and_obeys_keys(page, tmp_path):
     assert seen == [0, 1, last, last - 1]
 
 
-@pytest.mark.parametrize("width", [500, 1440])
+@pytest.mark.parametrize("width", [500, pytest.param(1440, marks=pytest.mark.slow)])
 def test_the_page_is_not_blank(page, tmp_path, width):
     picture = tmp_path / "page.png"
     chromium(tmp_path, page, f"--screenshot={picture}", f"--window-size={width},900")

@@ -43,6 +43,7 @@ def error(preset, drive, initialisation):
     return np.abs(stress - driven(preset, drive))[1:].max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("preset", "drive"), list(zip(PRESETS, DRIVES, strict=True)))
 def test_initialisations_rank_as_the_model_reports(preset, drive):
     """The prototype: Cauchy–Born 0.8 to 2.2, elastic 0.013 to 0.040, constrained runs 0.005 to
@@ -54,6 +55,7 @@ def test_initialisations_rank_as_the_model_reports(preset, drive):
     assert error(preset, drive, "slow-manifold") < min(0.00095, runs / 5.0)
 
 
+@pytest.mark.slow
 def test_error_falls_with_the_rate_to_the_power_one_and_two():
     """The same way through F, half as fast: elastic and constrained runs O(Ḟ), slow manifold
     O(Ḟ², F̈), Cauchy–Born O(1)."""

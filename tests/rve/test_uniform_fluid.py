@@ -311,6 +311,7 @@ def test_large_steps_keep_to_the_branch():
     assert_on_one_branch(undrained_water(), F)
 
 
+@pytest.mark.slow
 def test_rotated_and_mirrored_rves_take_the_rotated_and_mirrored_branch():
     """Far beyond where branches end; compared where they do and where they do not."""
     this, Q, M = undrained_water(), turn(0.7), np.diag([-1.0, 1.0])

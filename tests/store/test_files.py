@@ -165,6 +165,7 @@ def fill(folder):
         return data.finish()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_data_set_loses_no_row(tmp_path, kind, monkeypatch):
     monkeypatch.setattr(samples, "INTERVAL", 0.0)

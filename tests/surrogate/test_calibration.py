@@ -142,6 +142,7 @@ def test_a_weight_corrupted_after_calibration_takes_the_bound_away(calibrated):
         assert np.isinf(fault.error_bound(F, F_dot)).all()
 
 
+@pytest.mark.slow
 def test_a_biased_surrogate_is_not_trusted(law, samples):
     """A constant error of 2 % of the spread everywhere: at 1e-3 nothing is accepted."""
     bias = 0.02 * law.stress_spread * np.diag([1.0, 0.0])
@@ -155,6 +156,7 @@ def test_a_biased_surrogate_is_not_trusted(law, samples):
     assert found.lookup(F, F_dot, 1e-3 * law.stress_spread)[1].all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.005, 0.05])
 def test_an_error_in_one_corner_hardly_widens_the_bound_elsewhere(law, samples, monkeypatch, size):
     """By a share of the spread, where stretches differ and are sheared: the second fit sees it."""
@@ -179,6 +181,7 @@ def test_an_error_in_one_corner_hardly_widens_the_bound_elsewhere(law, samples, 
     assert found_by(calibration._PROGRAMS) - honest < 0.5 * (found_by(1) - honest)
 
 
+@pytest.mark.slow
 def test_failures_within_the_domain_leave_no_bound(law, samples):
     """The true law has no stress on a tenth of the paths, anywhere on them."""
     tests = true_paths(120, 20)
@@ -191,6 +194,7 @@ def test_failures_within_the_domain_leave_no_bound(law, samples):
     assert found.lookup(F, F_dot, 1e300)[1].all()
 
 
+@pytest.mark.slow
 def test_a_path_ends_where_the_true_law_has_no_stress(law, samples):
     """What follows a failure is neither an error nor a failure, wherever it is."""
     walks = truth(random_walks(RANGE, 120, 20, seed=20))

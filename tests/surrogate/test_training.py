@@ -73,6 +73,7 @@ SET = {
 """What a user sets in torch, at once or for a block."""
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("torch_settings")
 @pytest.mark.parametrize("what", SET)
 @pytest.mark.parametrize("continued", [False, True], ids=["at once", "continued"])
@@ -101,6 +102,7 @@ def torch_state():
     )
 
 
+@pytest.mark.slow
 def test_a_few_wrong_tangents_do_not_steer_the_network():
     """One sample in a hundred has those of another; were they not left out, tenfold the error."""
     samples = lattice_samples(600)

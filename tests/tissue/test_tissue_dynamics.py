@@ -182,6 +182,7 @@ def test_without_damping_the_limit_is_two_over_the_largest_frequency():
     assert 0.8 * chain < found < 1.02 * chain
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "cell",
     [CellParameters.preset("printed", wall_stiffness=stiffness) for stiffness in (4400.0, 6000.0)]

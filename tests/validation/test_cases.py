@@ -133,6 +133,7 @@ def test_a_stopped_study_resumes_with_the_curves_it_has(tmp_path, monkeypatch):
     assert len(computed) == 1
 
 
+@pytest.mark.slow
 def test_small_oscillations_are_those_of_a_run_under_a_small_load():
     load = LoadCase(width=20.0, height=10.0, body_force=(2e-4, -1e-4), duration=12.0,
                     watched=(20.0, 5.0), output_interval=0.05, elements=(4, 2))  # fmt: skip

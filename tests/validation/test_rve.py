@@ -36,6 +36,7 @@ def test_orders_in_the_rate():
         assert errors.order(name) == pytest.approx(order, abs=0.1)
 
 
+@pytest.mark.slow
 def test_relaxation_reaches_the_fixed_point_elastic_does_not():
     solvers = rve.relaxations(WATER, limit=20_000, samples=20)
     runs, elastic, direct = (solvers[n] for n in ("constrained-runs", "elastic", "direct"))
@@ -49,6 +50,7 @@ def test_relaxation_reaches_the_fixed_point_elastic_does_not():
     assert 100 < runs.first_below(1.0) < 10_000
 
 
+@pytest.mark.slow
 def test_studies_are_listed_and_one_is_written_and_kept(tmp_path, capsys):
     assert main([]) == 0
     listed = capsys.readouterr().out
