@@ -14,6 +14,7 @@ from surrofe2.plant_cell.measurements import DETERMINED
 from surrofe2.plant_cell.parameters import CellParameters, LivingTissue
 from surrofe2.problem.amplitude import KINDS, Amplitude, Constant
 from surrofe2.problem.conditions import CONDITIONS, Condition
+from surrofe2.problem.mesh import NodeAt
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody
 from surrofe2.recipe.recipe import SECTIONS, MeshSettings, TimeSettings
 
@@ -57,7 +58,8 @@ MESH_NOTE = (
     "and `top`; a file has its groups."
 )
 CONDITION_NOTE = (
-    "`[conditions.NAME]` with `kind`, or a list `[[conditions]]`. Kinds of amplitude stand below."
+    "`[conditions.NAME]` with `kind`, or a list `[[conditions]]`. Kinds of amplitude stand below. "
+    "The node at a point is `on = { point = [x, y] }`, µm."
 )
 BODY_NOTE = (
     "`[bodies.NAME]` with exactly one outline, `plane`, `circle` or `corner`; its displacement "
@@ -160,7 +162,8 @@ def _allowed(hint: Any, bounds: Any) -> str:
         words = allowed_numbers(hint, bounds).removesuffix(" and finite")
         plain = {"finite": "number", "an integer a number": "integer"}
         return plain.get(words, words)
-    return {bool: "`true`, `false`", str: "text"}.get(hint, str(hint))
+    words_of = {bool: "`true`, `false`", str: "text", NodeAt: "`{ point = [x, y] }`"}
+    return words_of.get(hint, str(hint))
 
 
 if __name__ == "__main__":

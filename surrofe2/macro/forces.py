@@ -34,10 +34,11 @@ from surrofe2.problem.conditions import (
     BodyForce,
     DrivenCondition,
     Foundation,
+    PointForce,
     Pressure,
     Traction,
 )
-from surrofe2.problem.mesh import boundary, element_nodes, region
+from surrofe2.problem.mesh import boundary, element_nodes, nodes_on, region
 from surrofe2.problem.problem import Problem, label
 from surrofe2.problem.rigid_bodies import RigidBody, Shape, check_outside
 
@@ -152,6 +153,10 @@ def make_loads(problem: Problem, mass_of: Callable[[Array], Matrix], n: int) -> 
             case Traction():
                 facets = boundary(mesh, condition.on, where)
                 add(name, traction_load(mesh, facets, condition.traction), amplitude)
+            case PointForce():
+                load = np.zeros((n, 2))
+                load[nodes_on(mesh, condition.on, where)] = condition.force
+                add(name, load, amplitude)
             case Pressure():
                 facets = boundary(mesh, condition.on, where)
                 unloaded, slope = pressure_load(mesh, facets, condition.pressure)

@@ -28,6 +28,7 @@ from surrofe2.problem.problem import (
     SURFACE,
     Problem,
     Support,
+    displacement_of,
     label,
     supports_of,
     without_overlap,
@@ -375,6 +376,8 @@ def _probes(problem: Problem, space: Discretisation, n: int) -> dict[str, Array]
     for name in problem.acted_boundaries():
         load = traction_load(mesh, facets_of(mesh, name), (1.0, 1.0))[:, 0]
         found[f"mean displacement {name}"] = np.pad(load / load.sum(), (0, n - load.size))
+    for place in problem.acted_nodes():
+        found[displacement_of(place)] = np.eye(1, n, place.node(mesh, "on")).ravel()
     return found
 
 

@@ -1,7 +1,8 @@
 """Conditions on a tissue: supports, motion, loads, foundations, initial velocity, surface tension.
 
-Each condition names the boundary or region it acts `on`; None is the whole mesh. Conditions with an
-amplitude state their largest value, which the amplitude multiplies in time.
+Each condition names the boundary or region it acts `on`; None is the whole mesh. Some act on the
+node at a point, too. Conditions with an amplitude state their largest value, which the amplitude
+multiplies in time.
 """
 
 from __future__ import annotations
@@ -12,14 +13,17 @@ from typing import Any, Final, Literal
 
 from surrofe2.base.arrays import Index
 from surrofe2.base.errors import InputError, quoted
-from surrofe2.base.settings import build_kind, check_settings, check_value, setting
-from surrofe2.base.units import ACCELERATION, LENGTH
+from surrofe2.base.settings import build, build_kind, check_settings, check_value, setting
+from surrofe2.base.units import ACCELERATION, FORCE, LENGTH
 from surrofe2.law.surface_law import SurfaceLaw
 from surrofe2.problem.amplitude import IN_TIME, ONE, Amplitude
+from surrofe2.problem.mesh import NodeAt
 
 SPEED = "µm/µs"
 LINE_FORCE = "µN/µm"
 FREE: Final = "free"
+PLACES: Final = "boundary or region, or the node at a point"
+EVERYWHERE: Final = "boundary or region; left out: everywhere"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,14 +31,17 @@ class Condition:
     """The base of all conditions.
 
     Attributes:
-        on: name of the boundary or region on which it acts; None: everywhere.
+        on: name of the boundary or region, or the node, on which it acts; None: everywhere.
         name: name by which results call it; by default its kind and where it acts.
     """
 
-    on: str | None = setting(None, "boundary or region; left out: everywhere")
+    on: str | NodeAt | None = setting(None, EVERYWHERE)
     name: str | None = setting(None, "by which results call it")
 
     def __post_init__(self) -> None:
+        read = self.__dataclass_fields__["on"].metadata.get("read")
+        if read is not None:
+            object.__setattr__(self, "on", read(f"{self.kind()}.on", self.on))
         check_settings(self, self.kind())
 
     @classmethod
@@ -52,6 +59,8 @@ class Condition:
             name: name of its section, which names the condition; None: it may have an entry `name`.
         """
         kinds = {condition.kind(): condition for condition in CONDITIONS}
+        if isinstance(entry, Mapping) and isinstance(entry.get("on"), Mapping):
+            _check_takes_point(kinds, entry, f"{where}.on")
         if name is None:
             return build_kind(kinds, entry, where)
         if isinstance(entry, Mapping) and "name" in entry:
@@ -63,6 +72,38 @@ class Condition:
         entries = {"kind": self.kind(), **asdict(self)}
         del entries["name"]
         return entries
+
+
+def _check_takes_point(
+    kinds: Mapping[str, type[Condition]], entry: Mapping[str, Any], where: str
+) -> None:
+    """Reject a point in a recipe where the kind of condition acts on sides or elements alone."""
+    taking = [name for name, kind in kinds.items() if issubclass(kind, _ON_POINTS)]
+    kind = entry.get("kind")
+    if kind in kinds and kind not in taking:
+        raise InputError(
+            where, f"{quoted(entry['on'])}; {kind} does not act on a point; {', '.join(taking)} do"
+        )
+
+
+def _place(where: str, entry: Any) -> str | NodeAt:
+    """Read where a condition acts: the name of a boundary or region, or { point = [x, y] }."""
+    if isinstance(entry, str | NodeAt):
+        return entry
+    return _node(where, entry)
+
+
+def _node(where: str, entry: Any) -> NodeAt:
+    """Read the node on which a condition acts, { point = [x, y] }.
+
+    Raises:
+        InputError: it is no such table.
+    """
+    if isinstance(entry, NodeAt):
+        return entry
+    if not isinstance(entry, Mapping):
+        raise InputError(where, f"{quoted(entry)}; it must be {{ point = [x, y] }}, µm")
+    return build(NodeAt, entry, where)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,7 +120,7 @@ class DrivenCondition(Condition):
 class Fixed(Condition):
     """Components of displacement that stay zero."""
 
-    on: str = setting(about="boundary or region")
+    on: str | NodeAt = setting(about=PLACES, read=_place)
     components: Literal["x", "y", "xy"] = setting("xy", "components that are held")
 
 
@@ -104,7 +145,7 @@ def _components_of(where: str, entry: Any) -> tuple[float | None, float | None]:
 class PrescribedMotion(DrivenCondition):
     """Components of displacement that follow an amplitude; None leaves a component free."""
 
-    on: str = setting(about="boundary or region")
+    on: str | NodeAt = setting(about=PLACES, read=_place)
     displacement: tuple[float | None, float | None] = setting(
         about='largest displacement in x and y; "free": not prescribed', unit=LENGTH,
         read=_components_of,
@@ -136,9 +177,22 @@ class Pressure(DrivenCondition):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PointForce(DrivenCondition):
+    """Dead load on one node: force on the layer of tissue, of fixed direction.
+
+    Where elements become smaller, the displacement of the node grows without bound, as the
+    logarithm of their size; forces that balance, or the tissue's reaction elsewhere, converge.
+    """
+
+    on: NodeAt = setting(about="the node at a point", read=_node)
+    force: tuple[float, float] = setting(about="force on the layer of tissue", unit=FORCE)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BodyForce(DrivenCondition):
     """Force per mass (g in eq. 58)."""
 
+    on: str | None = setting(None, "region; left out: everywhere")
     acceleration: tuple[float, float] = setting(about="force per mass", unit=ACCELERATION)
 
 
@@ -163,6 +217,7 @@ class Foundation(Condition):
 class InitialVelocity(Condition):
     """Velocity at t = 0 of all nodes that are not held."""
 
+    on: str | None = setting(None, EVERYWHERE)
     velocity: tuple[float, float] = setting(about="velocity at t = 0", unit=SPEED)
 
 
@@ -204,7 +259,9 @@ CONDITIONS: tuple[type[Condition], ...] = (
     PrescribedMotion,
     Traction,
     Pressure,
+    PointForce,
     BodyForce,
     Foundation,
     InitialVelocity,
 )
+_ON_POINTS = (Fixed, PrescribedMotion, PointForce)

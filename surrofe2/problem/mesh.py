@@ -137,6 +137,41 @@ class Disc(Part):
 PARTS: dict[str, type[Part]] = {"box": Box, "half_plane": HalfPlane, "circle": Disc}
 
 
+@dataclass(frozen=True, slots=True)
+class NodeAt:
+    """The node of a mesh at a place, on which a support or a force acts alone.
+
+    Its text, "at 0 100", stands in names of columns, which must not have commas.
+    """
+
+    point: tuple[float, float] = setting(about="place of the node", unit=LENGTH)
+
+    def __post_init__(self) -> None:
+        check_settings(self, "on")
+
+    def __str__(self) -> str:
+        return f"at {self.point[0]:g} {self.point[1]:g}"
+
+    def node(self, mesh: skfem.Mesh, where: str) -> int:
+        """Return the number of the node that is as near to the place as `precision` says.
+
+        Raises:
+            InputError: no node is so near; it names the nearest one.
+        """
+        offset = mesh.p.T - np.array(self.point)
+        distance = np.hypot(offset[:, 0], offset[:, 1])
+        nearest = int(distance.argmin())
+        # mesh.width in a recipe, such as 0.1, and its nodes may differ by rounding
+        slack = max(precision(mesh), 1e-9 * abs(mesh.p).max())
+        if distance[nearest] > slack:
+            raise InputError(
+                f"{where}.point: {list(self.point)}; no node of the mesh is within {slack:.2g} µm "
+                f"of it; the nearest is at {_at(mesh.p[:, nearest], 9)}, "
+                f"{distance[nearest]:.3g} µm away"
+            )
+        return nearest
+
+
 def rectangle(width: float, height: float, elements: tuple[int, int]) -> skfem.MeshQuad1:
     """Make [0, width] × [0, height] µm in equal quadrilaterals, numbered along y, then x.
 
@@ -187,7 +222,7 @@ def with_boundaries(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
         if not facets.size:
             raise InputError(
                 f"mesh.boundaries.{name}: {part}; it must hold both ends of an outer side; "
-                f"the mesh {_reach(mesh)}"
+                f"{_what_is_near(mesh, is_in_part)}"
             )
         boundaries[name] = facets
     return mesh.with_boundaries(boundaries)
@@ -245,6 +280,19 @@ def _reach(mesh: skfem.Mesh) -> str:
     """Say for a message from where to where a mesh reaches."""
     low, high = extent(mesh)
     return f"reaches from ({low[0]:.9g}, {low[1]:.9g}) to {_at(high, 9)}"
+
+
+def _what_is_near(mesh: skfem.Mesh, is_in_part: Flags) -> str:
+    """Say for a message what to do about a part of the plane that holds no side of a mesh.
+
+    Args:
+        is_in_part: (n,) whether each node is in the part.
+    """
+    alone = np.flatnonzero(is_in_part)
+    if alone.size == 1:
+        x, y = mesh.p[:, alone[0]]
+        return f"a condition acts on the one node in it by on = {{ point = [{x:.9g}, {y:.9g}] }}"
+    return f"the mesh {_reach(mesh)}"
 
 
 def element_nodes(mesh: skfem.Mesh) -> Index:
@@ -336,14 +384,16 @@ def region_numbers(
     return number[elements]
 
 
-def nodes_on(mesh: skfem.Mesh, name: str | None, where: str = "on") -> Index:
-    """Return the nodes (k,) of a boundary or a region; None: all nodes.
+def nodes_on(mesh: skfem.Mesh, name: str | NodeAt | None, where: str = "on") -> Index:
+    """Return the nodes (k,) of a boundary or a region, or the one at a place; None: all nodes.
 
     A boundary may have sides within the tissue, for their nodes may be held or moved.
 
     Raises:
-        InputError: the name is unknown or ambiguous, or the part is empty.
+        InputError: the name is unknown or ambiguous, the part is empty, or no node is there.
     """
+    if isinstance(name, NodeAt):
+        return np.array([name.node(mesh, where)])
     regions = mesh.subdomains or {}
     if name is None or name in regions:
         return np.unique(element_nodes(mesh)[region(mesh, name, where)])

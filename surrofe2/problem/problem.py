@@ -27,6 +27,7 @@ from surrofe2.problem.conditions import (
     Symmetry,
 )
 from surrofe2.problem.mesh import (
+    NodeAt,
     Part,
     check_mesh,
     check_name,
@@ -133,7 +134,7 @@ class Problem:
             if name in TAKEN:
                 raise InputError(f"problem: a condition is called {name}; an energy has that name")
         for condition in self.conditions:
-            if condition.on is not None:
+            if isinstance(condition.on, str):
                 check_name(self.mesh, condition.on, f"{label(condition)}.on")
         for body in self.bodies:
             check_name(self.mesh, body.on, f"{body.name}.on")
@@ -206,8 +207,8 @@ class Problem:
             regions={},
         )
 
-    def places(self) -> set[str | None]:
-        """Return the boundaries and regions with conditions or bodies; None: everywhere."""
+    def places(self) -> set[str | NodeAt | None]:
+        """Return where conditions or bodies act: boundaries, regions, nodes; None: everywhere."""
         of_conditions = {condition.on for condition in self.conditions}
         return of_conditions | {body.on for body in self.bodies}
 
@@ -215,6 +216,11 @@ class Problem:
         """Return the boundaries with conditions or bodies, in the order of the mesh."""
         places = self.places()
         return [name for name in self.mesh.boundaries or {} if name in places]
+
+    def acted_nodes(self) -> list[NodeAt]:
+        """Return the nodes on which conditions act alone, each once, in their order."""
+        nodes = [each.on for each in self.conditions if isinstance(each.on, NodeAt)]
+        return [*dict.fromkeys(nodes)]
 
     def cells_inside(self, name: str, middles: Array) -> Flags:
         """Return (n,) whether a region holds plant cells, by their middles (n, 2) in µm.
@@ -270,6 +276,11 @@ def _middle_node(mesh: skfem.Mesh) -> Point:
     nearest = abs(mesh.p.T - middle).sum(axis=1).argmin()
     x, y = mesh.p[:, nearest]
     return float(x), float(y)
+
+
+def displacement_of(node: NodeAt) -> str:
+    """Return the name, in results, of the displacement of a node on which a condition acts."""
+    return f"node displacement {node}"
 
 
 def label(condition: Condition) -> str:

@@ -11,10 +11,13 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.collections import Collection, LineCollection, PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.markers import CARETRIGHT, CARETUP
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from surrofe2.base.arrays import Array
+from surrofe2.problem.conditions import Condition, Fixed, PointForce, PrescribedMotion
+from surrofe2.problem.mesh import NodeAt
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape
 from surrofe2.run.charts import VERMILION, in_words
 from surrofe2.rve.particles import Particles
@@ -134,6 +137,41 @@ class DrawnBody:
         return self.outline + factor * self.moved[k]
 
 
+@dataclass(frozen=True, slots=True)
+class DrawnNode:
+    """A node on which a support or a force acts alone.
+
+    Attributes:
+        node: number of the node.
+        components: components that are held, "x", "y" or "xy"; "": none.
+        pull: (2,) force or prescribed displacement, of which the direction is drawn; zero: none.
+    """
+
+    node: int
+    components: str
+    pull: Array
+
+
+def drawn_nodes(conditions: Iterable[Condition], fields: StoredFields) -> list[DrawnNode]:
+    """Return the nodes of a tissue on which conditions act alone."""
+    drawn = []
+    for condition in conditions:
+        if not isinstance(condition.on, NodeAt):
+            continue
+        offset = fields.points - np.array(condition.on.point)
+        node = int(np.hypot(offset[:, 0], offset[:, 1]).argmin())
+        components = ""
+        pull = np.zeros(2)
+        if isinstance(condition, Fixed):
+            components = condition.components
+        elif isinstance(condition, PrescribedMotion):
+            pull = np.array([value or 0.0 for value in condition.displacement])
+        elif isinstance(condition, PointForce):
+            pull = np.array(condition.force)
+        drawn.append(DrawnNode(node, components, pull))
+    return drawn
+
+
 def drawn_bodies(
     bodies: Iterable[RigidBody], t: Array, history: Mapping[str, Array], fields: StoredFields
 ) -> list[DrawnBody]:
@@ -210,6 +248,7 @@ def draw_tissue(
     *,
     factor: float = 1.0,
     bodies: Sequence[DrawnBody] = (),
+    nodes: Sequence[DrawnNode] = (),
 ) -> Any:
     """Draw the tissue at time k with supports, rigid bodies and a scale bar.
 
@@ -220,6 +259,7 @@ def draw_tissue(
         values: (e,) values of the elements, by which they are coloured.
         colours: colours of the values.
         factor: displacements are drawn so many times as large.
+        nodes: nodes with supports or forces of their own.
 
     Returns:
         The collection from which a colour bar is made.
@@ -256,8 +296,26 @@ def draw_tissue(
                 axes.plot(*ends.T, color="0.15", linewidth=2.5, solid_capstyle="butt")
             else:  # a line of symmetry
                 axes.plot(*ends.T, color="0.15", linewidth=0.8, dashes=(8, 2, 2, 2))
+    for each in nodes:
+        _draw_node(axes, each, position[each.node], 3.0 * depth)
     draw_scale_bar(axes, low, high)
     return drawn
+
+
+def _draw_node(axes: Axes, node: DrawnNode, at: Array, size: float) -> None:
+    """Draw what acts on a node at (2,): a wedge before each held component, an arrow for a pull.
+
+    Args:
+        size: length of the arrow, µm.
+    """
+    for component in node.components:
+        # carets, whose tip is at the node
+        marker = CARETRIGHT if component == "x" else CARETUP
+        axes.plot(*at, marker=marker, color="0.15", markersize=9.0)
+    length = float(np.linalg.norm(node.pull))
+    if length:
+        x, y = at + size * node.pull / length
+        axes.annotate("", (x, y), (at[0], at[1]), arrowprops={"arrowstyle": "-|>", "color": "0.15"})
 
 
 # How a side on the boundary moves; 0 and 1: along a line of symmetry, with this component held.

@@ -27,6 +27,7 @@ from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.base.units import number
 from surrofe2.law.stress_law import SURROGATE, TABLE, Status
+from surrofe2.problem.conditions import Condition
 from surrofe2.problem.rigid_bodies import RigidBody
 from surrofe2.report.comparison import (
     ComparedRun,
@@ -43,7 +44,15 @@ from surrofe2.report.comparison import (
     made_for,
     order_runs,
 )
-from surrofe2.report.figures import Colours, DrawnBody, box, draw_tissue, drawn_bodies, rim
+from surrofe2.report.figures import (
+    Colours,
+    DrawnBody,
+    box,
+    draw_tissue,
+    drawn_bodies,
+    drawn_nodes,
+    rim,
+)
 from surrofe2.report.tables import percent
 from surrofe2.run.charts import Curve, Panel, draw_panels, encoded
 from surrofe2.store.fields import (
@@ -571,6 +580,16 @@ def bodies_of(run: StoredRun, fields: StoredFields) -> list[DrawnBody]:
     return drawn_bodies(bodies, run.curve.t, run.history, fields)
 
 
+def conditions_on_nodes(run: StoredRun) -> list[Condition]:
+    """Return the conditions of a run that act on a node alone."""
+    stated = run.record.recipe.get("conditions", {})
+    return [
+        Condition.read(f"conditions.{name}", table, name)
+        for name, table in stated.items()
+        if isinstance(table["on"], Mapping)
+    ]
+
+
 def _still(run: StoredRun, fields: StoredFields, factor: int) -> str:
     """Draw the tissue where it has moved farthest, by stress, for paper and without the script."""
     k = int(np.linalg.norm(fields.displacement, axis=2).max(axis=1).argmax())
@@ -600,7 +619,8 @@ def _tissue(
     height = float(np.clip((high - low)[1] / ((high - low)[0] or 1.0), 0.3, 1.5)) * (_WIDTH - 1.0)
     shown = Figure(figsize=(_WIDTH, height + 0.4), layout="constrained")
     axes = shown.subplots()
-    drawn = draw_tissue(axes, fields, k, values, colours, factor=factor, bodies=bodies)
+    nodes = drawn_nodes(conditions_on_nodes(run), fields)
+    drawn = draw_tissue(axes, fields, k, values, colours, factor=factor, bodies=bodies, nodes=nodes)
     colours.bar(axes, drawn)
     return _figure(encoded(shown, "png"), f"the tissue of {run.name} by {colours.label}", caption)
 

@@ -15,7 +15,7 @@ from surrofe2.run.displacement_curve import DisplacementCurve
 
 BEYOND = "beyond bifurcation"
 """Column of how many points of the law are beyond a bifurcation."""
-_HISTORY = ("mean displacement", "force", "position", "penetration", BEYOND)
+_HISTORY = ("mean displacement", "node displacement", "force", "position", "penetration", BEYOND)
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,8 @@ class Response:
         name: of the support, load or body; axis: "x" or "y".
         displacement: (m,) of the body, or the mean of the boundary, µm.
         force: (m,) on the tissue, µN.
-        section: unloaded length of the boundary, µm; length: of the tissue along the axis, µm.
+        section: unloaded length of the boundary, µm; None on a single node, which has no stress.
+        length: of the tissue along the axis, µm.
         thickness: of the tissue, µm; None where its cells have several.
     """
 
@@ -36,14 +37,22 @@ class Response:
     axis: str
     displacement: Array
     force: Array
-    section: float
+    section: float | None
     length: float
     thickness: float | None
 
     @property
     def stress(self) -> Array | None:
-        """(m,) nominal stress, MPa; None without one thickness."""
-        return None if self.thickness is None else self.force / (self.section * self.thickness)
+        """(m,) nominal stress, MPa; None without one thickness, or on a single node."""
+        area = self.area
+        return None if area is None else self.force / area
+
+    @property
+    def area(self) -> float | None:
+        """Unloaded section times thickness, µm²; None without one of them."""
+        if self.section is None or self.thickness is None:
+            return None
+        return self.section * self.thickness
 
     @property
     def strain(self) -> Array:
@@ -79,12 +88,14 @@ class Response:
         peak = f"peak {number(self.force[k])} µN"
         if self.stress is not None:
             peak += f" ({number(self.stress[k])} MPa)"
-        at = f"at {number(self.displacement[k])} µm ({100.0 * self.strain[k]:.3g} %)"
+        at = f"at {number(self.displacement[k])} µm"
+        if self.section is not None:
+            at += f" ({100.0 * self.strain[k]:.3g} %)"
         text = f"{self.name} {self.axis}: {peak} {at}"
         if self.slope is not None:
             text += f", slope at the start {number(self.slope)} µN/µm"
-            if self.thickness is not None:
-                modulus = self.slope * self.length / (self.section * self.thickness)
+            if self.area is not None:
+                modulus = self.slope * self.length / self.area
                 text += f" ({number(modulus)} MPa)"
         return f"{text}, work {number(self.work)} pJ"
 
@@ -97,7 +108,8 @@ def responses(
     Args:
         history: columns by name, as `journal.history_of` gives them.
         places: by name of a support, load or body, as the record of a problem has them: the
-            `displacement` column without its axis, `section`, `length` along x and y, `thickness`.
+            `displacement` column without its axis, `section`, which is None of a single node,
+            `length` along x and y, `thickness`.
     """
     for name, place in places.items():
         columns = {axis: f"{place['displacement']} {axis}" for axis in "xy"}
@@ -108,7 +120,8 @@ def responses(
         for axis, length in zip("xy", place["length"], strict=True):
             force = history[forces[axis]]
             is_seen = largest[axis] > _SEEN * max(largest.values())
-            if not (is_seen and force.any() and place["section"] > 0.0):
+            has_section = place["section"] is None or place["section"] > 0.0
+            if not (is_seen and force.any() and has_section):
                 continue
             yield Response(
                 name=name,

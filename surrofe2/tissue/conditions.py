@@ -269,7 +269,7 @@ class Conditions:
             return np.ones(tissue.particles)
         is_there = tissue.kind >= 0
         inside = np.zeros_like(is_there)
-        inside[is_there] = self.problem.cells_inside(name, tissue.middles[is_there])
+        inside[is_there] = self.problem.cells_inside(str(name), tissue.middles[is_there])
         if not inside.any():
             raise InputError(f"region {name}: it holds the middle of no plant cell")
         mine, whole = (tissue.shares(each) for each in (inside, is_there))

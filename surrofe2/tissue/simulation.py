@@ -507,8 +507,14 @@ def plant_cells_within(
         from there on is within the mesh.
 
     Raises:
-        InputError: square cells do not fill a rectangle, or the cells' area is not the mesh's.
+        InputError: square cells do not fill a rectangle, the cells' area is not the mesh's, or a
+            condition acts on a node of the mesh, which a tissue has not.
     """
+    for place in problem.acted_nodes():
+        raise InputError(
+            f"conditions: one acts {place}, on a node of the mesh; a tissue of particles takes "
+            "boundaries and regions alone"
+        )
     mesh, (low, high) = problem.mesh, extent(problem.mesh)
     rings = outlines(mesh)
     if cell.arrangement == "square" and _is_rectangle(rings, high):

@@ -31,6 +31,7 @@ from surrofe2.plant_cell.measurements import DETERMINED, measurements_of
 from surrofe2.plant_cell.parameters import CellParameters, LivingTissue
 from surrofe2.problem import Problem
 from surrofe2.problem.mesh import area_of, element_nodes, extent, facet_nodes, length_of
+from surrofe2.problem.problem import label
 from surrofe2.recipe.recipe import CellName, CellStudy, Recipe, load_recipe
 from surrofe2.run.loop import Report, no_report
 from surrofe2.store.surrogates import check_surrogate, read_surrogate
@@ -107,12 +108,14 @@ def _check_problem(recipe: Recipe) -> None:
 
 def parts_of_mesh(recipe: Recipe) -> list[str]:
     """A line about the recipe's mesh, and one for each of its boundaries and regions: how many
-    sides, elements and nodes are in it, and how long or large it is.
+    sides, elements and nodes are in it, and how long or large it is. A line for each node on which
+    conditions act alone follows.
 
     Raises:
         FileError, InputError: as of `Recipe.problem`.
     """
-    mesh = recipe.problem().mesh
+    problem = recipe.problem()
+    mesh = problem.mesh
     low, high = extent(mesh)
     nodes = element_nodes(mesh)
     kind = "quadrilateral" if nodes.shape[1] == 4 else "six-node triangle"
@@ -137,6 +140,10 @@ def parts_of_mesh(recipe: Recipe) -> list[str]:
     for what, names in (("boundaries", boundaries), ("regions", regions)):
         if len(names) > _MOST_PARTS:
             lines.append(f"and {len(names) - _MOST_PARTS} more {what}")
+    for place in problem.acted_nodes():
+        x, y = mesh.p[:, place.node(mesh, "on")]
+        acting = [label(each) for each in problem.conditions if each.on == place]
+        lines.append(f"node at ({x:.6g}, {y:.6g}) µm: {', '.join(acting)}")
     return lines
 
 

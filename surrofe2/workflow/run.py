@@ -36,9 +36,9 @@ from surrofe2.macro.forces import contact_points
 from surrofe2.macro.history import Frames
 from surrofe2.plant_cell.parameters import PRESETS
 from surrofe2.problem import Problem
-from surrofe2.problem.conditions import PrescribedMotion, Pressure, Traction
-from surrofe2.problem.mesh import boundary, element_nodes, extent, length_of
-from surrofe2.problem.problem import label, sections_of
+from surrofe2.problem.conditions import PointForce, PrescribedMotion, Pressure, Traction
+from surrofe2.problem.mesh import NodeAt, boundary, element_nodes, extent, length_of
+from surrofe2.problem.problem import displacement_of, label, sections_of
 from surrofe2.ranks.distributed_law import own_part
 from surrofe2.ranks.driver import driver_at_work
 from surrofe2.recipe.recipe import CellName, CellStudy, Recipe
@@ -497,20 +497,29 @@ def _places(problem: Problem, thickness: float | None) -> dict[str, dict[str, An
     mesh = problem.mesh
     low, high = extent(mesh)
     known = mesh.boundaries or {}
-    acting = {
-        label(each): (each.on, f"mean displacement {each.on}")
-        for each in problem.conditions
-        if isinstance(each, PrescribedMotion | Traction | Pressure) and each.on in known
-    }
-    acting |= {body.name: (body.on, f"position {body.name}") for body in problem.bodies}
+    columns: dict[str, str] = {}  # displacement by name of what acts
+    sections: dict[str, float | None] = {}
+    for each in problem.conditions:
+        if not isinstance(each, PrescribedMotion | Traction | Pressure | PointForce):
+            continue
+        name = label(each)
+        if isinstance(each.on, NodeAt):
+            columns[name] = displacement_of(each.on)
+            sections[name] = None
+        elif each.on in known:
+            columns[name] = f"mean displacement {each.on}"
+            sections[name] = length_of(mesh, boundary(mesh, each.on, name))
+    for body in problem.bodies:
+        columns[body.name] = f"position {body.name}"
+        sections[body.name] = length_of(mesh, boundary(mesh, body.on, body.name))
     return {
         name: {
             "displacement": column,
-            "section": length_of(mesh, boundary(mesh, on, name)),
+            "section": sections[name],
             "length": (high - low).tolist(),
             "thickness": thickness,
         }
-        for name, (on, column) in acting.items()
+        for name, column in columns.items()
     }
 
 

@@ -146,7 +146,7 @@ def all_particles(recipe: Recipe) -> Particles:
 def particles_sentence(found: Particles) -> str:
     """What all particles would take."""
     total = rough_number(found.particles * found.steps)
-    only = "" if found.is_possible else " (surrofe2 tissue takes whole plant cells alone)"
+    only = "" if found.is_possible else " (surrofe2 tissue does not take this problem)"
     return (
         f"All particles: {found.plant_cells:,.0f} plant cells, {found.particles:,.0f} particles, "
         f"{found.steps:,.0f} steps. At {PARTICLE_STEPS / 1e6:.0f} million particle-steps a second, "

@@ -410,6 +410,7 @@ skin = { box = [0.0, 50.0, 200.0, 100.0] }
 [conditions]
 base = { kind = "fixed", on = "left" }
 weight = { kind = "body_force", acceleration = [0.0, -0.01] }
+nail = { kind = "fixed", on = { point = [200.0, 0.0] } }
 [time]
 duration = 1.0
 """
@@ -417,7 +418,7 @@ duration = 1.0
 
 def test_a_check_says_what_each_part_of_the_mesh_holds(invoke, written):
     done = invoke("check", written(PARTS), "--only")
-    assert done.stdout.splitlines()[:7] == [
+    assert done.stdout.splitlines()[:8] == [
         "mesh: 8 quadrilaterals, 15 nodes, x from 0 to 200 µm, y from 0 to 100 µm, 20,000 µm²",
         "boundary left: 2 sides, 3 nodes, 100 µm",
         "boundary right: 2 sides, 3 nodes, 100 µm",
@@ -425,4 +426,5 @@ def test_a_check_says_what_each_part_of_the_mesh_holds(invoke, written):
         "boundary top: 4 sides, 5 nodes, 200 µm",
         "boundary corner: 2 sides, 3 nodes, 100 µm",
         "region skin: 4 elements, 10 nodes, 10,000 µm²",
+        "node at (200, 0) µm: nail",
     ]

@@ -18,7 +18,9 @@ from surrofe2.problem import (
     Fixed,
     Foundation,
     InitialVelocity,
+    NodeAt,
     Plane,
+    PointForce,
     PrescribedMotion,
     Pressure,
     Problem,
@@ -89,6 +91,16 @@ kind = "foundation"
 on = "bottom"
 stiffness = 3.0
 components = "x"
+
+[conditions.nail]
+kind = "fixed"
+on = { point = [200.0, 0.0] }
+components = "y"
+
+[conditions.needle]
+kind = "point_force"
+on = { point = [200.0, 100.0] }
+force = [0.0, -2.0]
 
 [conditions.throw]
 kind = "initial_velocity"
@@ -163,6 +175,8 @@ def test_every_kind_of_condition_body_and_part(changed):
             name="weight", on="core", acceleration=(0.0, -0.1), amplitude=Constant(value=0.5)
         ),
         Foundation(name="soil", on="bottom", stiffness=3.0, components="x"),
+        Fixed(name="nail", on=NodeAt((200.0, 0.0)), components="y"),
+        PointForce(name="needle", on=NodeAt((200.0, 100.0)), force=(0.0, -2.0)),
         InitialVelocity(name="throw", velocity=(0.0, -1.0)),
     )  # fmt: skip
     plate, ball, blade = problem.bodies
@@ -254,6 +268,13 @@ BOX = "box = [0.0, 100.0, 100.0, 100.0]"
          "mesh.regions.core: Disc(centre=(0.0, 0.0), radius=4.0); it must hold the centre of an"),
         ('kind = "traction"', 'kind = "tracton"', "conditions.wind.kind: 'tracton': unknown kind;"),
         ('on = "top"\ntraction', 'on = "tpo"\ntraction', "conditions.wind.on: tpo; no such bounda"),
+        ("point = [200.0, 0.0]", "point = [190.0, 0.0]", "conditions.nail.on.point: [190.0, 0.0]; "
+         "no node of the mesh is within 0.0002 µm of it; the nearest is at (200, 0) µm, 10 µm aw"),
+        ("point = [200.0, 0.0]", "points = [200.0, 0.0]", "conditions.nail.on.points: unknown key"),
+        ('on = "top"\ntraction', "on = { point = [0, 0] }\ntraction", "conditions.wind.on: {'point"
+         "': [0, 0]}; traction does not act on a point; fixed, prescribed_motion, point_force do"),
+        (BOX, "box = [0, 0, 0, 0]", "mesh.boundaries.patch: Box(low=(0.0, 0.0), high=(0.0, 0.0)); "
+         "it must hold both ends of an outer side; a condition acts on the one node in it by on ="),
         ('4.0, "free"]', '4.0, "loose"]', "conditions.pull.displacement[1]: 'loose'; it must be a"),
         ('[4.0, "free"]', '["free", "free"]', "conditions.pull.displacement: both components are "),
         ("[6, 0]]", '[6, "0"]]', "conditions.wind.amplitude.points[2][1]: '0'; it must be a numbe"),

@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.markers import CARETRIGHT
+from matplotlib.text import Annotation
 
-from surrofe2.report.figures import Colours, draw_cells, draw_tissue
+from surrofe2 import Fixed, NodeAt, PointForce
+from surrofe2.report.figures import Colours, draw_cells, draw_tissue, drawn_nodes
 from surrofe2.rve import RveLaw
 from surrofe2.store.fields import DISPLACEMENT_NAME, StoredFields
 from tests.laws import CELL
@@ -48,6 +51,24 @@ def test_half_a_specimen_is_drawn_whole_with_its_supports():
     assert all(patch.get_xy()[:, 0].max() == 0.0 for patch in hatched)
     styles = [line.get_linewidth() for line in axes.lines[:-1]]
     assert sorted(styles) == [0.8] * 4 + [2.5] * 4  # symmetry twice two; clamp and grip twice
+
+
+def test_nodes_that_are_held_or_pulled_are_drawn():
+    axes = Figure().subplots()
+    conditions = [
+        Fixed(on=NodeAt((0.0, 5.0)), components="x"),
+        PointForce(on=NodeAt((20.0, 0.0)), force=(0.0, -3.0)),
+        Fixed(on="left"),
+    ]
+    values = np.array([1.0, 2.0])
+    nodes = drawn_nodes(conditions, strip())
+    draw_tissue(axes, strip(), 2, values, Colours.of("", values), factor=0.5, nodes=nodes)
+    (held,) = [line for line in axes.lines if line.get_marker() == CARETRIGHT]
+    np.testing.assert_array_equal(held.get_xydata(), [[0.0, 5.0]])
+    (arrow,) = [each for each in axes.texts if isinstance(each, Annotation)]
+    assert arrow.xyann == (22.0, 0.0)  # where half of its displacement brings the node
+    assert arrow.xy[0] == 22.0
+    assert arrow.xy[1] < 0.0
 
 
 def test_plant_cells_fill_the_window():

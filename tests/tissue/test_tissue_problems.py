@@ -11,6 +11,7 @@ from surrofe2.problem import (
     Box,
     Fixed,
     Foundation,
+    NodeAt,
     PrescribedMotion,
     Pressure,
     Problem,
@@ -331,6 +332,10 @@ CLAMP = Fixed(name="clamp", on="left")
         (
             {"mesh": replace(PRESSED.mesh, doflocs=0.7 * PRESSED.mesh.p + 1.0)},
             r"mesh: its 1225 µm² hold the middles of 1 plant cells of 625 µm²; both areas may",
+        ),
+        (
+            {"conditions": (Fixed(on=NodeAt((0.0, 0.0))),)},
+            "conditions: one acts at 0 0, on a node of the mesh; a tissue of particles takes",
         ),
         ({"mesh": rectangle(60.0, 50.0, (2, 2))}, "mesh.width: 60; a tissue needs a whole number"),
         ({"mesh": rectangle(50.0, 20.0, (2, 2))}, "mesh.height: 20; a tissue needs a whole num"),
