@@ -27,7 +27,7 @@ from surrofe2.macro.elements import make_discretisation
 from surrofe2.macro.forces import check_bodies
 from surrofe2.macro.rest import RestState
 from surrofe2.macro.settings import RestSettings
-from surrofe2.recipe.recipe import CellName, Recipe, changed
+from surrofe2.recipe.recipe import CellName, Recipe, TimeSettings, changed
 from surrofe2.report.comparison import buckling_sentence
 from surrofe2.run.journal import FRAME_TIMES, part_of, within
 from surrofe2.run.loop import Report, Stage, no_report, no_stage
@@ -62,6 +62,7 @@ from surrofe2.workflow.run import (
     with_rest,
     write_decisions,
 )
+from surrofe2.workflow.time_scales import relaxation_notes, relaxed
 
 ANSWER = "error_of_answer"
 """Entry of a record's `met`: by how much displacements and forces are off, see `answer_error`."""
@@ -133,6 +134,8 @@ def rest_study(
         met = {"watched": rest.watched.tolist(), **MetRange.of(rest.extremes).to_dict()}
         met |= buckled(rest.path[:, 0], rest.history, len(rest.F))
         met |= answered
+        if recipe.time != TimeSettings():  # a rest whose recipe states times of loads
+            met |= relaxed(recipe, problem)
         return replace(record, wall_time=wall, met=met)
 
     def checkpoint(rest: Rest) -> None:
@@ -316,6 +319,7 @@ def rest_summary(record: RunRecord) -> str:
 def rest_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
     """Notes on sharp bodies, free sides and the cache, each with whether it is a warning."""
     yield from sharp_notes(record.problem.get("sharp", {}))
+    yield from relaxation_notes(record.met)
     yield from laws.surface_notes(record)
     yield from cache_notes(record)
     yield from closing_notes(record)

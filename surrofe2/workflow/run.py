@@ -73,6 +73,7 @@ from surrofe2.store.store import plain
 from surrofe2.store.tables import write_table
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow import laws
+from surrofe2.workflow.time_scales import relaxation_notes, relaxed
 
 MANY_UNTRUSTED = 0.1
 """Points that are not trusted, for each hit, from which on a run says what to change."""
@@ -126,7 +127,10 @@ def run_study(
         write_curves(folder, result.curves, history, result.energies)
         frames.close()
         write_decisions(folder, result.decisions)
-        return replace(record, wall_time=wall)
+        met = record.met
+        if result.curve.t[-1] >= problem.duration:
+            met = {**met, **relaxed(recipe, problem, result.energies)}
+        return replace(record, wall_time=wall, met=met)
 
     def checkpoint(state: MacroState) -> None:
         arrays = within("macro", state.to_arrays()) | of_run.to_arrays(state.law_state)
@@ -607,6 +611,7 @@ def run_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
     warning; the last one of a cached run is what its closing audit guarantees."""
     steps, of = record.counts["steps"], record.problem
     yield from tolerance_notes(record, recipe)
+    yield from relaxation_notes(record.met)
     if recipe.macro.integrator == "implicit" and steps > MOST_IMPLICIT_STEPS:
         yield (
             f"implicit: {steps} steps; where tissue rings so long, their errors of phase may add "

@@ -1,26 +1,37 @@
-"""The time scales of a problem: whether its loads are slow against what swings in the tissue."""
+"""The time scales of a problem: whether its loads are slow against what swings in the tissue, and
+whether a run is over long after all that is viscous has relaxed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+import scipy  # scipy.linalg is loaded where a viscous time is computed
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.law.stress_law import StressLaw
 from surrofe2.macro import find_modes, find_rest
 from surrofe2.macro.rest import check_held
 from surrofe2.problem import Problem
 from surrofe2.problem.amplitude import Amplitude
-from surrofe2.problem.conditions import InitialVelocity
+from surrofe2.problem.conditions import Foundation, InitialVelocity
 from surrofe2.problem.mesh import extent
 from surrofe2.recipe.recipe import Recipe
+from surrofe2.workflow.laws import quadratic_law
 
 SLOW = 10.0
 """Periods of the slowest oscillation, in which a load must grow for inertia to have no part: the
 rest is then followed within some per cent of the load."""
+LONG = 100.0
+"""Slowest viscous times for which loads must stand still before nothing relaxes further."""
+_AT_REST = 1e-6
+"""Kinetic energy, relative to the largest energy of a run, below which the tissue is at rest."""
+RELAXED = "relaxed"
+"""Entry of a record's `met`: the slowest viscous time, and since when loads stand still, µs."""
 _SAMPLES = 64
 """Times in each smooth piece of an amplitude at which its rate is looked at."""
 _STRAIN = 1e-4
@@ -132,3 +143,82 @@ def _growth(amplitude: Amplitude, problem: Problem) -> float:
         largest = max(largest, *(abs(value[0]) for value in values))
         rate = max(rate, *(abs(value[1]) for value in values))
     return largest / rate if rate > 0.0 else np.inf
+
+
+def viscous_time(law: StressLaw) -> float:
+    """Compute the slowest time, µs, in which strains of a viscous law relax about its rest.
+
+    At rest P = K : ε + C : ε̇, and without inertia C : ε̇ + K : ε = 0, so the times are the
+    eigenvalues of C x = τ K x over the three strains. Motions of a tissue of this law that is held
+    anywhere relax no slower, as each is a sum over its points.
+    """
+    rest = np.eye(2)[None]
+    tangents = law.respond(rest, 0.0 * rest, tangents=True).tangents
+    assert tangents is not None
+    strains = np.array(
+        [[[1.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.0, 1.0]], [[0.0, 0.5], [0.5, 0.0]]]
+    )
+    stiffness = _over_strains(tangents.P_by_F[0], strains)
+    viscosity = _over_strains(tangents.P_by_F_dot[0], strains)
+    if np.linalg.eigvalsh(stiffness)[0] <= 0.0:  # it is not at rest there
+        return np.inf
+    times: Array = scipy.linalg.eigh(viscosity, stiffness, eigvals_only=True)
+    return float(times.max())
+
+
+def _over_strains(tangent: Array, strains: Array) -> Array:
+    """Return the symmetric part (3, 3) of a tangent (2, 2, 2, 2) between strains (3, 2, 2)."""
+    matrix = np.einsum("aij,ijkl,bkl->ab", strains, tangent, strains)
+    return 0.5 * (matrix + matrix.T)
+
+
+def held_since(problem: Problem) -> float:
+    """Return the time, µs, from which on no load or motion changes; the end where one does then."""
+    acting = [*_acting(problem)]
+    since = problem.duration
+    for begin, end in reversed([*pairwise(problem.corners())]):
+        times = np.linspace(begin, end, _SAMPLES)
+        if any(each.at(t, 0.5 * (begin + end))[1] for each in acting for t in times):
+            break
+        since = float(begin)
+    return since
+
+
+def relaxed(
+    recipe: Recipe, problem: Problem, energies: Mapping[str, Array] | None = None
+) -> dict[str, Any]:
+    """Return what a record's `met` says of a run that ends long after its slowest viscous time.
+
+    Args:
+        energies: (m,) pJ of a run in time, which must have come to rest; None: of a rest.
+
+    Returns:
+        The entry `RELAXED`, or nothing where loads stand still for less than `LONG` viscous times,
+        or the tissue still moves.
+    """
+    since = held_since(problem)
+    if since >= problem.duration:
+        return {}
+    if energies is not None:
+        largest = max(abs(each).max() for each in energies.values())
+        if energies["kinetic"][-1] > _AT_REST * largest:
+            return {}
+    time = max(viscous_time(quadratic_law(study)) for study in recipe.studies().values())
+    for each in problem.conditions:
+        if isinstance(each, Foundation) and each.damping:
+            time = max(time, each.damping / each.stiffness if each.stiffness else np.inf)
+    if problem.duration - since < LONG * time:
+        return {}
+    return {RELAXED: {"viscous_time": time, "held_since": since, "duration": problem.duration}}
+
+
+def relaxation_notes(met: Mapping[str, Any]) -> Iterator[tuple[str, bool]]:
+    """Say where nothing relaxes further; no warning."""
+    if RELAXED in met:
+        of = met[RELAXED]
+        yield (
+            "nothing relaxes further in this model: its slowest viscous time is "
+            f"{of['viscous_time']:.2g} µs, and loads stand still from {of['held_since']:g} to "
+            f"{of['duration']:g} µs",
+            False,
+        )

@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 
 from surrofe2.macro import find_modes, find_rest
+from surrofe2.problem import Fixed, Problem, Traction, rectangle
+from surrofe2.problem.amplitude import Constant, Pulse, Ramp, Sine, Table
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.workflow import check
 from surrofe2.workflow.laws import law_by_region, quadratic_law
-from tests.laws import SquareLaw
+from surrofe2.workflow.time_scales import held_since, viscous_time
+from tests.laws import KelvinVoigt, SquareLaw
 
 PULLED = """
 [cell]
@@ -183,3 +186,54 @@ def test_a_range_of_a_part_says_so_in_its_first_line(invoke, written):
     lines = done.stdout.splitlines()
     first = next(k for k, line in enumerate(lines) if line == "[range]")
     assert lines[first - 1].startswith("# this range holds only a part of the run; left out: ")
+
+
+@pytest.mark.parametrize(
+    ("viscosities", "slowest"),
+    [
+        ({"shear_viscosity": 6.0, "bulk_viscosity": 0.0}, 6.0 / 60.0),  # η/µ, ζ/(λ + µ)
+        ({"shear_viscosity": 0.0, "bulk_viscosity": 7.0}, 7.0 / 140.0),
+    ],
+)
+def test_the_slowest_viscous_time_of_a_kelvin_voigt_law(viscosities, slowest):
+    assert viscous_time(KelvinVoigt(**viscosities)) == pytest.approx(slowest, rel=1e-9)
+
+
+SMALL = "25.0\nelements = [2, 1]"
+HELD = Ramp(end=2.0, smooth=True)
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "since"),
+    [
+        (HELD, 2.0),
+        (Constant(value=0.5), 0.0),
+        (Pulse(begin=1.0, length=3.0), 4.0),
+        (Sine(frequency=0.1), 10.0),
+        (Ramp(begin=8.0, end=12.0), 10.0),
+        (Table(points=((0.0, 0.0), (1.0, 1.0), (5.0, 1.0), (6.0, 0.0))), 6.0),
+    ],
+)
+def test_loads_stand_still_from_their_last_change_on(amplitude, since):
+    mesh = rectangle(10.0, 10.0, (1, 1))
+    others = Fixed(on="left"), Traction(on="top", traction=(0.1, 0.0), amplitude=HELD)
+    load = Traction(name="load", on="right", traction=(1.0, 0.0), amplitude=amplitude)
+    problem = Problem(mesh=mesh, conditions=(*others, load), duration=10.0)
+    assert held_since(problem) == max(since, 2.0)
+
+
+def test_a_run_that_is_over_long_after_its_viscous_time_says_so(invoke, written, tmp_path):
+    """One plant cell rings for some microseconds alone."""
+
+    def output(method, duration, *command):
+        path = pulled(written, duration, "amplitude = {{ kind = 'ramp', end = 2.0 }}")
+        text = path.read_text().replace("100.0", "25.0").replace("50.0\nelements = [4, 2]", SMALL)
+        path.write_text(text)
+        out = tmp_path / f"{method} {duration}"
+        return invoke(*command, path, "--out", out, law=SquareLaw).stdout
+
+    for method, command in (("run", ("run", "--law", "rve")), ("rest", ("rest",))):
+        long = output(method, 200.0, *command)
+        assert "nothing relaxes further in this model: its slowest viscous time is " in long
+        assert "loads stand still from 2 to 200 µs" in long
+        assert "nothing relaxes" not in output(method, 2.5, *command)
