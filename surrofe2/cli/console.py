@@ -66,14 +66,14 @@ AnyInitialisation = Annotated[
     Literal["all", "cauchy-born", "elastic", "constrained-runs", "slow-manifold"],
     typer.Option("--initialisation", metavar="NAME", help=f"How RVEs begin: {INITIALISATIONS}."),
 ]
-Law = Annotated[
-    Literal["rve", "surrogate", "cached", "table"],
-    typer.Option(
-        metavar="LAW",
-        help="rve: RVEs; surrogate: network only; cached: network with RVE fallback; "
-        "table: adaptive tabulation of RVEs, no training.",
-    ),
-]
+LawName = Literal["rve", "surrogate", "cached", "table"]
+_LAW: Any = typer.Option(
+    metavar="LAW",
+    help="rve: RVEs; surrogate: network only; cached: network with RVE fallback; "
+    "table: adaptive tabulation of RVEs, no training.",
+)
+Law = Annotated[LawName, _LAW]
+LawOrNone = Annotated[LawName | None, _LAW]
 SurrogateFiles = Annotated[
     list[Path] | None,
     typer.Option(

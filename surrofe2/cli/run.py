@@ -5,14 +5,15 @@ from __future__ import annotations
 import atexit
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-from surrofe2.base.errors import printable
+from surrofe2.base.errors import InputError, printable
 from surrofe2.base.interruption import end_work, held
 from surrofe2.base.launcher import rank, world_size
 from surrofe2.base.units import time_text
@@ -39,9 +40,14 @@ from surrofe2.workflow.zoom import add_cell_fields
 
 
 def run(
-    recipe: console.RecipeFile,
-    law: console.Law,
+    recipe: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RECIPE", help="The study's TOML file, or a run folder to be repeated."
+        ),
+    ],
     out: console.RunFolder,
+    law: console.LawOrNone = None,
     surrogate: console.SurrogateFiles = None,
     table: console.TableFiles = None,
     cell_fields: Annotated[
@@ -70,6 +76,9 @@ def run(
     A recipe with a section [rest] is run by load steps to rest, as `surrofe2 rest` does; others,
     and all with --integrator, in time.
 
+    A run folder instead of RECIPE is repeated in DIR by its own law, from the recipe, mesh and
+    surrogates that it keeps, and the largest difference from its results is printed.
+
     DIR receives run.json (configuration, costs), curve.csv (t in µs, displacement of the watched
     points in µm), history.csv (forces, motion of boundaries), energies.csv (pJ) and fields.xdmf for
     ParaView; with --law table the table, with --law cached or table the harvest of RVE stresses.
@@ -81,6 +90,20 @@ def run(
     Next: surrofe2 compare out/rve out/cached --out out/comparison
     """
     with all_ranks(threads, f"{out} keeps the run up to its last checkpoint") as threads:
+        if recipe.is_dir():
+            stated = {
+                "--law": law,
+                "--surrogate": surrogate,
+                "--table": table,
+                "--initialisation": initialisation,
+                "--integrator": integrator,
+                "--tolerance": tolerance,
+                "--audit": audit,
+            }
+            _repeat(recipe, out, stated, threads, fresh=fresh)
+            return
+        if law is None:
+            raise InputError("--law: missing; it must be one of rve, surrogate, cached, table")
         study = open_study(recipe, threads)
         console.show_notes(recipe_notes(study))
         study = replace(
@@ -115,6 +138,35 @@ def run(
     console.show_notes(notes_of(record, study))
     if study.rest is None:
         console.show_notes(sap_notes(study, record.duration / record.counts["steps"]))
+
+
+def _repeat(
+    folder: Path, out: Path, stated: Mapping[str, object], threads: int | None, *, fresh: bool
+) -> None:
+    """Repeat the run of a folder, and print by how much the results differ.
+
+    Args:
+        stated: values of options that a repeated run has already, by name.
+
+    Raises:
+        InputError: one of these options is stated.
+    """
+    # late: it loads the full tissue, which other runs do not need
+    from surrofe2.workflow.repeat import repeat_run, repetition, stored_run
+    from surrofe2.workflow.tissue import tissue_summary
+
+    for name, value in stated.items():
+        if value is not None:
+            raise InputError(f"{name}: not with a run folder, which states it; leave it out")
+    stored = stored_run(folder)
+    use_threads(threads)
+    record = stored.record
+    extent, unit = extent_of(stored.recipe)
+    with console.running(f"{folder.name} again by {record.law}", extent, unit, out) as report:
+        again = repeat_run(stored, out, fresh=fresh, report=report)
+    summary = tissue_summary(again) if record.law == "tissue" else summary_of(again)
+    console.done(out, summary, timed=False)
+    console.print_line(repetition(stored, out).sentence)
 
 
 @contextmanager

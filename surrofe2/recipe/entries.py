@@ -1,4 +1,4 @@
-"""Entries of a recipe by their dotted names, and the values that a text lists for one of them."""
+"""Entries of a recipe by their dotted names, the values that a text lists for one, and TOML."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -206,3 +206,62 @@ def text_of(value: Any) -> str:
     if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:
         return str(int(value))
     return json.dumps(value, ensure_ascii=False)
+
+
+def toml_text(tables: Mapping[str, Any]) -> str:
+    """Write nested tables as TOML, which `read_toml` reads back; entries that are None or
+    tables without entries are left out.
+
+    A table that has tables becomes a section, as do those beside it; others stand in one line.
+    """
+    return "".join(_sections(tables, ()))
+
+
+def _sections(table: Mapping[str, Any], way: tuple[str, ...]) -> Iterator[str]:
+    """Write a table and the tables in it, each a section; `way` are the names that lead to it."""
+    # either all tables in it are sections or none is, since the order of conditions counts
+    has_sections = not way or any(
+        isinstance(value, Mapping) and _has_tables(value) for value in table.values()
+    )
+    plain_entries = {}
+    sections = {}
+    for name, value in table.items():
+        if value is None or value == {}:
+            continue
+        if has_sections and isinstance(value, Mapping):
+            sections[name] = value
+        else:
+            plain_entries[name] = value
+    if way and (plain_entries or not sections):
+        yield f"[{'.'.join(_key(name) for name in way)}]\n"
+        for name, value in plain_entries.items():
+            yield f"{_key(name)} = {_toml_value(value)}\n"
+        yield "\n"
+    for name, value in sections.items():
+        yield from _sections(value, (*way, name))
+
+
+def _has_tables(table: Mapping[str, Any]) -> bool:
+    """Return whether one of the entries of a table is a table."""
+    return any(isinstance(value, Mapping) for value in table.values())
+
+
+def _key(name: str) -> str:
+    """Write a key, in quotes where it must be."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _toml_value(name)
+
+
+def _toml_value(value: Any) -> str:
+    """Write a value on one line."""
+    if isinstance(value, Mapping):
+        stated = {name: each for name, each in value.items() if each is not None}
+        entries = ", ".join(f"{_key(name)} = {_toml_value(each)}" for name, each in stated.items())
+        return f"{{ {entries} }}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_toml_value, value))}]"
+    if value is None:  # a component of a displacement
+        return '"free"'
+    if isinstance(value, float):
+        return repr(value)  # all digits; infinity is inf in both
+    # JSON has TOML's integers, booleans and escapes, but for one control character
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

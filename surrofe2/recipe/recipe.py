@@ -47,7 +47,7 @@ from surrofe2.problem.conditions import FREE, BodyForce, Condition, Foundation, 
 from surrofe2.problem.mesh import Part, boundary, nodes_on, rectangle, region
 from surrofe2.problem.problem import Point, Problem, label, sections_of
 from surrofe2.problem.rigid_bodies import RigidBody
-from surrofe2.recipe.entries import read_toml, with_changes, with_micro_keys
+from surrofe2.recipe.entries import read_toml, toml_text, with_changes, with_micro_keys
 from surrofe2.rve.settings import RveSettings
 from surrofe2.store.meshes import load_mesh
 from surrofe2.store.store import digest, plain, read_text
@@ -661,25 +661,50 @@ class Recipe:
 
         It has no absolute folder.
         """
-        only = self.cells.get(None)
-        if only is not None:
-            return self.entries_with(only.to_dict())
-        return self.entries_with(
-            {"cells": {name: _entries(cell) for name, cell in self.cells.items()}}
-        )
+        return self.entries_with(self._sections_of_cells())
 
     def entries_with(self, of_cells: Mapping[str, Any]) -> dict[str, Any]:
         """Return the recipe as JSON can hold it, with these sections for its cells."""
-        entries: dict[str, Any] = {"recipe": self.path.name, **of_cells}
+        entries = {"recipe": self.path.name, **of_cells, **self._shared_sections()}
+        entries["mesh"]["sha256"] = self.sha256
+        recipe: dict[str, Any] = plain(entries)
+        return recipe
+
+    def to_toml(self, mesh_file: str | None, surrogates: Mapping[CellName, str]) -> str:
+        """Return the text of a recipe that states the same, with defaults filled in.
+
+        Args:
+            mesh_file: name of the mesh file beside the text; None: the mesh is by numbers.
+            surrogates: names of surrogate files beside the text, by name of the cell.
+        """
+        of_cells = self._sections_of_cells()
+        for name in self.cells:
+            sections = of_cells if name is None else of_cells["cells"][name]
+            sections["samples"]["file"] = None
+            sections["training"]["file"] = surrogates.get(name)
+        shared = self._shared_sections()
+        shared["mesh"]["file"] = mesh_file
+        shared["time"]["frames"] = None  # it stands in [macro]
+        return toml_text({**of_cells, **shared})
+
+    def _sections_of_cells(self) -> dict[str, Any]:
+        """Return the sections that state the plant cells, with defaults filled in."""
+        only = self.cells.get(None)
+        if only is not None:
+            return only.to_dict()
+        return {"cells": {name: _entries(cell) for name, cell in self.cells.items()}}
+
+    def _shared_sections(self) -> dict[str, Any]:
+        """Return the sections that all plant cells share, with defaults filled in."""
+        entries: dict[str, Any] = {}
         for name in _OF_ALL_CELLS:
             settings = getattr(self, name)
             if settings is not None:
                 entries[name] = asdict(settings)
-        entries["mesh"] = {**self.mesh.to_dict(), "sha256": self.sha256}
+        entries["mesh"] = self.mesh.to_dict()
         entries |= sections_of(self.conditions, self.bodies, self.watch or {})
-        entries["time"] = self.time
-        recipe: dict[str, Any] = plain(entries)
-        return recipe
+        entries["time"] = asdict(self.time)
+        return entries
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import re
@@ -13,6 +14,7 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from operator import attrgetter
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -48,6 +50,7 @@ from surrofe2.store.store import (
     read_json,
     remove,
     reported,
+    write_bytes,
     write_columns,
     write_json,
     write_text,
@@ -68,14 +71,19 @@ FILES = (
     "fields-last.xdmf", "points.xdmf", "points.h5", "points-last.xdmf", CHECKPOINT, "table.h5",
     "harvest.h5", EVENTS,
 )  # fmt: skip
+INPUT = "input"
+"""The folder, in that of a run, of the files from which the run can be repeated."""
+RECIPE = "recipe.toml"
+"""The recipe among them, as the run took it, with defaults filled in."""
 HARVEST = "harvest.h5"
 """The file of stresses that RVEs computed in a cached run; of several cells see `of_cell`."""
 TABLE = "table.h5"
 """The file of the table that a run by one has learnt; of several cells see `of_cell`."""
+_OF_INPUT = re.compile(rf"{INPUT}/[^/]+")
 _LEARNT = re.compile(r"(harvest|table)(-[^/]+)?\.h5")
 _FRAMES = (frame_files(FIELDS), frame_files(POINTS))
 # Patterns of files of which a run may have several.
-_SERIES = ("harvest-*.h5", "table-*.h5", *_FRAMES)
+_SERIES = ("harvest-*.h5", "table-*.h5", *_FRAMES, f"{INPUT}/*")
 # Sections of a recipe in which users name the entries.
 _NAMED_ENTRIES = ("cells", "conditions", "bodies", "watch")
 _SECTIONS = (
@@ -118,6 +126,7 @@ class RunRecord:
         ranks: of a run on several: how many and of how many threads each, how many exchanges,
             seconds of the law on the slowest rank and of messages, since the run last resumed.
         files: SHA-256 of each CSV file and the event log, as they were when this was written.
+        inputs: SHA-256 of each file in `INPUT`.
         replaces: files of the folder's former run that are still to be removed.
     """
 
@@ -142,6 +151,7 @@ class RunRecord:
     platform: Mapping[str, str] = field(default_factory=dict)
     ranks: Mapping[str, Any] | None = None
     files: Mapping[str, str] = field(default_factory=dict)
+    inputs: Mapping[str, str] = field(default_factory=dict)
     replaces: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=UNITS.copy)
 
@@ -265,6 +275,7 @@ class RunFolder:
         record: the record that run.json has now.
         partial: result that is stored where the run ends early by an error without one.
         cache: report of a cached law at the last checkpoint.
+        inputs: contents, by name, of the files from which the run can be repeated.
         is_finished: whether run.json says that it is finished, as then it stays.
         resumes: whether the run resumes from a checkpoint of an earlier call.
     """
@@ -274,24 +285,35 @@ class RunFolder:
     store: Store
     partial: Any = None
     cache: Mapping[str, Any] | None = None
+    inputs: Mapping[str, bytes] = field(default_factory=dict)
     is_finished: bool = False
     resumes: bool = False
 
     @classmethod
     @contextmanager
     def open(
-        cls, folder: Path, record: RunRecord, store: Store, *, fresh: bool = False
+        cls,
+        folder: Path,
+        record: RunRecord,
+        store: Store,
+        *,
+        inputs: Mapping[str, bytes] = MappingProxyType({}),
+        fresh: bool = False,
     ) -> Iterator[RunFolder]:
         """Open a run that nobody else writes meanwhile; one that an earlier call finished is kept.
 
         The results of a run that fails or is interrupted are stored. Whatever ends the block,
         run.json says how.
 
+        Args:
+            inputs: contents, by name, of the files from which the run can be repeated.
+
         Raises:
             FileError: the folder cannot be written, has files but no run, or is in use.
             MismatchError: it has a run of other settings, and not `fresh`.
         """
-        run = cls(folder, record, store)
+        digests = {name: hashlib.sha256(content).hexdigest() for name, content in inputs.items()}
+        run = cls(folder, replace(record, inputs=digests), store, inputs=inputs)
         state = folder / CHECKPOINT
         if fresh:  # which replaces nothing that may be of something else than a run
             check_replaceable(folder / "run.json", "surrofe2 run", SCHEMA)
@@ -333,14 +355,14 @@ class RunFolder:
         """Record that the run is running, and remove the files of a former one.
 
         They are removed after the record is written, so that a kill in between leaves one run or
-        the other. Harvests and tables have names that users give to files of their own, such as
-        table-2.h5: those that the former run's record implies are removed, and a kill in between
-        leaves their list in the new record.
+        the other. Harvests, tables and inputs have names that users give to files of their own,
+        such as table-2.h5: those that the former run's record implies are removed, and a kill in
+        between leaves their list in the new record.
         """
         if self.resumes:
             write_record(self.folder, self.record)
             return
-        replaced = _learnt_files(self.folder)
+        replaced = _former_files(self.folder)
         remove(self.folder / CHECKPOINT)
         write_record(self.folder, replace(self.record, replaces=replaced))
         others = [name for name in FILES[1:] if name not in (HARVEST, TABLE)]
@@ -349,6 +371,8 @@ class RunFolder:
                 remove(path)
         for name in replaced:
             remove(self.folder / name)
+        for name, content in self.inputs.items():
+            write_bytes(self.folder / INPUT / name, content)
         if replaced:
             write_record(self.folder, self.record)
 
@@ -447,8 +471,8 @@ def cells_of(recipe: Mapping[str, Any]) -> dict[str | None, Mapping[str, Any]]:
     return dict(recipe.get("cells", {}))
 
 
-def _learnt_files(folder: Path) -> tuple[str, ...]:
-    """Return the names of harvests and tables that the run of a folder may have written there."""
+def _former_files(folder: Path) -> tuple[str, ...]:
+    """Return the names of harvests, tables and inputs that the run of a folder may have written."""
     try:
         stored = read_json(folder / "run.json")
     except FileError:  # no run, or nobody knows which
@@ -460,7 +484,9 @@ def _learnt_files(folder: Path) -> tuple[str, ...]:
     harvests = [of_cell(HARVEST, name) for name in names if law in ("cached", "table")]
     tables = [of_cell(TABLE, name) for name in names if law == "table"]
     former = [str(name) for name in stored.get("replaces", ())]  # a kill kept these there
-    return tuple(name for name in (*harvests, *tables, *former) if _LEARNT.fullmatch(name))
+    inputs = [f"{INPUT}/{name}" for name in stored.get("inputs", ())]
+    named = (*harvests, *tables, *inputs, *former)
+    return tuple(name for name in named if _LEARNT.fullmatch(name) or _OF_INPUT.fullmatch(name))
 
 
 def describe_origin() -> dict[str, Any]:
@@ -605,6 +631,29 @@ def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:
         history=_without_units(others | _over_clock(folder / "history.csv")),
         energies=_without_units(_over_clock(folder / "energies.csv")),
     )
+
+
+def check_inputs(folder: Path, record: RunRecord) -> Path:
+    """Check the files from which a run can be repeated, and return the path of its recipe.
+
+    Raises:
+        FileError: the run has none, or one of them is missing, damaged or changed.
+    """
+    if RECIPE not in record.inputs:
+        raise FileError(
+            f"{folder}: it keeps no {INPUT}/{RECIPE}, as runs saved from Python or by earlier "
+            "versions; run its recipe instead"
+        )
+    for name, wanted in record.inputs.items():
+        path = folder / INPUT / name
+        if Path(name).name != name:
+            raise FileError(f"{folder / 'run.json'}: inputs: {quoted(name)} is no name of a file")
+        if digest(path) != wanted:
+            raise FileError(
+                f"{path}: damaged, or changed since the run was recorded; to run a changed recipe, "
+                "copy the folder of its inputs elsewhere and run that recipe"
+            )
+    return folder / INPUT / RECIPE
 
 
 def _checked_columns(path: Path, of_rest: bool) -> dict[str, np.ndarray]:

@@ -3,9 +3,11 @@
 In reading order:
 
     laws         the stress law of a run, of one cell type or several, and that of free sides
+    inputs       the files from which a run can be repeated
     run          a problem by a stress law, and what it leaves in its folder
     tissue       the full microscopic tissue
     rest         the tissue at rest under its load, and its small oscillations
+    repeat       a run repeated from its folder, and compared
     workers      pieces of work by several processes or a cluster
     generate     a data set of RVE stresses, and what training takes of it and of harvests
     train        a surrogate, and the bound of its error, along walks and runs under other loads

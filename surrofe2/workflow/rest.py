@@ -42,6 +42,7 @@ from surrofe2.store.run_folder import (
 )
 from surrofe2.store.store import keep
 from surrofe2.workflow import laws
+from surrofe2.workflow.inputs import inputs_of
 from surrofe2.workflow.run import (
     FrameFiles,
     buckled,
@@ -158,7 +159,8 @@ def rest_study(
     if correct:
         stated = {**record.recipe["rest"], "correct": True}
         record = replace(record, recipe={**record.recipe, "rest": stated})
-    with RunFolder.open(folder, record, store, fresh=fresh) as run:
+    inputs = inputs_of(recipe, kind, surrogates, tables)
+    with RunFolder.open(folder, record, store, inputs=inputs, fresh=fresh) as run:
         if run.is_finished:
             return run.record
         timer = Meter()

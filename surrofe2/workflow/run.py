@@ -73,6 +73,7 @@ from surrofe2.store.store import plain
 from surrofe2.store.tables import write_table
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow import laws
+from surrofe2.workflow.inputs import inputs_of
 from surrofe2.workflow.time_scales import relaxation_notes, relaxed
 
 MANY_UNTRUSTED = 0.1
@@ -143,7 +144,8 @@ def run_study(
         state = MacroState.from_arrays(part_of(arrays, "macro"))
         return replace(state, law_state=of_run.restored(arrays))
 
-    with RunFolder.open(folder, record, store, fresh=fresh) as run:
+    inputs = inputs_of(recipe, kind, surrogates, tables)
+    with RunFolder.open(folder, record, store, inputs=inputs, fresh=fresh) as run:
         if run.is_finished:
             return run.record
         state = run.restored(restore)

@@ -160,7 +160,8 @@ def viscous_time(law: StressLaw) -> float:
     )
     stiffness = _over_strains(tangents.P_by_F[0], strains)
     viscosity = _over_strains(tangents.P_by_F_dot[0], strains)
-    if np.linalg.eigvalsh(stiffness)[0] <= 0.0:  # it is not at rest there
+    is_finite = np.isfinite([stiffness, viscosity]).all()
+    if not is_finite or np.linalg.eigvalsh(stiffness)[0] <= 0.0:  # it is not at rest there
         return np.inf
     times: Array = scipy.linalg.eigh(viscosity, stiffness, eigvals_only=True)
     return float(times.max())
@@ -203,7 +204,10 @@ def relaxed(
         largest = max(abs(each).max() for each in energies.values())
         if energies["kinetic"][-1] > _AT_REST * largest:
             return {}
-    time = max(viscous_time(quadratic_law(study)) for study in recipe.studies().values())
+    try:
+        time = max(viscous_time(quadratic_law(study)) for study in recipe.studies().values())
+    except InputError:  # a law without tangents
+        return {}
     for each in problem.conditions:
         if isinstance(each, Foundation) and each.damping:
             time = max(time, each.damping / each.stiffness if each.stiffness else np.inf)

@@ -29,6 +29,7 @@ from surrofe2.tissue.simulation import (
     step_note,
     with_step,
 )
+from surrofe2.workflow.inputs import inputs_of
 from surrofe2.workflow.run import new_record
 
 
@@ -113,7 +114,8 @@ def run_tissue(
 
     of = {"initialisation": "none", "solver": "leapfrog", "seed": None}
     record = new_record(recipe, "tissue", **of)
-    with RunFolder.open(folder, record, store, fresh=fresh) as run:
+    inputs = inputs_of(recipe, "tissue")
+    with RunFolder.open(folder, record, store, inputs=inputs, fresh=fresh) as run:
         if run.is_finished:
             return run.record
         state = run.restored(TissueState.from_arrays)

@@ -8,7 +8,7 @@ from surrofe2.workflow import laws
 from tests.laws import SoftLaw
 
 FIELDS = ["fields-last.xdmf", "fields.h5", "fields.xdmf", "frames"]
-FILES = ["curve.csv", "energies.csv", *FIELDS, "run.json"]
+FILES = ["curve.csv", "energies.csv", *FIELDS, "input", "run.json"]
 """What a run folder holds at the end, whatever was run."""
 TISSUE_FILES = sorted([*FILES, "history.csv"])
 """Those of all particles."""

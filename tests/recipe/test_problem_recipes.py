@@ -208,6 +208,15 @@ def test_the_whole_problem_is_in_its_provenance_and_comes_back(changed):
     assert "load" not in stored
 
 
+def test_a_recipe_comes_back_from_its_text(changed):
+    recipe = load_recipe(changed("[conditions.wind]", '[conditions."wind, \\"µ\\""]'))
+    text = recipe.to_toml(None, {None: "cells.h5"})
+    back = make_recipe(tomllib.loads(text))
+    for name in ("mesh", "conditions", "bodies", "watch", "macro"):
+        assert getattr(back, name) == getattr(recipe, name)
+    assert back.cells[None].training_file == "cells.h5"
+
+
 def test_conditions_may_be_a_list():
     table = tomllib.loads(RECIPE)
     table["conditions"] = [
