@@ -171,6 +171,11 @@ class EquationsOfMotion:
             raise NoStress(f"{self.clock.format(t)}, {message}")
         return now
 
+    def with_forces_of_now(self, now: Evaluation) -> Evaluation:
+        """The same state with the forces of the system as it is now, by the same stress."""
+        motion = now.u, now.v
+        return self._evaluation(now.t, now.y, motion, now.F, now.F_dot, now.response)
+
     def accept(self, now: Evaluation) -> Evaluation:
         """Let the law commit its answer: the evaluation by which the next step begins. Raises
         `NoStress` where the law does not accept a point.

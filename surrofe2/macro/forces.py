@@ -13,14 +13,14 @@ takes the opposite forces, so momentum is kept to rounding."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse
 import skfem
 
-from surrofe2.base.arrays import Array, Index
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.macro.elements import (
     Matrix,
     for_components,
@@ -187,10 +187,16 @@ _TOUCHING = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Grip:
-    """An equilibrium: displacement u (n, 2), µm, and friction (p,) at all points, µN/µm."""
+    """An equilibrium: displacement u (n, 2), µm, and friction (p,) at all points, µN/µm.
+
+    Attributes:
+        slips: (p,) 0 of a point that sticks, else the sign of its sliding, while a correction of
+            Newton's method holds them; None: Coulomb's law says so at every displacement.
+    """
 
     u: Array
     drag: Array
+    slips: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,7 +230,7 @@ class Contact:
 
     def at(self, t: float, within: float, u: Array, v: Array) -> Array:
         gap, normal, _ = self._gaps(u)
-        if not (gap < 0.0).any():
+        if not self._acting(gap).any():
             return np.zeros(u.shape)
         pressure, *_ = self._pressure(-gap, -_dot(self.relative @ v, normal))
         traction = pressure[:, None] * normal
@@ -237,8 +243,8 @@ class Contact:
 
     def slopes(self, t: float, within: float, u: Array, v: Array) -> Slopes | None:
         gap, normal, curvature = self._gaps(u)
-        touching = gap < 0.0
-        if not touching.any():
+        acting = self._acting(gap)
+        if not acting.any():
             return None
         tangent, relative = _turned(normal), self.relative @ v
         sliding = _dot(relative, tangent)
@@ -259,7 +265,7 @@ class Contact:
             by_v -= _outer(along, p_by_v)
             moved = by_v if self.grip is None else by_x
             moved -= by_sliding[:, None, None] * both
-        lengths = np.where(touching, self.lengths, 0.0)[:, None, None]
+        lengths = np.where(acting, self.lengths, 0.0)[:, None, None]
         S = self.by_component
         return summed(S, -lengths * by_x), summed(S, -lengths * by_v)
 
@@ -269,6 +275,30 @@ class Contact:
         pressure, *_ = self._pressure(-gap, 0.0 * gap)
         found, *_ = self._drag(pressure, _dot(self._slid(u, 0.0 * u), _turned(normal)))
         return found
+
+    def held(self, u: Array, part: float = 0.0) -> Contact:
+        """The same with points that stick or slip as they do at u, until they are held again.
+
+        Args:
+            part: 0 to 1; points that are held already change only where their friction is off by
+                this part of what it is off by at most, since all together may swing for ever.
+        """
+        assert self.grip is not None
+        gap, normal, _ = self._gaps(u)
+        pressure, *_ = self._pressure(-gap, 0.0 * gap)
+        limit = self.friction * pressure
+        tried = self._tried(_dot(self._slid(u, 0.0 * u), _turned(normal)))
+        slips = np.where(tried < 0.0, -1.0, 1.0)
+        slips[(abs(tried) <= limit) & (limit > 0.0)] = 0.0
+        before = self.grip.slips
+        if before is not None:
+            # A point that slid the other way sticks first, or Newton's method throws it to and fro.
+            slips[(before * slips < 0.0) & (limit > 0.0)] = 0.0
+            acts = np.where(before == 0.0, tried, before * limit)
+            off = np.where(slips == before, 0.0, abs(np.clip(tried, -limit, limit) - acts))
+            stays = off < part * off.max(initial=0.0)
+            slips[stays] = before[stays]
+        return replace(self, grip=replace(self.grip, slips=slips))
 
     def penetration(self, u: Array) -> float:
         """Deepest penetration of any point, µm."""
@@ -297,6 +327,13 @@ class Contact:
     def _gaps(self, u: Array) -> tuple[Array, Array, Array]:
         return self.shape.gap(self.points + self.relative @ u - self.position)
 
+    def _acting(self, gap: Array) -> Flags:
+        """(p,) points that touch, or are held to the body."""
+        acting = gap < 0.0
+        if self.grip is not None and self.grip.slips is not None:
+            acting |= self.grip.slips == 0.0
+        return acting
+
     def _pressure(self, depth: Array, closing: Array) -> tuple[Array, Array, Array]:
         """Pressure and its slopes by the depth and by the speed of closing."""
         law = self.stiffness, self.smoothing, self.damping
@@ -310,11 +347,19 @@ class Contact:
         """Friction per length against sliding, and its slopes by pressure and by sliding."""
         if self.grip is not None:
             limit = self.friction * pressure
-            tried = self.grip.drag + self.stiffness * sliding
-            sticks = abs(tried) <= limit
-            slips = np.where(sticks, 0.0, self.friction * np.sign(tried))
-            return np.clip(tried, -limit, limit), slips, np.where(sticks, self.stiffness, 0.0)
+            tried = self._tried(sliding)
+            slips = self.grip.slips
+            if slips is None:
+                slips = np.where(abs(tried) <= limit, 0.0, np.sign(tried))
+            sticks = slips == 0.0
+            drag = np.where(sticks, tried, slips * limit)
+            return drag, self.friction * slips, np.where(sticks, self.stiffness, 0.0)
         return contact_law.friction(pressure, sliding, (self.friction, self.slip_speed))
+
+    def _tried(self, sliding: Array) -> Array:
+        """(p,) friction if all points stuck since the grip, µN/µm."""
+        assert self.grip is not None
+        return self.grip.drag + self.stiffness * sliding
 
 
 def _dot(a: Array, b: Array) -> Array:

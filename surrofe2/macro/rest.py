@@ -3,8 +3,9 @@
 A load step begins at the last equilibrium u₀. Where supports move by Δū, the first displacement is
 that of the tangents there, K Δu = l(u₀) − f(u₀) − K̄ Δū with l by the new factor of the loads and K̄
 the columns of what supports move, so that the elements beside a support do not take all of Δū. From
-there Newton's correction is halved until the residual falls and every point has a stress. A load
-step that finds no equilibrium is halved."""
+there Newton's correction is halved until the residual falls and every point has a stress. Points of
+contact with friction stick or slip throughout a correction and are sorted between them. A load step
+that finds no equilibrium is halved."""
 
 from __future__ import annotations
 
@@ -62,6 +63,12 @@ from surrofe2.run.views import related
 
 MAX_HALVINGS = 10
 MAX_ITERATIONS = 20
+FRICTION_ITERATIONS = 60
+"""The limit where points of contact are also sorted into those that stick and those that slip."""
+_SORTED_TOGETHER = 10
+"""So many corrections sort all points at once."""
+_WORST = 0.5
+"""Later ones sort those whose friction is off by this part of the largest error."""
 _SMALLEST_SHARE = 1.0 / 16.0
 _LEAST_FRACTION = 1.0 / 64.0
 _DECREASE = 1e-4
@@ -715,15 +722,39 @@ class Newton:
         """Newton's iteration from u to its tolerance; it lists the residuals."""
         equations = self.equations
         now = equations.evaluate(factor, self._still(u), tangents=True)
+        held = equations.system
+        rubs = any(contact.friction for contact in held.contacts)
+        most = FRICTION_ITERATIONS if rubs else MAX_ITERATIONS
         while True:
             K = equations.slope(now, 1.0, 0.0)
             residuals.append(self.relative_residual(now, K))
             if residuals[-1] <= self.settings.newton_tolerance:
                 return now, (K, equations.slope(now, 0.0, 1.0))
-            if len(residuals) > MAX_ITERATIONS:
-                reason = f"Newton did not converge in {MAX_ITERATIONS} iterations"
+            if len(residuals) > most:
+                reason = f"Newton did not converge in {most} iterations"
                 raise self._stopped(now, K, reason)
-            now = self.corrected(now, K)
+            if rubs:
+                part = 0.0 if len(residuals) <= _SORTED_TOGETHER else _WORST
+                held = held.with_forces(Contact, partial(Contact.held, u=now.u, part=part))
+                now = self._corrected_by(held, now)
+            else:
+                now = self.corrected(now, K)
+
+    def _corrected_by(self, held: System, now: Evaluation) -> Evaluation:
+        """Newton's correction by the forces of a system whose points of contact are held to stick
+        or to slip; raises as `corrected`.
+
+        Coulomb's law has a corner where a point begins to slip, behind which a correction need not
+        be of any use. Held, forces are smooth."""
+        equations = self.equations
+        free = equations.system
+        equations.system = held
+        try:
+            now = equations.with_forces_of_now(now)
+            now = self.corrected(now, equations.slope(now, 1.0, 0.0))
+        finally:
+            equations.system = free
+        return equations.with_forces_of_now(now)
 
     def _solved(self, now: Evaluation, K: Matrix, residual: Array) -> Array:
         """K⁻¹ times a residual (m,)."""

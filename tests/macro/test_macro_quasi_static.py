@@ -117,11 +117,11 @@ def test_a_body_that_nothing_holds_is_named():
     assert find_rest(free, KelvinVoigt(), factor=0.0).factor == 0.0
 
 
-def dragged(along, friction, load_steps=4, **steps_on):
+def dragged(along, friction, load_steps=4, press=0.4, **steps_on):
     """Forces on a block of a plate pressed on it and dragged along, and the rest they are of."""
     plate = RigidBody(
         name="plate", shape=Plane(normal=(0.0, -1.0)), on="top", position=(0.0, 20.0),
-        displacement=(along, -0.4), friction=friction,
+        displacement=(along, -press), friction=friction,
     )  # fmt: skip
     mesh, held = rectangle(30.0, 20.0, (3, 2)), (Fixed(on="bottom"),)
     problem = Problem(mesh=mesh, conditions=held, bodies=(plate,))
@@ -139,6 +139,25 @@ def test_a_plate_sticks_or_slips_by_coulombs_law():
     top = sides_of(stuck.system.problem.mesh, "top")
     np.testing.assert_allclose(stuck.u[np.unique(top), 0], 0.01, atol=0.3 * 0.01)
     assert 0.0 < pull < 0.05 * abs(push)
+
+
+def test_a_plate_is_dragged_from_sticking_to_slipping():
+    """Where some points stick and others slip, too, in the load steps asked for; Newton's method
+    threw points from slipping one way to slipping the other and halved the steps to nothing."""
+    friction = 0.3
+    pulls = []
+    for along in (0.2, 0.5, 1.0, 2.0, 3.0, 6.0):
+        (pull, push), rest = dragged(along, friction, load_steps=10, press=1.0)
+        assert rest.counts["halvings"] == 0
+        assert rest.counts["factorisations"] < 100
+        (contact,) = rest.system.contacts
+        gap, *_ = contact._gaps(rest.u)
+        pressure, *_ = contact._pressure(-gap, 0.0 * gap)
+        assert (abs(rest.drags["plate"]) <= friction * pressure * (1.0 + 1e-9)).all()
+        pulls.append(-pull / push)
+    assert pulls == sorted(pulls)
+    assert pulls[0] < 0.2 * friction
+    assert pulls[-1] <= friction * (1.0 + 1e-6)
 
 
 def test_friction_at_rest_goes_on_from_where_it_was():
