@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -34,7 +34,7 @@ from surrofe2.macro.elements import (
     summed,
     with_transpose,
 )
-from surrofe2.macro.forces import Slopes
+from surrofe2.macro.forces import Contact, Slopes
 from surrofe2.macro.system import System, Works
 
 
@@ -176,6 +176,15 @@ class EquationsOfMotion:
         motion = now.u, now.v
         return self._evaluation(now.t, now.y, motion, now.F, now.F_dot, now.response)
 
+    def grip(self, now: Evaluation) -> Evaluation:
+        """The evaluation by which the next step begins, whose friction follows from here."""
+        if not any(contact.sticks for contact in self.system.contacts):
+            return now
+        gripped = partial(Contact.gripped, u=now.u, v=now.v)
+        self.system = self.system.with_forces(Contact, gripped)
+        self._start = self.with_forces_of_now(now)
+        return self._start
+
     def accept(self, now: Evaluation) -> Evaluation:
         """Let the law commit its answer: the evaluation by which the next step begins. Raises
         `NoStress` where the law does not accept a point.
@@ -190,12 +199,23 @@ class EquationsOfMotion:
         """The evaluation by which the first step begins, accepted by the law; raises as both."""
         return self.accept(self.evaluate(t, y))
 
-    def resume(self, t: float, y: Array, stress: Array, law_state: Any) -> Evaluation:
+    def resume(
+        self,
+        t: float,
+        y: Array,
+        stress: Array,
+        law_state: Any,
+        drags: Mapping[str, Array] | None = None,
+    ) -> Evaluation:
         """The evaluation by which a step begins, of the stress that an earlier call found there.
 
-        law_state: what the law had committed there.
+        Args:
+            law_state: what the law had committed there.
+            drags: by body, friction of the springs there, µN/µm, where time goes on.
         """
         u, v = self.system.spread(y, t, self.within)
+        if drags:
+            self.system = self.system.gripped(u, drags)
         F, F_dot, _ = deformation_gradient(self.discretisation, self.system.from_mesh(u), v)
         response = StressResponse(stress, np.zeros(len(F), dtype=np.int8), law_state)
         self.law_state = law_state

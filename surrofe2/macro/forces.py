@@ -5,9 +5,11 @@ is component i of node a. The positions of rigid bodies are numbered on after th
 A force knows its slopes, which Newton's method needs.
 
 Contact of a boundary with a rigid body acts at three points of each side by `contact_law`, and at
-more where a rounding of the body would fit between two of them. Where nothing has a velocity,
-friction follows from the sliding Δ since the last equilibrium and the friction τ of that: τ + k Δ,
-at most µ p, so that a point sticks to the body by the spring k or slips by Coulomb's law. The body
+more where a rounding of the body would fit between two of them. Friction follows from the sliding
+Δ since the last equilibrium or the end of the last step, and from the spring's friction τ there: it
+is τ + k Δ, at most µ p, so that a point sticks to the body by the spring k or slips by Coulomb's
+law; in time a dashpot acts beside the spring. With a slip speed, friction in time is a function of
+the sliding velocity instead, by which points creep. The body
 takes the opposite forces, so momentum is kept to rounding."""
 
 from __future__ import annotations
@@ -187,9 +189,11 @@ _TOUCHING = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Grip:
-    """An equilibrium: displacement u (n, 2), µm, and friction (p,) at all points, µN/µm.
+    """An equilibrium or the end of a time step, from which points stick or slip.
 
     Attributes:
+        u: (n, 2) displacement, µm.
+        drag: (p,) friction of the springs, µN/µm.
         slips: (p,) 0 of a point that sticks, else the sign of its sliding, while a correction of
             Newton's method holds them; None: Coulomb's law says so at every displacement.
     """
@@ -209,8 +213,9 @@ class Contact:
             to the body; by_component: that of `for_components`, and its transpose.
         points: (p, 2) reference positions. lengths: (p,) µm. side: mean length of a side, µm.
         stiffness: k, µN/µm². smoothing: δ, µm. damping: c, µN µs/µm².
-        friction: µ. slip_speed: s, µm/µs.
-        grip: the last equilibrium, in quasi-static runs.
+        friction: µ. slip_speed: s, µm/µs; None: points stick.
+        grip: the last equilibrium or the end of the last step; None: friction in time with a slip
+            speed.
     """
 
     name: str
@@ -225,18 +230,20 @@ class Contact:
     smoothing: float
     damping: float
     friction: float
-    slip_speed: float
-    grip: Grip | None = None
+    slip_speed: float | None
+    grip: Grip | None
 
     def at(self, t: float, within: float, u: Array, v: Array) -> Array:
         gap, normal, _ = self._gaps(u)
         if not self._acting(gap).any():
             return np.zeros(u.shape)
-        pressure, *_ = self._pressure(-gap, -_dot(self.relative @ v, normal))
+        relative = self.relative @ v
+        pressure, *_ = self._pressure(-gap, -_dot(relative, normal))
         traction = pressure[:, None] * normal
         if self.friction:
             tangent = _turned(normal)
-            drag, *_ = self._drag(pressure, _dot(self._slid(u, v), tangent))
+            moved = _dot(self._moved(u), tangent)
+            drag, *_ = self._drag(pressure, moved, _dot(relative, tangent))
             traction -= drag[:, None] * tangent
         force: Array = self.relative.T @ (self.lengths[:, None] * traction)
         return force
@@ -256,25 +263,39 @@ class Contact:
         by_x = _outer(normal, p_by_x) + (pressure * curvature)[:, None, None] * both
         by_v = _outer(normal, p_by_v)
         if self.friction:
-            slid = self._slid(u, v)
-            drag, by_pressure, by_sliding = self._drag(pressure, _dot(slid, tangent))
+            moved = self._moved(u)
+            drags = self._drag(pressure, _dot(moved, tangent), sliding)
+            drag, by_pressure, by_moved, by_sliding = drags
             along = by_pressure[:, None] * tangent
+            turned = by_moved * _dot(moved, normal) + by_sliding * _dot(relative, normal)
             by_x -= _outer(along, p_by_x)
-            by_x += (by_sliding * curvature * _dot(slid, normal))[:, None, None] * both
+            by_x += (turned * curvature - by_moved)[:, None, None] * both
             by_x += (drag * curvature)[:, None, None] * _outer(normal, tangent)
             by_v -= _outer(along, p_by_v)
-            moved = by_v if self.grip is None else by_x
-            moved -= by_sliding[:, None, None] * both
+            by_v -= by_sliding[:, None, None] * both
         lengths = np.where(acting, self.lengths, 0.0)[:, None, None]
         S = self.by_component
         return summed(S, -lengths * by_x), summed(S, -lengths * by_v)
 
-    def drag(self, u: Array) -> Array:
-        """(p,) friction at all points at rest, µN/µm."""
+    @property
+    def sticks(self) -> bool:
+        """Whether points stick until they slip, so that friction depends on the way."""
+        return self.friction > 0.0 and self.grip is not None
+
+    def gripped(self, u: Array, v: Array) -> Contact:
+        """The same after a step that ends at u and v (n, 2); its force there is what it was."""
+        if not self.sticks:
+            return self
+        return replace(self, grip=Grip(u, self.drag(u, v)))
+
+    def drag(self, u: Array, v: Array) -> Array:
+        """(p,) friction of the springs at all points, µN/µm; zeros without a grip."""
         gap, normal, _ = self._gaps(u)
-        pressure, *_ = self._pressure(-gap, 0.0 * gap)
-        found, *_ = self._drag(pressure, _dot(self._slid(u, 0.0 * u), _turned(normal)))
-        return found
+        if self.grip is None:
+            return np.zeros(len(gap))
+        pressure, *_ = self._pressure(-gap, -_dot(self.relative @ v, normal))
+        limit = self.friction * pressure
+        return np.clip(self._tried(_dot(self._moved(u), _turned(normal))), -limit, limit)
 
     def held(self, u: Array, part: float = 0.0) -> Contact:
         """The same with points that stick or slip as they do at u, until they are held again.
@@ -287,7 +308,7 @@ class Contact:
         gap, normal, _ = self._gaps(u)
         pressure, *_ = self._pressure(-gap, 0.0 * gap)
         limit = self.friction * pressure
-        tried = self._tried(_dot(self._slid(u, 0.0 * u), _turned(normal)))
+        tried = self._tried(_dot(self._moved(u), _turned(normal)))
         slips = np.where(tried < 0.0, -1.0, 1.0)
         slips[(abs(tried) <= limit) & (limit > 0.0)] = 0.0
         before = self.grip.slips
@@ -339,27 +360,46 @@ class Contact:
         law = self.stiffness, self.smoothing, self.damping
         return contact_law.pressure(np.maximum(depth, 0.0), closing, law)
 
-    def _slid(self, u: Array, v: Array) -> Array:
-        """(p, 2) velocity relative to the body, or displacement since the grip."""
-        return np.asarray(self.relative @ (v if self.grip is None else u - self.grip.u))
+    def _moved(self, u: Array) -> Array:
+        """(p, 2) displacement relative to the body since the grip, µm; zeros without one."""
+        if self.grip is None:
+            return np.zeros(self.points.shape)
+        return np.asarray(self.relative @ (u - self.grip.u))
 
-    def _drag(self, pressure: Array, sliding: Array) -> tuple[Array, Array, Array]:
-        """Friction per length against sliding, and its slopes by pressure and by sliding."""
-        if self.grip is not None:
-            limit = self.friction * pressure
-            tried = self._tried(sliding)
-            slips = self.grip.slips
-            if slips is None:
-                slips = np.where(abs(tried) <= limit, 0.0, np.sign(tried))
+    def _drag(
+        self, pressure: Array, moved: Array, sliding: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Friction per length, and its slopes by the pressure, by what the point has moved along
+        the body since the grip, and by the sliding velocity."""
+        if self.grip is None:
+            assert self.slip_speed is not None
+            law = self.friction, self.slip_speed
+            drag, by_pressure, by_sliding = contact_law.friction(pressure, sliding, law)
+            return drag, by_pressure, 0.0 * drag, by_sliding
+        limit = self.friction * pressure
+        tried = self._tried(moved)
+        slips = self.grip.slips
+        if slips is not None:
             sticks = slips == 0.0
             drag = np.where(sticks, tried, slips * limit)
-            return drag, self.friction * slips, np.where(sticks, self.stiffness, 0.0)
-        return contact_law.friction(pressure, sliding, (self.friction, self.slip_speed))
+            stiffness = np.where(sticks, self.stiffness, 0.0)
+            return drag, self.friction * slips, stiffness, 0.0 * drag
+        slips = np.where(abs(tried) <= limit, 0.0, np.sign(tried))
+        spring = np.where(slips == 0.0, tried, slips * limit)
+        total = spring + self.damping * sliding
+        beyond = np.where(abs(total) < limit, 0.0, np.sign(total))
+        inside = beyond == 0.0
+        return (
+            np.where(inside, total, beyond * limit),
+            self.friction * np.where(inside, slips, beyond),
+            np.where(inside & (slips == 0.0), self.stiffness, 0.0),
+            np.where(inside, self.damping, 0.0),
+        )
 
-    def _tried(self, sliding: Array) -> Array:
-        """(p,) friction if all points stuck since the grip, µN/µm."""
+    def _tried(self, moved: Array) -> Array:
+        """(p,) friction of the springs if all points stuck since the grip, µN/µm."""
         assert self.grip is not None
-        return self.grip.drag + self.stiffness * sliding
+        return self.grip.drag + self.stiffness * moved
 
 
 def _dot(a: Array, b: Array) -> Array:
@@ -416,8 +456,8 @@ def make_contact(
     """The contact of `body`, `row` of n, with a tissue of this modulus (µN/µm) and density."""
     mesh = problem.mesh
     facets = boundary(mesh, body.on, f"{body.name}.on")
-    points, _ = contact_points(mesh, facets, body.shape)
-    basis = skfem.FacetBasis(mesh, mesh.elem(), facets=facets, intorder=2 * points - 1)
+    per_side, _ = contact_points(mesh, facets, body.shape)
+    basis = skfem.FacetBasis(mesh, mesh.elem(), facets=facets, intorder=2 * per_side - 1)
     side = float(basis.dx.sum() / len(facets))
     nodes = np.repeat(element_nodes(mesh)[mesh.f2t[0, facets]], len(basis.W), axis=0)
     shapes = np.stack([np.ravel(each[0]) for each in basis.basis], axis=1)
@@ -426,19 +466,21 @@ def make_contact(
     relative.eliminate_zeros()
     stiffness = MODULI * modulus / side if body.stiffness is None else body.stiffness
     critical = 2.0 * np.sqrt(stiffness * density * side / np.sqrt(12.0))
-    slip_speed = 1e-3 * np.sqrt(modulus / density)
+    points = np.asarray(basis.global_coordinates()).reshape(2, -1).T
+    sticks = body.slip_speed is None
     return Contact(
         name=body.name,
         shape=body.shape,
         position=np.array(body.position),
         relative=relative,
         by_component=with_transpose(for_components(relative)),
-        points=np.asarray(basis.global_coordinates()).reshape(2, -1).T,
+        points=points,
         lengths=basis.dx.ravel(),
         side=side,
         stiffness=stiffness,
         smoothing=ONSET * modulus / stiffness if body.smoothing is None else body.smoothing,
         damping=float(DAMPING * critical if body.damping is None else body.damping),
         friction=body.friction,
-        slip_speed=float(slip_speed if body.slip_speed is None else body.slip_speed),
+        slip_speed=body.slip_speed,
+        grip=Grip(np.zeros((n, 2)), np.zeros(len(points))) if sticks else None,
     )

@@ -246,6 +246,7 @@ class MacroState(RunState):
         stress: (n_points, 2, 2) by which the next step begins, µN/µm.
         law_state: what the law has committed; None: it starts cold.
         rest: as `System.rest`; (0, 2) of None.
+        drags: by body whose points stick, friction of the springs, µN/µm.
         mark: where the run goes back to if what follows does not stand, without the law's state,
             which the law knows; None: it never does."""
 
@@ -270,6 +271,7 @@ class MacroState(RunState):
     stress: Array
     law_state: Any = None
     rest: Array = field(default_factory=lambda: np.empty((0, 2)))
+    drags: dict[str, Array] = field(default_factory=dict)
     mark: MacroState | None = None
 
     @property
@@ -404,6 +406,7 @@ class Recorder:
             "work": work,
             "stress": stepper.now.response.stress,
             "law_state": self._equations.law_state,
+            "drags": self._equations.system.drags,
             **self._spent(),
         }
 

@@ -33,7 +33,7 @@ from surrofe2.macro.equations_of_motion import (
     Tally,
     factorised,
 )
-from surrofe2.macro.forces import Contact, Grip, Slopes
+from surrofe2.macro.forces import Contact, Slopes
 from surrofe2.macro.free_sides import SurfaceForce
 from surrofe2.macro.history import (
     NO_EXTREMES,
@@ -614,7 +614,7 @@ class Newton:
             acts=acts,
             next_step=next_step,
             extremes=extremes,
-            drags={contact.name: contact.drag(now.u) for contact in system.contacts},
+            drags={contact.name: contact.drag(now.u, now.v) for contact in system.contacts},
             **_spent(equations.tally),
             rolled_back={} if last is None else last.rolled_back,
             mark=None if last is None else last.mark,
@@ -781,9 +781,4 @@ class Newton:
 
     def _grip(self, u: Array, drags: Mapping[str, Array]) -> None:
         """From here on contacts follow an equilibrium; u and drags as of `Rest`."""
-
-        def gripped(contact: Contact) -> Contact:
-            drag = drags.get(contact.name, np.zeros(contact.lengths.size))
-            return replace(contact, grip=Grip(u, drag))
-
-        self.equations.system = self.equations.system.with_forces(Contact, gripped)
+        self.equations.system = self.equations.system.gripped(u, drags)

@@ -278,7 +278,8 @@ def _make_stepper(
         return stepper
     tally.counts, tally.effort = Counter(resume.counts), Counter(resume.effort)
     tally.law_seconds = resume.wall_time["law"]
-    going_on = equations.resume(resume.t, resume.y, resume.stress, resume.law_state)
+    where = resume.t, resume.y, resume.stress, resume.law_state
+    going_on = equations.resume(*where, resume.drags)
     return Stepper(equations, method, settings, end, going_on, resume.next_step, resume.memory)
 
 

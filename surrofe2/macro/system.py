@@ -8,7 +8,7 @@ motion. y holds the displacement of the free unknowns, then their velocity.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeVar
 
@@ -19,7 +19,7 @@ from surrofe2.base.arrays import Array, Index
 from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import StressLaw
 from surrofe2.macro.elements import Discretisation, Matrix, make_discretisation, n_points_of
-from surrofe2.macro.forces import Contact, Force, make_contact, make_loads, traction_load
+from surrofe2.macro.forces import Contact, Force, Grip, make_contact, make_loads, traction_load
 from surrofe2.macro.free_sides import SurfaceForce, make_surface
 from surrofe2.macro.mass import mass_solver, tissue_mass
 from surrofe2.problem.conditions import InitialVelocity
@@ -128,6 +128,27 @@ class System:
         """The same with each force of a kind changed."""
         forces = (change(each) if isinstance(each, kind) else each for each in self.forces)
         return replace(self, forces=tuple(forces))
+
+    def gripped(self, u: Array, drags: Mapping[str, Array]) -> System:
+        """The same with contacts whose points stick from the displacement u (n, 2) on.
+
+        drags: by body, friction of the springs there, µN/µm; zero of others.
+        """
+
+        def change(contact: Contact) -> Contact:
+            drag = drags.get(contact.name, np.zeros(contact.lengths.size))
+            return replace(contact, grip=Grip(u, drag))
+
+        return self.with_forces(Contact, change)
+
+    @property
+    def drags(self) -> dict[str, Array]:
+        """By body whose points stick, friction of the springs at the last grip, µN/µm."""
+        return {
+            each.name: each.grip.drag
+            for each in self.contacts
+            if each.sticks and each.grip is not None
+        }
 
     def from_rest(self, rest: Array) -> System:
         """The same with displacements that count from `rest` (n, 2)."""

@@ -198,7 +198,8 @@ class Stepper:
             # A step cut short to meet the end says nothing against the longer one.
             longest = max(wanted, self.next_length if t == self._end() else 0.0)
             self.next_length = min(self._largest, longest)
-            self.now, self.memory = start, trial.memory
+            self.now = self._equations.grip(start)
+            self.memory = trial.memory
             work, self._work_before = self._work_before, 0.0
             return replace(trial, work_before=work)
 

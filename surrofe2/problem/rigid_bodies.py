@@ -154,8 +154,8 @@ class RigidBody:
         "half of the critical one of the tissue's boundary", "µN µs/µm²", least=0.0,
     )  # fmt: skip
     slip_speed: float | None = setting(
-        None, "sliding speed at which friction is 0.7 of its limit; left out: a thousandth of the "
-        "tissue's wave speed", "µm/µs", above=0.0,
+        None, "sliding speed at which friction is 0.7 of its limit, below which points creep; left "
+        "out: points stick until they slip", "µm/µs", above=0.0,
     )  # fmt: skip
 
     def __post_init__(self) -> None:

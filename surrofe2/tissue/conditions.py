@@ -36,7 +36,7 @@ from surrofe2.tissue.layout import Tissue
 from surrofe2.tissue.outline import on_outline, outlines, rings_of
 
 _LOADS = (BodyForce, Traction, Pressure, Foundation)
-STIFFNESS, SMOOTHING, SLIP = 4.0, 0.002, 1e-3
+STIFFNESS, SMOOTHING, SLIP = 4.0, 0.002, 1e-6
 """Of contact: by the wall stiffness over a spring's length, eight times what the wall along a
 boundary holds its particles by; of a spring's length, over which contact sets in; of the wave
 speed, the slip speed. There is no dashpot unless stated: a boundary of particles has its mass."""

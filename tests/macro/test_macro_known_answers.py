@@ -13,7 +13,16 @@ from scipy.integrate import cumulative_trapezoid
 from surrofe2 import LoadCase
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.system import make_system
-from surrofe2.problem import InitialVelocity, Plane, Problem, RigidBody, Symmetry, rectangle
+from surrofe2.problem import (
+    BodyForce,
+    InitialVelocity,
+    Plane,
+    Problem,
+    Ramp,
+    RigidBody,
+    Symmetry,
+    rectangle,
+)
 from tests.laws import DryFriction, Fibres, KelvinVoigt, LinearFirstPiola
 from tests.macro.bars import run_and_states, with_load
 from tests.macro.meshes import HEIGHT, WIDTH, plate
@@ -208,6 +217,44 @@ def test_few_elements_and_the_default_tolerance_keep_energy_too(integrator):
     energies = simulate(problem, ELASTIC, settings).energies
     assert abs(energies["balance"]).max() < 1e-3 * energies["kinetic"][0]
     assert energies["contact"].max() > 0.0
+
+
+def slid(share):
+    """How far a block slides on a plate, to which its weight presses it, within 70 µs, µm: dragged
+    by a share of Coulomb's limit, from 50 to 80 µs on.
+    """
+    friction, weight = 0.3, 0.02
+    floor = RigidBody(
+        name="floor", shape=Plane(normal=(0.0, 1.0)), on="bottom", position=(0.0, 0.0),
+        friction=friction,
+    )  # fmt: skip
+    weighs = BodyForce(
+        name="weight", acceleration=(0.0, -weight), amplitude=Ramp(end=50.0, smooth=True)
+    )
+    drags = BodyForce(
+        name="drag",
+        acceleration=(share * friction * weight, 0.0),
+        amplitude=Ramp(begin=50.0, end=80.0, smooth=True),
+    )
+    block = Problem(
+        mesh=rectangle(40.0, 20.0, (2, 2)),
+        conditions=(weighs, drags),
+        bodies=(floor,),
+        duration=150.0,
+        watched={"foot": (20.0, 0.0)},
+    )
+    law = KelvinVoigt(shear_viscosity=20.0, bulk_viscosity=20.0)
+    settings = MacroSettings(integrator="implicit", frames=2, record_dissipation=False)
+    x = simulate(block, law, settings).curve.displacement[:, 0]
+    return x[-1] - x[len(x) * 8 // 15]
+
+
+def test_a_block_below_coulombs_limit_does_not_creep():
+    """At 0.9 of the limit less than 1 % of what it slides at 1.1, which is half the excess of
+    acceleration times the square of the time."""
+    slides = slid(1.1)
+    assert slides == pytest.approx(0.5 * 0.1 * 0.3 * 0.02 * 75.0**2, rel=0.2)
+    assert abs(slid(0.9)) < 1e-4 * slides
 
 
 @pytest.mark.parametrize("integrator", ["explicit", "implicit"])

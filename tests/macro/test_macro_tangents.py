@@ -182,10 +182,12 @@ def test_slopes_of_friction_at_rest(shape, rng):
     u, before = rng.uniform(-0.1, 0.1, (2, rows, 2))
     contact = replace(contact, grip=Grip(before, rng.uniform(-9.0, 9.0, contact.lengths.size)))
     pressure, *_ = contact._pressure(-contact._gaps(u)[0], np.zeros(contact.lengths.size))
-    share = abs(contact.drag(u))[pressure > 0.0] / pressure[pressure > 0.0]
+    share = abs(contact.drag(u, 0.0 * u))[pressure > 0.0] / pressure[pressure > 0.0]
     assert share.max() == pytest.approx(0.2)
     assert share.min() < 0.19
-    assert_slopes(contact, u, 0.0 * u)
+    assert_slopes(replace(contact, damping=0.0), u, 0.0 * u)
+    for damping in (0.3, 3.0):
+        assert_slopes(replace(contact, damping=damping), u, before)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
