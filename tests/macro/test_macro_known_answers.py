@@ -18,11 +18,11 @@ from surrofe2.problem import (
     InitialVelocity,
     Plane,
     Problem,
-    Ramp,
     RigidBody,
     Symmetry,
     rectangle,
 )
+from surrofe2.problem.amplitude import Ramp
 from tests.laws import DryFriction, Fibres, KelvinVoigt, LinearFirstPiola
 from tests.macro.bars import run_and_states, with_load
 from tests.macro.meshes import HEIGHT, WIDTH, plate
