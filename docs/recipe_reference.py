@@ -48,6 +48,8 @@ NOTES = {
     "load": "The paper's bar. A recipe has either this section or `[mesh]` and its companions.",
     "macro": "`elements`, two integers, `[4, 4]` by default, are those of the bar of [load] in x "
     "and in y.",
+    "image": "`surrofe2 tissue` alone takes it ([from an image](howto/cell.md#the-cells-themselves"
+    ")).",
     "rest": "A recipe with this section is solved at rest by load steps, not in time.",
     "surface": "Without the section free sides have no law of their own.",
 }

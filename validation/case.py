@@ -109,9 +109,13 @@ class Case:
             name: RveLaw(cell.parameters).reference for name, cell in recipe.cells.items()
         }
         if self.method == TISSUE:
-            tissue, cells, kind = tissue_of(recipe)
+            tissue = tissue_of(recipe)
             run: Any = simulate_tissue(
-                tissue, cells, recipe.tissue, reference=list(references.values()), kind=kind
+                tissue.problem,
+                tissue.cells,
+                recipe.tissue,
+                reference=list(references.values()),
+                kind=tissue.kind,
             )
             return self._run(run)
         problem = recipe.problem()

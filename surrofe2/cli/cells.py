@@ -21,7 +21,7 @@ from surrofe2.questions import wilting as wilting_of
 from surrofe2.report.study import NamedCell, Study, keep_study
 from surrofe2.run.charts import encoded
 from surrofe2.rve import INITIALISATIONS
-from surrofe2.store.labelled_image import read_labels
+from surrofe2.store.labelled_image import LINE, read_labels
 from surrofe2.store.store import check_replaceable, keep, write_bytes, write_text
 from surrofe2.workflow.laws import use_threads
 from surrofe2.workflow.zoom import write_zoom, zoom_into
@@ -154,7 +154,7 @@ def cells(
     pixel: Annotated[float, typer.Option(metavar="µm", help="Side of a pixel.")],
     line: Annotated[
         int, typer.Option(metavar="N", help="Most pixels across a line between cells.")
-    ] = image_of.LINE,
+    ] = LINE,
     out: Annotated[
         Path | None,
         typer.Option(

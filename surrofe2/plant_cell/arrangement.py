@@ -54,6 +54,8 @@ class Arrangement:
         fluid_counts: SPH particles of each plant cell; empty with a uniform fluid.
         wall_edge: (walls,) number of the edge that each wall particle is counted to.
         outer: (walls,) of a slab 1 along its lower side, 2 along its upper one, else 0.
+        wall_of_bond: (b,) number of the wall that each bond is part of, where walls follow the
+            outlines of an image: they bend, and springs differ in length. None: walls are straight.
     """
 
     tessellation: Tessellation
@@ -63,6 +65,7 @@ class Arrangement:
     fluid_counts: tuple[int, ...]
     wall_edge: Ints
     outer: Ints
+    wall_of_bond: Ints | None = None
 
     @property
     def walls(self) -> int:

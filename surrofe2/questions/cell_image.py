@@ -28,16 +28,13 @@ from surrofe2.plant_cell.tessellation import aspect_ratio, polygon_area
 from surrofe2.report.outlines import long_axes, outlines_figure
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
-from surrofe2.store.labelled_image import Labels
+from surrofe2.store.labelled_image import LINE, Labels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MARK = "# Like "
 """How the recipe of such an RVE begins."""
-LINE = 3
-"""Pixels between cells, in the narrowest direction, up to which they are a line and no hole, where
-it is not stated."""
 FEWEST_PIXELS = 9
 """Pixels of a cell below which it has no shape."""
 FEWEST_CELLS = 3

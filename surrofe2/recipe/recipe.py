@@ -49,6 +49,7 @@ from surrofe2.problem.problem import Point, Problem, label, sections_of
 from surrofe2.problem.rigid_bodies import RigidBody
 from surrofe2.recipe.entries import read_toml, toml_text, with_changes, with_micro_keys
 from surrofe2.rve.settings import RveSettings
+from surrofe2.store.labelled_image import LINE
 from surrofe2.store.meshes import load_mesh
 from surrofe2.store.store import digest, plain, read_text
 from surrofe2.surrogate.settings import CalibrationSettings, TrainingSettings
@@ -153,6 +154,20 @@ class MeshSettings:
         section["boundaries"] = {name: p.entry() for name, p in (self.boundaries or {}).items()}
         section["regions"] = {name: p.entry() for name, p in (self.regions or {}).items()}
         return section
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImageSettings:
+    """A labelled image, whose outlines are the walls of a full tissue."""
+
+    file: str = setting(
+        about="TIFF, PNG or NPY with a number for each cell, relative to the recipe", is_file=True
+    )
+    pixel: float = setting(about="side of a pixel", unit=LENGTH, above=0.0)
+    line: int = setting(LINE, "most pixels across a line between cells", least=0)
+
+    def __post_init__(self) -> None:
+        check_settings(self, "image")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -508,6 +523,7 @@ class Recipe:
         cells: plant cells by name; that of a section [cell] has the name None.
         is_bar: whether section [load] states the problem.
         sha256: digest of the mesh file; None without one.
+        image_sha256: digest of the image file; None without one.
     """
 
     path: Path
@@ -526,11 +542,13 @@ class Recipe:
     )
     tissue: TissueSettings = setting(TissueSettings(), "settings of full tissues")
     table: TableSettings = setting(TableSettings(), "table of RVE stresses")
+    image: ImageSettings | None = setting(None, "outlines of the cells of a full tissue")
     rest: RestSettings | None = setting(None, "load steps to rest, instead of a run in time")
     surface: SurfaceSettings | None = setting(None, "free sides with a law of their own")
     cache: CacheSettings = setting(CacheSettings(), "cache of RVE stresses, by a surrogate")
     is_bar: bool = False
     sha256: str | None = None
+    image_sha256: str | None = None
 
     def study(self) -> CellStudy:
         """Return the study of the only plant cell.
@@ -667,15 +685,23 @@ class Recipe:
         """Return the recipe as JSON can hold it, with these sections for its cells."""
         entries = {"recipe": self.path.name, **of_cells, **self._shared_sections()}
         entries["mesh"]["sha256"] = self.sha256
+        if self.image is not None:
+            entries["image"]["sha256"] = self.image_sha256
         recipe: dict[str, Any] = plain(entries)
         return recipe
 
-    def to_toml(self, mesh_file: str | None, surrogates: Mapping[CellName, str]) -> str:
+    def to_toml(
+        self,
+        mesh_file: str | None,
+        surrogates: Mapping[CellName, str],
+        image_file: str | None = None,
+    ) -> str:
         """Return the text of a recipe that states the same, with defaults filled in.
 
         Args:
             mesh_file: name of the mesh file beside the text; None: the mesh is by numbers.
             surrogates: names of surrogate files beside the text, by name of the cell.
+            image_file: name of the image file beside the text; None: there is none.
         """
         of_cells = self._sections_of_cells()
         for name in self.cells:
@@ -684,6 +710,8 @@ class Recipe:
             sections["training"]["file"] = surrogates.get(name)
         shared = self._shared_sections()
         shared["mesh"]["file"] = mesh_file
+        if self.image is not None:
+            shared["image"]["file"] = image_file
         shared["time"]["frames"] = None  # it stands in [macro]
         return toml_text({**of_cells, **shared})
 
@@ -801,6 +829,7 @@ SECTIONS: dict[str, type] = {
     "load": LoadSettings,
     "macro": MacroSettings,
     "tissue": TissueSettings,
+    "image": ImageSettings,
     "table": TableSettings,
     "rest": RestSettings,
     "surface": SurfaceSettings,
@@ -808,7 +837,9 @@ SECTIONS: dict[str, type] = {
 }
 """Sections of settings by name; others state a problem, or several cells."""
 # Sections that all cells of a recipe share.
-_OF_ALL_CELLS = ("rve", "calibration", "macro", "tissue", "table", "rest", "surface", "cache")
+_OF_ALL_CELLS = (
+    "rve", "calibration", "macro", "tissue", "image", "table", "rest", "surface", "cache",
+)  # fmt: skip
 
 # Bytes of a recipe: a larger file is another one, given by mistake.
 _MOST_BYTES = 2**24
@@ -867,13 +898,14 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
     if "mesh" not in entries:
         settings["mesh"] = None  # a fault that was noted says so
     settings |= faults.take(partial(build, dict, entries, "", of=Recipe, **settings)) or {}
-    mesh = entries.get("mesh")
-    if isinstance(mesh, dict) and isinstance(mesh.get("file"), str):
-        with faults.noted():
-            try:
-                settings["sha256"] = digest(path.parent / mesh["file"])
-            except FileError as error:
-                raise FileError(f"mesh.file: {error}") from None
+    for name, key in (("mesh", "sha256"), ("image", "image_sha256")):
+        section = entries.get(name)
+        if isinstance(section, dict) and isinstance(section.get("file"), str):
+            with faults.noted():
+                try:
+                    settings[key] = digest(path.parent / section["file"])
+                except FileError as error:
+                    raise FileError(f"{name}.file: {error}") from None
     settings["cells"] = faults.take(cell_types, tables)
     faults.check()
     recipe = Recipe(**settings)

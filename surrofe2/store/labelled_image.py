@@ -17,6 +17,9 @@ from surrofe2.base.errors import FileError, InputError, shortened
 from surrofe2.store.store import read_bytes
 
 Labels = NDArray[np.int64]
+LINE = 3
+"""Pixels between cells, in the narrowest direction, up to which they are a line and no hole, where
+it is not stated."""
 
 # Above this number labels in an image of floats could not be told apart.
 _MOST_LABEL = 2**53

@@ -87,7 +87,8 @@ _SERIES = ("harvest-*.h5", "table-*.h5", *_FRAMES, f"{INPUT}/*")
 # Sections of a recipe in which users name the entries.
 _NAMED_ENTRIES = ("cells", "conditions", "bodies", "watch")
 _SECTIONS = (
-    "cell", "rve", "mesh", *_NAMED_ENTRIES, "time", "macro", "tissue", "rest", "surface",
+    "cell", "rve", "mesh", *_NAMED_ENTRIES, "time", "macro", "tissue", "image", "rest",
+    "surface",
 )  # fmt: skip
 # Sections of a cell on which a run depends by its surrogate alone.
 _OF_TRAINING = ("range", "samples", "training")

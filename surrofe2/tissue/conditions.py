@@ -33,7 +33,7 @@ from surrofe2.tissue.external_forces import (
     OutlineForces,
 )
 from surrofe2.tissue.layout import Tissue
-from surrofe2.tissue.outline import on_outline, outlines, rings_of
+from surrofe2.tissue.outline import area_within, on_outline, outlines, rings_of
 
 _LOADS = (BodyForce, Traction, Pressure, Foundation)
 STIFFNESS, SMOOTHING, SLIP = 4.0, 0.002, 1e-6
@@ -285,8 +285,11 @@ class Conditions:
         where they are laid out, µm."""
         places = self.tissue.laid_out
         stated = outlines(self.problem.mesh)
+        around_holes = {area_within([ring]) < 0.0 for ring in stated}
         for ring in rings_of(self._outer):
-            places[ring] = on_outline(places[ring], stated)
+            # an air space that the mesh does not have is on none of its sides
+            if (area_within([places[ring]]) < 0.0) in around_holes:
+                places[ring] = on_outline(places[ring], stated)
         return places
 
     @cached_property

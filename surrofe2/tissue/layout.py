@@ -27,6 +27,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # scipy.sparse is loaded where a tissue is
 
 from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import InputError
@@ -140,14 +141,14 @@ class Tissue:
         lattice = self.references[0].lattice
         at = (self.column_row + self.lowest + self.origin) @ lattice.T
         places = np.full((len(at), 2, self.own), np.inf)
-        walls = self.arrangement.wall_position @ stretch_of(self.cell, lattice).T
+        walls = self.arrangement.wall_position @ stretch_of(self.arrangement, lattice).T
         places[..., : self.walls] = walls.T + at[:, :, None]
         return self.to_particles(pack(places))
 
     @property
     def middles(self) -> Array:
         """(columns, rows, cells, 2) middles of plant cells, as `middles_of` has them, µm."""
-        return middles_of(self.cell, self.references[0], self.origin, self.kind.shape[:2])
+        return middles_of(self.arrangement, self.references[0], self.origin, self.kind.shape[:2])
 
     def to_particles(self, tiles: Array) -> Array:
         """(tiles, own, TILE) → (particles,), and (tiles, 2, own, TILE) → (particles, 2)."""
@@ -243,23 +244,22 @@ def walls_of(arrangement: Arrangement) -> Walls:
     return Walls(np.array(bonds), every[:, :, 0], every[:, :, 1:])
 
 
-def stretch_of(cell: CellParameters, lattice: Array) -> Array:
+def stretch_of(arrangement: Arrangement, lattice: Array) -> Array:
     """(2, 2) by which the lattice as it is laid out has become that at rest."""
-    laid_out = make_arrangement(cell).tessellation.lattice
-    return np.asarray(lattice @ np.linalg.inv(laid_out))
+    return np.asarray(lattice @ np.linalg.inv(arrangement.tessellation.lattice))
 
 
 def middles_of(
-    cell: CellParameters, reference: ReferenceState, origin: Index, periods: Sequence[int]
+    arrangement: Arrangement, reference: ReferenceState, origin: Index, periods: Sequence[int]
 ) -> Array:
     """(columns, rows, cells, 2) middles of plant cells, laid out and stretched as the lattice at
     rest is, µm, from column and row `origin` on."""
-    tessellation = make_arrangement(cell).tessellation
+    tessellation = arrangement.tessellation
     every = range(len(tessellation.polygons))
     within = np.array([centroid(tessellation.corners(k)) for k in every])
     columns, rows = periods
     at = np.stack(np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"), axis=-1)
-    within = within @ stretch_of(cell, reference.lattice).T
+    within = within @ stretch_of(arrangement, reference.lattice).T
     return np.asarray(((at + origin) @ reference.lattice.T)[:, :, None] + within)
 
 
@@ -268,6 +268,7 @@ def make_tissue(
     references: Sequence[ReferenceState],
     kind: Index,
     origin: Sequence[int] = (0, 0),
+    arrangement: Arrangement | None = None,
 ) -> Tissue:
     """A tissue whose plant cell c of the period (a, b) is of the type kind[a, b, c].
 
@@ -275,6 +276,7 @@ def make_tissue(
         references: of each type, free of stress as part of a tissue.
         kind: (columns, rows, cells), or (columns, rows) of periods with one plant cell; −1: none.
         origin: column and row of kind[0, 0].
+        arrangement: of the plant cells of a period; None: that of the types.
 
     Raises:
         InputError: a type is not arranged as the first, or not as large or as finely divided.
@@ -289,7 +291,7 @@ def make_tissue(
             f"cell.fluid: sph; a tissue of {len(types)} types with {cell.cells} plant cells per "
             "RVE takes a uniform fluid: set it, or take one type"
         )
-    arrangement = make_arrangement(cell)
+    arrangement = arrangement or make_arrangement(cell)
     members = members_of(arrangement)
     lowest, highest = (of(members.shift, axis=0, initial=0) for of in (np.min, np.max))
     shape = np.array(kind.shape[:2]) + highest - lowest
@@ -343,15 +345,15 @@ def make_tissue(
     )
 
 
-def fluid_masses(cell: CellParameters) -> Array:
+def fluid_masses(cell: CellParameters, arrangement: Arrangement) -> Array:
     """(cells,) uniform fluid of the plant cells of a period, ng; none with SPH."""
-    areas = make_arrangement(cell).tessellation.areas
+    areas = arrangement.tessellation.areas
     return cell.fluid_density * areas if cell.has_uniform_fluid else np.zeros(0)
 
 
-def rest_areas(cell: CellParameters, reference: ReferenceState) -> Array:
+def rest_areas(cell: CellParameters, reference: ReferenceState, arrangement: Arrangement) -> Array:
     """(cells,) areas of the plant cells of a period at rest, µm²; none with SPH."""
-    rims = make_arrangement(cell).rims if cell.has_uniform_fluid else ()
+    rims = arrangement.rims if cell.has_uniform_fluid else ()
     if not rims:
         return np.zeros(0)
     return rim_areas(rims, reference.position, reference.lattice)
@@ -385,7 +387,9 @@ def _masses(
     if types[0].has_uniform_fluid:
         around = np.array([len(rim) for rim in arrangement.rims])
         nothing = np.zeros(len(around))  # where there is no plant cell
-        of_fluid = np.array([*(fluid_masses(each) / around for each in types), nothing])
+        of_fluid = np.array(
+            [*(fluid_masses(each, arrangement) / around for each in types), nothing]
+        )
         here = _kinds_at(kind, column_row, lowest, members.cell, members.shift)
         mass += of_fluid[here, members.cell] @ _belongs(arrangement, members)
     return mass
@@ -414,7 +418,8 @@ def _shares(arrangement: Arrangement, kind: Index, column_row: Index, lowest: In
     return np.asarray((is_there @ belongs) / belongs.sum(axis=0))
 
 
-def _belongs(arrangement: Arrangement, members: Members) -> Array:
+def _belongs(arrangement: Arrangement, members: Members) -> scipy.sparse.csr_array:
     """(members, own) 1 where a member is of that particle."""
-    every = np.arange(arrangement.particles)
-    return (members.particle[:, None] == every).astype(np.float64)
+    count = len(members.particle)
+    at = np.arange(count), members.particle
+    return scipy.sparse.csr_array((np.ones(count), at), shape=(count, arrangement.particles))

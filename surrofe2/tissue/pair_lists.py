@@ -131,6 +131,8 @@ class PairKinds:
 
     def line(self, key: Index) -> Index:
         """(k,) row of `Lines` that pair kinds belong to, −1 off straight walls."""
+        if not len(self.lines.key):
+            return np.full(len(key), _NO_LINE)
         at = np.minimum(np.searchsorted(self.lines.key, key), len(self.lines.key) - 1)
         return np.where(self.lines.key[at] == key, self.lines.row[at], _NO_LINE)
 
@@ -153,6 +155,7 @@ class PairKinds:
         """Contacts along straight walls: from each particle along its bonds while they turn not."""
         position, lattice = arrangement.wall_position, arrangement.tessellation.lattice
         steps: dict[int, list[_Step]] = {}
+        wall = self._wall_of(arrangement)
         for bond, (i, j, a, b) in enumerate(self.walls.bonds.tolist()):
             steps.setdefault(i, []).append(_Step(j, (a, b), bond, (0, 0)))
             steps.setdefault(j, []).append(_Step(i, (-a, -b), bond, (-a, -b)))
@@ -161,7 +164,7 @@ class PairKinds:
         for i, begins in steps.items():
             for first in begins:
                 way = position[first.to] + lattice @ first.shift - position[i]
-                for k, there in _ahead(steps, position, lattice, first, way):
+                for k, there in _ahead(steps, position, lattice, wall, first, way):
                     if (there, k) > ((0, 0), i):
                         row = rows.setdefault((first.bond, *first.base), len(rows))
                         number = int(number_of(np.array(there)))
@@ -173,24 +176,44 @@ class PairKinds:
         shift = self.walls.shift[bonds] - begun[:, None, 1:]
         return Lines(keys, row_of, self.walls.cell[bonds], shift)
 
+    def _wall_of(self, arrangement: Arrangement) -> list[int]:
+        """Number of the wall that each bond is part of, along which it may bend; −1: it may not."""
+        if arrangement.wall_of_bond is None:
+            return [-1] * len(self.bonds)
+        ends = map(tuple, arrangement.bonds[:, :2].tolist())
+        wall = dict(zip(ends, arrangement.wall_of_bond.tolist(), strict=True))
+        return [wall[i, j] for i, j in self.bonds[:, :2].tolist()]
+
 
 def _ahead(
-    steps: dict[int, list[_Step]], position: Array, lattice: Array, first: _Step, way: Array
+    steps: dict[int, list[_Step]],
+    position: Array,
+    lattice: Array,
+    wall: list[int],
+    first: _Step,
+    way: Array,
 ) -> list[tuple[int, tuple[int, int]]]:
-    """Particles and shifts that a straight wall leads to beyond its first bond, within `RINGS`."""
+    """Particles and shifts that a wall leads to beyond its first bond, within `RINGS`.
+
+    A wall leads on where it is straight, and along a wall of an image where it bends, too.
+    """
     found: list[tuple[int, tuple[int, int]]] = []
+    bond = first.bond
     at, shift = first.to, first.shift
     while True:
         for step in steps[at]:
             on = position[step.to] + lattice @ step.shift - position[at]
             turn = way[0] * on[1] - way[1] * on[0]
             size = np.linalg.norm(way) * np.linalg.norm(on)
-            if way @ on > 0.0 and abs(turn) < _STRAIGHT * size:
+            is_straight = way @ on > 0.0 and abs(turn) < _STRAIGHT * size
+            bends = step.bond != bond and wall[step.bond] == wall[bond] >= 0
+            if is_straight or bends:
+                bond = step.bond
                 at, shift = step.to, (shift[0] + step.shift[0], shift[1] + step.shift[1])
                 break
         else:
             return found
-        if max(abs(shift[0]), abs(shift[1])) > RINGS:
+        if max(abs(shift[0]), abs(shift[1])) > RINGS or (at, shift) in found:
             return found
         found.append((at, shift))
 
@@ -390,6 +413,8 @@ class PairLister:
         total = stiffness.sum(axis=2)
         rest = (stiffness * of["rest_length"][both]).sum(axis=2) / np.maximum(total, 1e-60)
         damping = of["wall_damping"][both].sum(axis=2)
+        relative = self._relative_lengths()
+        total, rest, damping = total / relative, rest * relative, damping / relative
         bonds = pack(np.stack([half * total, rest, half * damping], axis=2))
         self._bond_tile, self._bond = np.nonzero((bonds[:, :, 0] > 0.0).any(axis=2))
         self._bonds = np.ascontiguousarray(bonds[self._bond_tile, self._bond])
@@ -411,6 +436,18 @@ class PairLister:
         part /= part.sum(axis=2, keepdims=True)
         self._particles = part @ table[:-1, [_REPULSION, _DAMPING]]  # (places, own, 2)
 
+    def _relative_lengths(self) -> Array:
+        """(bonds,) length of each spring over that of a straight wall's, if springs differ; else 1.
+
+        A longer piece of the same wall is softer, and its rest length is longer.
+        """
+        arrangement, bonds = self._tissue.arrangement, self._kinds.bonds
+        if arrangement.wall_of_bond is None:
+            return np.ones(len(bonds))
+        i, j = bonds[:, :2].T
+        way = arrangement.wall_position[j] - arrangement.wall_position[i]
+        return np.linalg.norm(way, axis=1) / self._tissue.cell.spring_length
+
     def _saps(self, kind: Index, of: dict[str, Array]) -> Array:
         """(tiles, cells, 6, TILE) `Sap` of plant cells of types `kind` (places, cells)."""
         tissue = self._tissue
@@ -418,9 +455,12 @@ class PairLister:
             return np.zeros((tissue.tiles, 0, len(Sap._fields), TILE))
         nothing, cells = np.ones(kind.shape[1]), np.arange(kind.shape[1])
         pairs = zip(tissue.types, tissue.references, strict=True)
-        areas = np.array([*(rest_areas(*pair) for pair in pairs), nothing])
+        areas = np.array([*(rest_areas(*pair, tissue.arrangement) for pair in pairs), nothing])
+        masses = np.array(
+            [*(fluid_masses(each, tissue.arrangement) for each in tissue.types), nothing]
+        )
         values = {
-            "fluid_mass": np.array([*map(fluid_masses, tissue.types), nothing])[kind, cells],
+            "fluid_mass": masses[kind, cells],
             "rest_area": areas[kind, cells],
             "is_there": (kind >= 0).astype(np.float64),
         }

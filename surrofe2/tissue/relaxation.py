@@ -17,12 +17,12 @@ from math import sqrt
 
 import numpy as np
 
-from surrofe2.base.arrays import Array
+from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import SimulationError
-from surrofe2.plant_cell.arrangement import ReferenceState
+from surrofe2.plant_cell.arrangement import Arrangement, ReferenceState, rim_areas
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.tissue.dynamics import TissueDynamics
-from surrofe2.tissue.layout import make_tissue
+from surrofe2.tissue.layout import Tissue, make_tissue
 from surrofe2.tissue.pair_lists import ELASTIC
 
 STRETCH = 50
@@ -40,6 +40,9 @@ LONGEST = 2e-3
 """µs; accuracy needs no less on the paper's cells."""
 OF_LIMIT = 0.87
 """Of the limit at rest, as deformed cells are stiffer; `LONGEST` takes as much of `printed`'s."""
+_SIZINGS, _SAME_SIZE, _ROUGHLY = 5, 0.005, 1e-4
+"""How often rest lengths are corrected until the area at rest is that of an image, the relative
+difference that is left, and the force left on a particle then, of a wall's tension."""
 _POWERS = 100
 _SHIFT = 1e-6  # µm, of differences
 
@@ -104,6 +107,76 @@ def rounded_step(limit: float) -> float:
     return float(f"{np.floor(wanted / unit) * unit:.2g}")
 
 
+def outlined_tissue(
+    cell: CellParameters,
+    kind: Index,
+    arrangement: Arrangement,
+    reference: ReferenceState | None = None,
+) -> Tissue:
+    """A tissue whose walls follow the outlines of an image, with rest lengths that keep its size.
+
+    A spring of length l has the rest length r l, with one r for all: that at which the plant cells
+    that are surrounded by others have the area of the image when the tissue has come to rest
+    without load; where there are none, that at which forces have no mean pressure as laid out.
+    Shapes change a little, as walls straighten and those along the outline bulge.
+
+    Args:
+        kind: (1, 1, polygons) 0 of plant cells, −1 of air.
+        reference: that of such a tissue, which need not be sought again; None: there is none.
+
+    Raises:
+        SimulationError: the tissue does not come to rest.
+    """
+
+    def stretched(part: float) -> Tissue:
+        made = ReferenceState(
+            cell.fingerprint,
+            arrangement.wall_position,
+            arrangement.tessellation.lattice,
+            part * cell.spring_length,
+        )
+        return make_tissue([cell], [reference or made], kind, arrangement=arrangement)
+
+    if reference is not None:
+        return stretched(0.0)
+    is_inside = _surrounded(arrangement, kind[0, 0] == 0)
+    wanted = float(arrangement.tessellation.areas[is_inside].sum())
+    tension = cell.sound_speed**2 * cell.fluid_density * cell.cell_side
+    part = _without_pressure(stretched)
+    tissue = stretched(part)
+    for _ in range(_SIZINGS if is_inside.any() else 0):
+        rest = np.zeros((tissue.particles, 2))
+        rest[tissue.address[:, 1]] = relax(TissueDynamics(tissue), _ROUGHLY * tension)
+        size = float(rim_areas(arrangement.rims, rest, np.eye(2))[is_inside].sum()) / wanted
+        if abs(size - 1.0) < _SAME_SIZE:
+            break
+        part /= sqrt(size)
+        tissue = stretched(part)
+    return tissue
+
+
+def _surrounded(arrangement: Arrangement, is_cell: Flags) -> Flags:
+    """(polygons,) which plant cells have no particle in common with air."""
+    at_air = np.zeros(arrangement.walls, dtype=np.bool_)
+    for rim, there in zip(arrangement.rims, is_cell, strict=True):
+        if not there:
+            at_air[rim[:, 0]] = True
+    inside = [not at_air[rim[:, 0]].any() for rim in arrangement.rims]
+    return is_cell & np.array(inside)
+
+
+def _without_pressure(stretched: Callable[[float], Tissue]) -> float:
+    """Rest length over length at which forces have no mean pressure as laid out: Σ x·f = 0."""
+
+    def virial(tissue: Tissue) -> float:
+        dynamics = TissueDynamics(tissue)
+        return float(np.sum(dynamics.x * dynamics.forces(ELASTIC)))
+
+    # forces are linear in the rest lengths
+    without, whole = virial(stretched(0.0)), virial(stretched(1.0))
+    return without / (without - whole)
+
+
 def stable_step(
     cell: CellParameters, reference: ReferenceState, outside: tuple[float, float] = (0.0, 0.0)
 ) -> float:
@@ -114,7 +187,12 @@ def stable_step(
             and 1/µs.
     """
     kind = np.zeros((2, 2, cell.cells), dtype=np.int64)
-    dynamics = TissueDynamics(make_tissue([cell], [reference], kind))
+    return stable_step_of(make_tissue([cell], [reference], kind), outside)
+
+
+def stable_step_of(tissue: Tissue, outside: tuple[float, float] = (0.0, 0.0)) -> float:
+    """The longest stable step of a tissue where it starts, µs; `outside` as of `stable_step`."""
+    dynamics = TissueDynamics(tissue)
     at_rest = dynamics.x
 
     def stiffness(u: Array) -> Array:

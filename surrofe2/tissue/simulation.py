@@ -24,7 +24,9 @@ from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.clock import clock
 from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.plant_cell.arrangement import ReferenceState, make_arrangement
+from surrofe2.plant_cell.outlined import Outlined
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.tessellation import centroid
 from surrofe2.problem.mesh import extent
 from surrofe2.problem.problem import Problem, label
 from surrofe2.problem.rigid_bodies import check_outside
@@ -44,7 +46,15 @@ from surrofe2.tissue.conditions import TOUCHING, Conditions
 from surrofe2.tissue.dynamics import TissueDynamics
 from surrofe2.tissue.layout import make_tissue, middles_of, stretch_of
 from surrofe2.tissue.outline import are_within, area_within, outlines
-from surrofe2.tissue.relaxation import LONGEST, OF_LIMIT, relax, rounded_step, stable_step
+from surrofe2.tissue.relaxation import (
+    LONGEST,
+    OF_LIMIT,
+    outlined_tissue,
+    relax,
+    rounded_step,
+    stable_step,
+    stable_step_of,
+)
 from surrofe2.tissue.settings import TissueSettings
 
 Cells = CellParameters | Sequence[CellParameters]
@@ -348,8 +358,9 @@ def simulate_tissue(
     cell: Cells,
     settings: TissueSettings = DEFAULTS,
     *,
-    reference: References,
+    reference: References = (),
     kind: Index | None = None,
+    outlined: Outlined | None = None,
     progress: Callable[[float, float], None] | None = None,
     checkpoint: Callable[[TissueState], None] | None = None,
     checkpoint_interval: float = 30.0,
@@ -366,6 +377,8 @@ def simulate_tissue(
         reference: its reference state, as the RVE law of the same cell has it, or theirs.
         kind: (columns, rows, cells) which of several each plant cell of each RVE is, −1 where there
             is none, see `plant_cells_within`; of one cell per RVE also (columns, rows).
+        outlined: walls along the outlines of an image, instead of `kind`; the tissue has the plant
+            cells whose middles the mesh holds. Its `reference` is sought where there is none.
         progress: called with (t, duration) in µs at every output time.
         checkpoint: called at output times with the state of the run when `checkpoint_interval`
             seconds have passed since it last was, and upon an interrupt, which then goes its way.
@@ -382,7 +395,10 @@ def simulate_tissue(
         MismatchError: `resume` is of another run, or of one that gave its fields to `keep_frame`,
             and there is none now; `reference` is of another cell.
     """
-    conditions = make_conditions(problem, cell, reference, kind)
+    if outlined is None:
+        conditions = make_conditions(problem, cell, reference, kind)
+    else:
+        conditions = outlined_conditions(problem, cell, outlined, reference)
     settings = with_step(settings, conditions)
     problem.check_course()
     dynamics = held_and_loaded(conditions, settings)
@@ -439,10 +455,53 @@ def make_conditions(
         )
     if kind.max() >= len(types):
         raise InputError(f"tissue: kinds up to {kind.max()}; there are {len(types)} types of cells")
-    conditions = Conditions(problem, make_tissue(types, references, kind, origin.tolist()))
-    for body in problem.bodies:
+    tissue = make_tissue(types, references, kind, origin.tolist())
+    return _with_bodies_outside(Conditions(problem, tissue))
+
+
+def outlined_conditions(
+    problem: Problem, cell: Cells, outlined: Outlined, reference: References = ()
+) -> Conditions:
+    """A problem on the particles of a tissue with the outlines of an image.
+
+    It has the plant cells whose middles the mesh holds.
+
+    Args:
+        reference: of such a tissue; none: it is sought.
+
+    Raises:
+        InputError: there are several types of plant cells, or the cells' area is not the mesh's.
+    """
+    types = [cell] if isinstance(cell, CellParameters) else cell
+    if len(types) > 1:
+        raise InputError(f"image: {len(types)} types of cells; the outlines of an image take one")
+    if not types[0].has_uniform_fluid:
+        raise InputError("image: cell.fluid is sph; the outlines of an image take uniform")
+    tessellation, rings = outlined.arrangement.tessellation, outlines(problem.mesh)
+    middles = [centroid(tessellation.corners(k)) for k in range(len(tessellation.polygons))]
+    within = are_within(np.array(middles), rings)
+    inside = outlined.is_cell & within
+    spaces = ~outlined.is_cell & within & (tessellation.areas > 0.0)
+    width, height = 0.5 * tessellation.lattice.diagonal()
+    _check_filled(
+        "mesh",
+        area_within(rings),
+        int(inside.sum()),
+        float(tessellation.areas[inside | spaces].sum()),
+        f"the image is {width:.6g} × {height:.6g} µm, from (0, 0); take a mesh that its cells fill",
+    )
+    kind = np.where(inside, 0, -1)[None, None]
+    references = [reference] if isinstance(reference, ReferenceState) else reference
+    known = references[0] if references else None
+    tissue = outlined_tissue(types[0], kind, outlined.arrangement, known)
+    return _with_bodies_outside(Conditions(problem, tissue))
+
+
+def _with_bodies_outside(conditions: Conditions) -> Conditions:
+    """The conditions; InputError if a body begins within the tissue."""
+    for body in conditions.problem.bodies:
         points = conditions.outline_places[conditions.boundary(body.on)]
-        allowed = TOUCHING * types[0].cell_side
+        allowed = TOUCHING * conditions.tissue.cell.cell_side
         check_outside(body.name, body.shape, np.array(body.position), points, allowed)
     return conditions
 
@@ -450,6 +509,8 @@ def make_conditions(
 def step_at_rest(conditions: Conditions) -> float:
     """The longest step, µs, that each type of plant cell bears, with what acts on the outline."""
     tissue, outside = conditions.tissue, conditions.stiffest()
+    if tissue.arrangement.wall_of_bond is not None:  # its plant cells are all different
+        return stable_step_of(tissue, outside)
     types = zip(tissue.types, tissue.references, strict=True)
     return min(stable_step(cell, reference, outside) for cell, reference in types)
 
@@ -462,15 +523,26 @@ def step_note(settings: TissueSettings, conditions: Conditions) -> str:
     """
     tissue, outside = conditions.tissue, conditions.stiffest()
     modulus = max(cell.sap_bulk_modulus for cell in tissue.types)
+    if tissue.arrangement.wall_of_bond is not None:
+        constants = tuple(each._replace(sap_modulus=0.0) for each in tissue.constants)
+        drained = [stable_step_of(replace(tissue, constants=constants), outside)]
+        return _step_sentence(settings, modulus, step_at_rest(conditions), drained)
     drained = []
     for cell, reference in zip(tissue.types, tissue.references, strict=True):
         # at rest, where areas are those of the reference, the modulus exerts nothing
         open_cell = replace(cell, sap_bulk_modulus=0.0)
         same = replace(reference, fingerprint=open_cell.fingerprint)
         drained.append(stable_step(open_cell, same, outside))
+    return _step_sentence(settings, modulus, step_at_rest(conditions), drained)
+
+
+def _step_sentence(
+    settings: TissueSettings, modulus: float, limit: float, drained: Sequence[float]
+) -> str:
+    """What `step_note` says of a bulk modulus in MPa and of the limits with and without it, µs."""
     return (
         f"tissue.micro_step: {settings.micro_step:.3g} µs; undrained sap (sap_bulk_modulus "
-        f"{modulus:g} MPa) bears {step_at_rest(conditions):.3g} µs at rest, drained sap would bear "
+        f"{modulus:g} MPa) bears {limit:.3g} µs at rest, drained sap would bear "
         f"{min(drained):.3g} µs"
     )
 
@@ -525,22 +597,30 @@ def plant_cells_within(
     first = np.floor(at.min(axis=1)).astype(np.int64) - _MARGIN
     periods = np.ceil(at.max(axis=1)).astype(np.int64) + _MARGIN - first
     # a middle on a side of the mesh belongs to one side only
-    middles = middles_of(cell, reference, first, periods.tolist()) + _ASIDE * cell.cell_side
+    arrangement = make_arrangement(cell)
+    middles = middles_of(arrangement, reference, first, periods.tolist())
+    middles = middles + _ASIDE * cell.cell_side
     inside = are_within(middles.reshape(-1, 2), rings).reshape(middles.shape[:3])
     area = area_within(rings)
-    areas = make_arrangement(cell).tessellation.areas
-    filled = float((inside * areas).sum() * np.linalg.det(stretch_of(cell, lattice)))
-    if abs(filled - area) > _MOST_OFF * area:
-        raise InputError(
-            f"{section}: its {area:.6g} µm² hold the middles of {inside.sum()} plant cells of "
-            f"{filled:.6g} µm²; both areas may differ by {100 * _MOST_OFF:g} %: take sides of "
-            f"whole RVEs, {lattice[0, 0]:.6g} × {lattice[1, 1]:.6g} µm, or a larger tissue"
-        )
+    areas = arrangement.tessellation.areas
+    filled = float((inside * areas).sum() * np.linalg.det(stretch_of(arrangement, lattice)))
+    sides = f"{lattice[0, 0]:.6g} × {lattice[1, 1]:.6g} µm"
+    hint = f"take sides of whole RVEs, {sides}, or a larger tissue"
+    _check_filled(section, area, int(inside.sum()), filled, hint)
     has_cells = np.asarray(inside.any(axis=2))
     columns = np.flatnonzero(has_cells.any(axis=1))
     rows = np.flatnonzero(has_cells.any(axis=0))
     inside = inside[columns[0] : columns[-1] + 1, rows[0] : rows[-1] + 1]
     return first + np.array([columns[0], rows[0]]), inside
+
+
+def _check_filled(section: str, area: float, count: int, filled: float, hint: str) -> None:
+    """Raise InputError unless the area of so many plant cells is nearly that of the mesh, µm²."""
+    if abs(filled - area) > _MOST_OFF * area:
+        raise InputError(
+            f"{section}: its {area:.6g} µm² hold the middles of {count} plant cells of "
+            f"{filled:.6g} µm²; both areas may differ by {100 * _MOST_OFF:g} %: {hint}"
+        )
 
 
 _MARGIN = 2

@@ -1,7 +1,7 @@
 """The files that a run folder keeps so that the run can be repeated elsewhere.
 
-They are the recipe as the run took it, its mesh file, and the surrogates and tables that its law
-began with.
+They are the recipe as the run took it, its files of the mesh and of an image, and the surrogates
+and tables that its law began with.
 """
 
 from __future__ import annotations
@@ -45,6 +45,11 @@ def inputs_of(
         arrays = set(_ARRAYS.findall(files[mesh_file])) if path.suffix == ".xdmf" else ()
         for name in map(os.fsdecode, arrays):
             files[name] = read_bytes(path.parent / name)
+    image_file = None
+    if recipe.image is not None:
+        path = recipe.path.parent / recipe.image.file
+        image_file = f"image{path.suffix}"
+        files[image_file] = read_bytes(path)
     learnt: dict[CellName, str] = {}
     if kind in ("cached", "surrogate"):
         for cell, study in recipe.studies().items():
@@ -55,5 +60,5 @@ def inputs_of(
     head = (
         "# The recipe of this run, defaults filled in: `surrofe2 run` with the folder repeats it.\n"
     )
-    files[RECIPE] = f"{head}{recipe.to_toml(mesh_file, learnt)}".encode()
+    files[RECIPE] = f"{head}{recipe.to_toml(mesh_file, learnt, image_file)}".encode()
     return files

@@ -3,28 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from surrofe2.base.arrays import Index
 from surrofe2.base.clock import seconds_compiling
-from surrofe2.base.errors import InputError
+from surrofe2.base.errors import FileError, InputError
 from surrofe2.base.units import time_text
+from surrofe2.plant_cell.arrangement import ReferenceState, make_arrangement
+from surrofe2.plant_cell.outlined import Outlined, outline_cells
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem import Problem
-from surrofe2.recipe.recipe import Recipe, kinds_of_cells
+from surrofe2.questions.cell_image import measure_cells
+from surrofe2.recipe.recipe import ImageSettings, Recipe, kinds_of_cells
 from surrofe2.run.loop import Report, no_report
 from surrofe2.store.fields import FrameWriter, fields_of_particles, particle_writer
+from surrofe2.store.labelled_image import read_labels
 from surrofe2.store.run_folder import CHECKPOINT_INTERVAL, RunFolder, RunRecord, write_curves
 from surrofe2.store.samples import kept_reference
 from surrofe2.tissue import TissueRun, TissueState, simulate_tissue
+from surrofe2.tissue.conditions import Conditions
 from surrofe2.tissue.layout import middles_of
 from surrofe2.tissue.simulation import (
     ParticleFrames,
     Particles,
     make_conditions,
+    outlined_conditions,
     plant_cells_within,
     step_note,
     with_step,
@@ -33,35 +39,113 @@ from surrofe2.workflow.inputs import inputs_of
 from surrofe2.workflow.run import new_record
 
 
-def tissue_of(
-    recipe: Recipe,
-) -> tuple[Problem, list[CellParameters], Index]:
-    """The problem of a recipe, its plant cells, and which of these each one of the tissue is, as
-    `simulate_tissue` takes it.
+_MOST_SIZE = 1.2
+"""By which factor the width of an image's cells may differ from that of the recipe's."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TissueParts:
+    """What `simulate_tissue` takes of a recipe.
+
+    Attributes:
+        kind: which of the cells each plant cell of the tissue is; None where an image outlines it.
+        outlined: walls along the outlines of an image, or None.
+        notes: sentences on what of the image the tissue has not as it is.
+    """
+
+    problem: Problem
+    cells: list[CellParameters]
+    kind: Index | None
+    outlined: Outlined | None
+    notes: tuple[str, ...]
+
+    @property
+    def references(self) -> list[ReferenceState]:
+        """Reference states of the cells; none are needed where an image outlines the tissue."""
+        return [] if self.kind is None else [kept_reference(cell) for cell in self.cells]
+
+    def conditions(self) -> Conditions:
+        """Make the problem on the particles of the tissue.
+
+        Raises:
+            InputError: naming what a tissue of particles does not take.
+        """
+        if self.outlined is not None:
+            return outlined_conditions(self.problem, self.cells, self.outlined)
+        return make_conditions(self.problem, self.cells, self.references, self.kind)
+
+
+def tissue_of(recipe: Recipe) -> TissueParts:
+    """Return the problem of a recipe, its plant cells, and where each of these is in the tissue.
 
     Raises:
+        FileError: its image cannot be read.
         InputError: naming what a tissue of particles does not take.
     """
     problem, section = recipe.problem(), "load" if recipe.is_bar else "mesh"
     cells = [each.parameters for each in recipe.cells.values()]
-    with recipe.named(InputError):
+    kind: Index | None = None
+    outlined: Outlined | None = None
+    notes: tuple[str, ...] = ()
+    with recipe.named(FileError, InputError):
         problem.check_course()
-        reference = kept_reference(cells[0])
-        origin, inside = plant_cells_within(problem, cells[0], reference, section)
-        kind = np.where(inside, 0, -1)
-        middles = middles_of(cells[0], reference, origin, inside.shape[:2])
-        kind[inside] = kinds_of_cells(problem, recipe.cells, middles[inside])
-        return problem, cells, kind
+        if recipe.image is not None:
+            outlined, notes = _outlined(recipe.image, recipe.path.parent, cells[0])
+        else:
+            reference = kept_reference(cells[0])
+            origin, inside = plant_cells_within(problem, cells[0], reference, section)
+            kind = np.where(inside, 0, -1)
+            arrangement = make_arrangement(cells[0])
+            middles = middles_of(arrangement, reference, origin, inside.shape[:2])
+            kind[inside] = kinds_of_cells(problem, recipe.cells, middles[inside])
+    return TissueParts(problem=problem, cells=cells, kind=kind, outlined=outlined, notes=notes)
 
 
-def step_notes(recipe: Recipe) -> Iterator[tuple[str, bool]]:
-    """A message on the step that undrained sap makes a tissue take, and that it is no warning."""
-    if not any(each.parameters.sap_bulk_modulus > 0.0 for each in recipe.cells.values()):
+def _outlined(
+    image: ImageSettings, folder: Path, cell: CellParameters
+) -> tuple[Outlined, tuple[str, ...]]:
+    """Walls along the outlines of an image, and sentences on what was made of it."""
+    cells = measure_cells(read_labels(folder / image.file), image.pixel, image.line)
+    outlined = outline_cells(cells.labels, image.pixel, cell.spring_length)
+    notes = []
+    if not 1.0 / _MOST_SIZE < cells.cell_size / cell.cell_side < _MOST_SIZE:
+        notes.append(
+            f"its cells are {cells.cell_size:.4g} µm wide, those of the recipe {cell.cell_side:.4g} "
+            "µm: `surrofe2 cells IMAGE --out` writes a [cell] of their size"
+        )
+    if cells.cut:
+        notes.append(
+            f"cells that the border of the image cuts, closed by a wall there: {cells.cut}"
+        )
+    if cells.holes:
+        notes.append(
+            f"air spaces: {cells.holes}, {100.0 * cells.hole_fraction:.2g} % of the image; a "
+            "pressure on the outline does not act in them, so it is not that of a bath"
+        )
+    if cells.pieces:
+        notes.append(f"cells in pieces, of which the largest is taken: {cells.pieces}")
+    if cells.small + outlined.dissolved:
+        number = cells.small + outlined.dissolved
+        notes.append(f"regions too small for springs, given to the nearest others: {number}")
+    if outlined.enclosed:
+        notes.append(f"regions within one cell, given to it: {outlined.enclosed}")
+    return outlined, tuple(f"image: {note}" for note in notes)
+
+
+def tissue_notes(recipe: Recipe) -> Iterator[tuple[str, bool]]:
+    """Messages on a tissue, each with whether it is a warning.
+
+    They are on the step that undrained sap makes it take, and on what was made of an image.
+    """
+    is_undrained = any(each.parameters.sap_bulk_modulus > 0.0 for each in recipe.cells.values())
+    if recipe.image is None and not is_undrained:
         return
-    problem, cells, kind = tissue_of(recipe)
-    references = [kept_reference(cell) for cell in cells]
-    conditions = make_conditions(problem, cells, references, kind)
-    yield step_note(with_step(recipe.tissue, conditions), conditions), False
+    parts = tissue_of(recipe)
+    for note in parts.notes:
+        yield note, False
+    if is_undrained:
+        conditions = parts.conditions()
+        yield step_note(with_step(recipe.tissue, conditions), conditions), False
 
 
 def run_tissue(
@@ -77,9 +161,9 @@ def run_tissue(
         SimulationError: the run could not be carried on; the folder holds it up to there.
     """
     recipe = replace(recipe, rest=None)  # in time, whatever the recipe states
-    problem, cells, kind = tissue_of(recipe)
-    references = [kept_reference(cell) for cell in cells]
-    conditions = make_conditions(problem, cells, references, kind)
+    parts = tissue_of(recipe)
+    with recipe.named(InputError):
+        conditions = parts.conditions()
     recipe = replace(recipe, tissue=with_step(recipe.tissue, conditions))
     before = seconds_compiling()
     state: TissueState | None = None
@@ -120,11 +204,12 @@ def run_tissue(
             return run.record
         state = run.restored(TissueState.from_arrays)
         result = simulate_tissue(
-            problem,
-            cells,
+            parts.problem,
+            parts.cells,
             recipe.tissue,
-            reference=references,
-            kind=kind,
+            reference=conditions.tissue.references,
+            kind=parts.kind,
+            outlined=parts.outlined,
             progress=lambda t, duration: report(t, "" if t > 0.0 else "relaxing without load"),
             checkpoint=checkpoint,
             checkpoint_interval=CHECKPOINT_INTERVAL,

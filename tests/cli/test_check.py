@@ -16,8 +16,6 @@ from surrofe2.macro import MetRange, simulate
 from surrofe2.macro.settings import RestSettings
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
-from surrofe2.store.samples import kept_reference
-from surrofe2.tissue.simulation import make_conditions
 from surrofe2.workflow import check, scale
 from surrofe2.workflow.laws import law_by_region, quadratic_law
 from surrofe2.workflow.run import run_study
@@ -242,9 +240,7 @@ def test_drained_sap_implicit_steps_and_sph_fluid_need_no_such_note(changed_reci
 def test_all_particles_are_those_of_the_tissue(recipe, changed_recipe):
     """But for the outer walls, of which a tissue has more than its cells share."""
     found = all_particles(recipe)
-    problem, cells, kind = tissue_of(recipe)
-    references = [kept_reference(cell) for cell in cells]
-    tissue = make_conditions(problem, cells, references, kind).tissue
+    tissue = tissue_of(recipe).conditions().tissue
     assert found.plant_cells == 16.0
     assert found.particles < tissue.particles < 1.3 * found.particles
     assert found.steps == pytest.approx(4.0 / 0.002)

@@ -5,12 +5,13 @@ import meshio
 import numpy as np
 import pytest
 
-from surrofe2.recipe.recipe import load_recipe
+from surrofe2.recipe.recipe import ImageSettings, load_recipe
 from surrofe2.store.run_folder import read_record, read_run
 from surrofe2.tissue import simulation
 from tests.cli.conftest import TISSUE_FILES, call
 from tests.conftest import changed
 from tests.laws import SoftLaw
+from tests.questions.test_cell_image import squares
 
 
 @pytest.fixture
@@ -216,4 +217,74 @@ def test_what_a_tissue_does_not_take_is_one_line(stated, folder, changes, said):
     refused = invoke(stated(*changes), "--out", folder, code=1)
     assert said in refused.stderr
     assert refused.stderr.count("\n") == 1
+    assert not folder.exists()
+
+
+OUTLINED = """
+[image]
+file = "cells.npy"
+pixel = 10.0
+[cell]
+preset = "apple"
+[mesh]
+width = 600.0
+height = 600.0
+elements = [1, 1]
+[conditions.foot]
+kind = "fixed"
+on = "bottom"
+[conditions.grip]
+kind = "prescribed_motion"
+on = "top"
+displacement = [0.0, -1.0]
+amplitude = { kind = "ramp", end = 0.1 }
+[watch]
+end = [0.0, 600.0]
+[time]
+duration = 0.1
+output_interval = 0.05
+[tissue]
+residual = 1.0
+"""
+
+
+def test_the_outlines_of_an_image_are_a_tissue(written, folder, tmp_path):
+    """Four by four cells with an air space; with another image the folder is another run's."""
+    image = squares(4, 4, side=15)
+    image[26:34, 26:34] = 0
+    np.save(tmp_path / "cells.npy", image)
+    recipe = written(OUTLINED, "outlined.toml")
+    done = invoke(recipe, "--out", folder)
+    assert (
+        "image: cells that the border of the image cuts, closed by a wall there: 12" in done.stdout
+    )
+    assert "image: air spaces: 1, 1.8 % of the image; a pressure on the outline does" in done.stdout
+    run = read_run(folder)
+    assert run.curve.displacement[-1, 1] == pytest.approx(-1.0)
+    assert run.history["force grip y"][-1] < 0.0
+    assert (folder / "input" / "image.npy").read_bytes() == (tmp_path / "cells.npy").read_bytes()
+    kept = load_recipe(folder / "input" / "recipe.toml")
+    assert kept.image == ImageSettings(file="image.npy", pixel=10.0)
+    np.save(tmp_path / "cells.npy", np.flipud(image) + 1)
+    other = invoke(recipe, "--out", folder, code=1)
+    assert "image.sha256" in other.stderr
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (('file = "cells.npy"', ""), "image.file: missing"),
+        (("pixel = 10.0", "pixel = 0.0"), "image.pixel: 0.0; it must be positive"),
+        (("cells.npy", "cell.npy"), "image.file: "),
+        (("width = 600.0", "width = 700.0"), "the image is 600 × 600 µm, from (0, 0)"),
+        (('preset = "apple"', 'preset = "printed"'), "cell.fluid is sph"),
+    ],
+)
+def test_an_image_that_is_no_tissue_is_refused_in_one_line(
+    written, folder, tmp_path, changes, said
+):
+    np.save(tmp_path / "cells.npy", squares(4, 4, side=15))
+    refused = invoke(written(changed(OUTLINED, *changes), "no.toml"), "--out", folder, code=1)
+    assert said in refused.stderr
+    assert refused.stderr.count("\n") <= 3
     assert not folder.exists()

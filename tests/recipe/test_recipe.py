@@ -76,8 +76,8 @@ def test_to_dict_is_strict_json_without_folders(recipe, recipe_path):
 
 
 SECTIONS = (
-    "known are bodies, cache, calibration, cell, cells, conditions, load, macro, mesh, range, "
-    "rest, rve, samples, surface, table, time, tissue, training, watch"
+    "known are bodies, cache, calibration, cell, cells, conditions, image, load, macro, mesh, "
+    "range, rest, rve, samples, surface, table, time, tissue, training, watch"
 )
 FORCE = "body_force = [0.0, -0.1]"
 
