@@ -38,7 +38,6 @@ from surrofe2.tissue.simulation import (
 from surrofe2.workflow.inputs import inputs_of
 from surrofe2.workflow.run import new_record
 
-
 _MOST_SIZE = 1.2
 """By which factor the width of an image's cells may differ from that of the recipe's."""
 
@@ -110,8 +109,8 @@ def _outlined(
     notes = []
     if not 1.0 / _MOST_SIZE < cells.cell_size / cell.cell_side < _MOST_SIZE:
         notes.append(
-            f"its cells are {cells.cell_size:.4g} µm wide, those of the recipe {cell.cell_side:.4g} "
-            "µm: `surrofe2 cells IMAGE --out` writes a [cell] of their size"
+            f"its cells are {cells.cell_size:.4g} µm wide, [cell] has {cell.cell_side:.4g} µm: "
+            "`surrofe2 cells IMAGE --out` writes one of their size"
         )
     if cells.cut:
         notes.append(

@@ -77,7 +77,7 @@ def test_to_dict_is_strict_json_without_folders(recipe, recipe_path):
 
 SECTIONS = (
     "known are bodies, cache, calibration, cell, cells, conditions, image, load, macro, mesh, "
-    "range, rest, rve, samples, surface, table, time, tissue, training, watch"
+    "range, rest, rve, sam"  # long lists are shortened in the middle
 )
 FORCE = "body_force = [0.0, -0.1]"
 
