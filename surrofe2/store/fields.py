@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import FileError
+from surrofe2.base.units import ENERGY, LENGTH, NONE, RATE, STRESS, VELOCITY
 from surrofe2.run.loop import CheckpointClock
 from surrofe2.store.hdf5 import Kind, Stored, Template, read, reading, write
 from surrofe2.store.store import read_text, remove, write_bytes, write_text
@@ -42,7 +43,18 @@ DISPLACEMENT_NAME = "displacement_um"
 VELOCITY_NAME = "velocity_um_per_us"
 PRESSURE_NAME = "fluid_pressure_uN_per_um"
 CELL = "plant_cell"
-_MOTION = (DISPLACEMENT_NAME, VELOCITY_NAME)
+MOTION = (DISPLACEMENT_NAME, VELOCITY_NAME)
+"""Fields of nodes; all others are of elements."""
+_UNITS = {
+    "_um_per_us": VELOCITY,
+    "_uN_per_um": STRESS,
+    "_1_per_us": RATE,
+    "_pJ_per_um2": f"{ENERGY}/µm²",
+    "_MPa": "MPa",
+    "_um": LENGTH,  # last: others end so, too
+}
+# Names that fields of runs have in Python.
+_SHORT = {"cauchy_stress": "stress", "deformation_gradient": "F", "deformation_rate": "F_dot"}
 _TENSORS = (STRESS_NAME, F_NAME, F_DOT_NAME)
 FIELDS_FILE = Kind("fields", 2)
 FRAME_FILE = Kind("frame", 1, {"centres": dict})
@@ -547,8 +559,8 @@ class SeriesOfFrames:
                 if what in self.constants:
                     frame_values[what] = self.constants[what]
                     continue
-                axes = 2 if what in _TENSORS else int(what in _MOTION)
-                count = len(self.points if what in _MOTION else self.cells)
+                axes = 2 if what in _TENSORS else int(what in MOTION)
+                count = len(self.points if what in MOTION else self.cells)
                 in_plane: Any = (..., *(slice(2),) * axes)
                 frame_values[what] = frame.array(what, (count, *(3,) * axes))[in_plane]
         return frame_values
@@ -639,9 +651,18 @@ def read_fields(
     rows: dict[str, list[Array]] = {}
     for k in range(series.count):
         for what, values in series.frame(k, wanted, more).items():
-            rows.setdefault(what, []).append(np.array(values if what in _MOTION else values[only]))
+            rows.setdefault(what, []).append(np.array(values if what in MOTION else values[only]))
     over_time = {what: np.stack(each) for what, each in rows.items()}
     return StoredFields(series.points, series.cells, series.t, over_time)
+
+
+def split_unit(column: str) -> tuple[str, str]:
+    """Return the name of a field as runs in Python have it, and its unit."""
+    for ending, unit in _UNITS.items():
+        if column.endswith(ending):
+            name = column.removesuffix(ending)
+            return _SHORT.get(name, name), unit
+    return _SHORT.get(column, column), NONE
 
 
 def write_rve_fields(folder: Path, seen: Particles, t: Array) -> None:

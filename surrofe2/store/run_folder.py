@@ -30,13 +30,21 @@ from surrofe2.base.errors import (
 )
 from surrofe2.base.interruption import interruptible
 from surrofe2.base.settings import check_value, hints_of
-from surrofe2.base.units import ENERGY, FORCE, LENGTH, STRESS, TIME
+from surrofe2.base.units import ENERGY, FORCE, LENGTH, NONE, STRESS, TIME
 from surrofe2.base.versions import describe_platform
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.journal import BEYOND
 from surrofe2.run.responses import STRAIN_NAME, STRESS_NAME, Response, responses
 from surrofe2.run.views import Facts, ViewedRun, course
-from surrofe2.store.fields import FIELDS, POINTS, frame_files
+from surrofe2.store.fields import (
+    FIELDS,
+    MOTION,
+    POINTS,
+    frame_files,
+    open_fields,
+    read_fields,
+    split_unit,
+)
 from surrofe2.store.hdf5 import Kind, check_units, read, write
 from surrofe2.store.store import (
     check_replaceable,
@@ -100,6 +108,8 @@ UNITS = {
 # Bytes of a CSV file of a run, which is read whole.
 _MOST_OF_A_TABLE = 2**30
 CURVE_HEADER = ("t_us", "u_x_um", "u_y_um")
+# VTK's numbers of lines, triangles, quadrilaterals and six-node triangles, by their nodes.
+_VTK_KINDS = {2: 3, 3: 5, 4: 9, 6: 22}
 # Beginnings of the names of columns with components of a displacement.
 _COMPONENTS = CURVE_HEADER[1:]
 
@@ -219,6 +229,62 @@ class StoredRun(ViewedRun):
             for cell, report in caches.items()
         }
 
+    def fields_over_time(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Read whole fields of the folder and their coordinates, as `xarray.Dataset` takes them.
+
+        There are none where the folder has no fields. Names are those of a run from Python.
+        """
+        if not (self.folder / f"{FIELDS}.h5").exists():
+            return {}, {}
+        stored = read_fields(self.folder, (), None)
+        values: dict[str, Any] = {"elements": (("element", "corner"), stored.cells)}
+        for column, array in stored.values.items():
+            name, unit = split_unit(column)
+            at = "node" if column in MOTION else "element"
+            axes = {2: (), 3: ("axis",), 4: ("row", "column")}[array.ndim]
+            values[f"field {name}"] = ("frame", at, *axes), array, {"units": unit}
+        unit = NONE if self.is_rest else TIME
+        return values, {
+            "frame": ("frame", stored.t, {"units": unit}),
+            "position": (("node", "axis"), stored.points, {"units": LENGTH}),
+        }
+
+    def to_pyvista(self, frame: int = -1) -> Any:
+        """Make a `pyvista.UnstructuredGrid` of the unloaded mesh with all fields of one frame.
+
+        >>> run.to_pyvista().warp_by_vector("displacement_um").plot()
+
+        Args:
+            frame: number of the frame; −1 is the last one.
+
+        Returns:
+            The grid, with fields of nodes and elements under the names of fields.xdmf, vectors
+            and tensors with zeros outside the plane, and the time or load factor as `t`.
+
+        Raises:
+            InputError: pyvista is not installed, or there is no such frame.
+            FileError: the folder has no fields, or they are damaged.
+        """
+        try:
+            import pyvista
+        except ModuleNotFoundError:
+            raise InputError(
+                "to_pyvista: pyvista is not installed; install it: pip install pyvista"
+            ) from None
+        series = open_fields(self.folder)
+        if not -series.count <= frame < series.count:
+            raise InputError(f"frame: {frame}; there are {series.count} of them, from 0")
+        frame %= series.count
+        corners = series.cells.shape[1]
+        counted = np.insert(series.cells, 0, corners, axis=1)
+        kinds = np.full(len(series.cells), _VTK_KINDS[corners], np.uint8)
+        grid = pyvista.UnstructuredGrid(counted.ravel(), kinds, _in_space(series.points))
+        for name, values in series.frame(frame, (), None).items():
+            data = grid.point_data if name in MOTION else grid.cell_data
+            data[name] = values if values.ndim == 1 else _in_space(values)
+        grid.field_data["t"] = [series.t[frame]]
+        return grid
+
     def facts(self) -> Facts:
         record = self.record
         named = []
@@ -232,6 +298,12 @@ class StoredRun(ViewedRun):
             **course(self.curve, record.wall_time, record.counts, is_rest=self.is_rest),
             "RVE solves": f"{record.counts.get('rve_solves', 0):,}",
         }
+
+
+def _in_space(values: np.ndarray) -> np.ndarray:
+    """Return vectors (n, 2) as (n, 3), and tensors (n, 2, 2) as (n, 9), zero outside the plane."""
+    padded = np.pad(values, [(0, 0), *[(0, 1)] * (values.ndim - 1)])
+    return padded.reshape(len(values), -1)
 
 
 def is_rest(record: RunRecord) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from surrofe2.base.errors import InputError
@@ -91,12 +92,11 @@ class CalibrationSettings:
     def __post_init__(self) -> None:
         check_settings(self, "calibration")
         # with fewer paths no score is a (1 − alpha) quantile, see `conformal_quantile`
-        needed = 1.0 / self.alpha - 1.0
+        needed = math.ceil((1.0 / self.alpha - 1.0) * (1.0 - 1e-9))  # 1e-9: rounding of 1/alpha
         for name, count in (("walks", self.walks), ("runs", self.runs)):
-            is_too_few = count < needed * (1.0 - 1e-9)  # 1e-9: rounding of 1/alpha
-            if count > 0 and is_too_few:
+            if 0 < count < needed:
                 raise InputError(
                     f"calibration.{name}",
-                    f"{count}; it must be 0 or at least {needed:.4g}, "
+                    f"{count}; it must be 0 or at least {needed}, "
                     f"1/alpha − 1, for an alpha of {self.alpha:g}",
                 )

@@ -90,16 +90,41 @@ def test_a_run_for_pandas(run, stored, monkeypatch):
         assert (units[name], units["energy kinetic"], units["t_us"]) == ("µm", "pJ", "µs")
 
 
-def test_a_run_for_xarray(run, monkeypatch):
+def test_a_run_for_xarray(run, stored, monkeypatch):
     monkeypatch.setitem(sys.modules, "xarray", Library("Dataset"))
-    variables, coordinates, _ = run.to_xarray().a
-    sizes = {}
-    for names, values, *_ in (*variables.values(), *coordinates.values()):
-        names = (names,) if isinstance(names, str) else names
-        for name, size in zip(names, values.shape, strict=True):
-            assert sizes.setdefault(name, size) == size, name
-    assert variables["field stress"][2] == {"units": "µN/µm"}
-    assert (sizes["node"], sizes["element"], sizes["t"]) == (9, 4, run.curve.t.size)
+    of_run, of_frames, _ = run.to_xarray().a
+    for shown in (run, stored):
+        variables, coordinates, _ = shown.to_xarray().a
+        sizes = {}
+        for names, values, *_ in (*variables.values(), *coordinates.values()):
+            names = (names,) if isinstance(names, str) else names
+            for name, size in zip(names, values.shape, strict=True):
+                assert sizes.setdefault(name, size) == size, name
+        assert (sizes["node"], sizes["element"], sizes["t"]) == (9, 4, run.curve.t.size)
+        if shown is stored:
+            assert variables["field von_mises_in_plane"][2] == {"units": "µN/µm"}
+        for name in ("displacement", "velocity", "stress", "F", "F_dot"):
+            axes, values, units = variables[f"field {name}"]
+            of_axes, of_values, of_units = of_run[f"field {name}"]
+            assert (axes, units) == (of_axes, of_units)
+            np.testing.assert_array_equal(values, of_values)
+        np.testing.assert_array_equal(coordinates["frame"][1], of_frames["frame"][1])
+
+
+def test_a_stored_run_for_pyvista(run, stored):
+    pytest.importorskip("pyvista")
+    grid = stored.to_pyvista()
+    assert (grid.n_points, grid.n_cells, grid.field_data["t"][0]) == (9, 4, run.frames.t[-1])
+    assert grid.compute_cell_sizes()["Area"].sum() == pytest.approx(1e4)
+    moved = grid.warp_by_vector("displacement_um")
+    np.testing.assert_allclose(
+        moved.points[:, :2], run.nodes + run.frames.displacement[-1], rtol=1e-6
+    )
+    stress = grid.cell_data["cauchy_stress_uN_per_um"].reshape(-1, 3, 3)
+    np.testing.assert_array_equal(stress[:, :2, :2], run.frames.stress[-1])
+    assert not stored.to_pyvista(0).point_data["displacement_um"].any()
+    with pytest.raises(InputError, match=r"frame: 999; there are \d+ of them"):
+        stored.to_pyvista(999)
 
 
 def test_a_rest_is_over_the_factor_of_its_load(stored, monkeypatch):
@@ -111,16 +136,28 @@ def test_a_rest_is_over_the_factor_of_its_load(stored, monkeypatch):
     assert frame.k["index"].k == {"name": "factor"}
     assert frame.attrs["units"]["factor"] == "1"
     variables, coordinates, source = rest.to_xarray().a
-    assert {values[0] for values in variables.values()} == {"factor"} == {*coordinates}
+    columns = [values for name, values in variables.items() if name in rest.series()]
+    assert {values[0] for values in columns} == {"factor"}
+    assert {*coordinates} == {"factor", "frame", "position"}
     assert coordinates["factor"][2] == {"units": "1"}
     assert "µs" not in source["source"]
 
 
-@pytest.mark.parametrize(("library", "method"), [("pandas", "to_pandas"), ("xarray", "to_xarray")])
-def test_what_is_not_installed_is_told(run, monkeypatch, library, method):
+@pytest.mark.parametrize("library", ["pandas", "xarray", "pyvista"])
+def test_what_is_not_installed_is_told(stored, monkeypatch, library):
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(InputError, match=f"{method}: {library} is not installed; install it"):
-        getattr(run, method)()
+    with pytest.raises(InputError, match=f"to_{library}: {library} is not installed; install it"):
+        getattr(stored, f"to_{library}")()
+
+
+def test_the_libraries_take_what_they_are_given(stored):
+    pandas = pytest.importorskip("pandas")
+    xarray = pytest.importorskip("xarray")
+    frame = stored.to_pandas()
+    assert isinstance(frame, pandas.DataFrame)
+    data = stored.to_xarray()
+    assert isinstance(data, xarray.Dataset)
+    assert data["field stress"].isel(frame=-1).sizes == {"element": 4, "row": 2, "column": 2}
 
 
 def test_html_is_whole_and_a_line_says_what_matters(run, stored, surrogate):
