@@ -1,6 +1,7 @@
 """The tissue on finite elements: any `StressLaw` below, explicit or implicit in time, or at rest.
 
-Reading order: settings; elements (space); forces, free_sides, mass, system (what acts on it);
+Reading order: settings; elements (space); forces, free_sides, outer_sides (that meet), mass,
+system (what acts on it);
 equations_of_motion, time_stepping (explicit), generalised_alpha (implicit); audits (of a law, on
 the way), history, simulation (a run). Without time: rest, answer_error (of a rest by a cache),
 modes.

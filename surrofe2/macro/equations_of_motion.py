@@ -211,7 +211,7 @@ class EquationsOfMotion:
 
         Args:
             law_state: what the law had committed there.
-            drags: by body, friction of the springs there, µN/µm, where time goes on.
+            drags: by body, friction of the springs there, µN/µm, for a run in time.
         """
         u, v = self.system.spread(y, t, self.within)
         if drags:
@@ -402,6 +402,7 @@ class EquationsOfMotion:
             internal=float(np.vdot(internal, v)),
             forces=np.einsum("kni,ni->k", forces, v),
             inertia=float(np.dot(y[y.size // 2 :], residual)),
+            impulses=system.pushes(forces),
         )
         now = Evaluation(
             t, self.within, y, u, v, internal, forces, residual, powers, rate, F, F_dot, response

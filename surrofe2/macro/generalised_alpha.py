@@ -173,7 +173,7 @@ class GeneralisedAlpha:
         raise equations.out_of_balance(now, residual, reason)
 
     def _works(self, start: Evaluation, solved: Solved) -> Array:
-        """Return the works (k + 3,) of a step, pJ: mean force times displacement.
+        """Return a row of `Works` of a step, pJ: mean force times displacement, and impulses.
 
         Inertia is that of the method, which leaves Newton's residual. At spectral radius 1 its work
         is the gain of kinetic energy.
@@ -193,6 +193,7 @@ class GeneralisedAlpha:
             forces=np.einsum("kni,ni->k", start.forces + end.forces, moved),
             motion=motion,
             inertia=inertia,
+            impulses=0.5 * (end.t - start.t) * (start.powers.impulses + end.powers.impulses),
         ).row
 
     def _factorised(

@@ -25,7 +25,7 @@ from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.system import System
 from surrofe2.macro.time_stepping import Stepper, StepResult
-from surrofe2.run.journal import BEYOND, Journal, RunState, frame_series
+from surrofe2.run.journal import BEYOND, CROSSINGS, Journal, RunState, frame_series
 
 NO_EXTREMES = np.broadcast_to([[[[np.inf]]], [[[-np.inf]]]], (2, 4, 2, 2))
 """Of no point yet."""
@@ -234,7 +234,7 @@ class MacroState(RunState):
         t: µs. y: (2 m,) displacement and velocity of the free unknowns.
         next_step: length proposed for the next step, µs.
         memory: what the integrator knows besides y; empty if and only if it is the explicit one.
-        work: (k + 3,) since t = 0, a row of `Works`, pJ.
+        work: since t = 0, a row of `Works`, pJ.
         journal: ``rows`` (r, c) at the output times passed, the columns of `columns_of`;
             ``samples`` (s, 1 + k) t and rates of dissipation of `System.dissipating`, µs and pJ/µs,
             at ends of steps; ``frames.…`` as of `Frames`.
@@ -285,21 +285,24 @@ class MacroState(RunState):
         return replace(self, journal=self.journal.copy(), mark=mark)
 
 
-def columns_of(system: System) -> list[str]:
+def columns_of(system: System, *, in_time: bool) -> list[str]:
     """What a row of a run's history holds, in its order.
 
     t; for each watched point its displacement; for each boundary its mean displacement; for each
     support, surface load and body the force it exerts on the tissue; for each body its
     displacement and the depth of the deepest penetration; how many points are beyond a bifurcation;
-    energy stored in contact; kinetic energy; works.
+    how many outer sides cross; energy stored in contact; kinetic energy; works; in time the impulse
+    of each body on the tissue.
     """
     vectors = [*system.probe_names]
     vectors += [f"force {name}" for name in system.force_names]
     vectors += [f"position {contact.name}" for contact in system.contacts]
     both = [f"{name} {axis}" for name in vectors for axis in "xy"]
     depths = [f"penetration {contact.name}" for contact in system.contacts]
-    last = [BEYOND, "contact", "kinetic", *(f"work {name}" for name in system.names_of_works)]
-    return ["t", *both, *depths, *last]
+    works = [f"work {name}" for name in system.names_of_works]
+    last = [BEYOND, CROSSINGS, "contact", "kinetic", *works]
+    impulses = [f"impulse {name}" for name in system.names_of_impulses] if in_time else []
+    return ["t", *both, *depths, *last, *impulses]
 
 
 def row_of(
@@ -312,7 +315,7 @@ def row_of(
         motion: displacement and velocity (n, 2) of all nodes and bodies.
         forces: (k, 2) of `System.force_names`, µN.
         beyond: points beyond a bifurcation; NaN where the law cannot tell.
-        work: (k + 3,) a row of `Works`, pJ.
+        work: a row of `Works`, pJ.
     """
     u, v = motion
     kinetic = 0.5 * np.vdot(v, system.inertia(v))
@@ -321,7 +324,9 @@ def row_of(
     depths = [contact.penetration(u) for contact in system.contacts]
     stored = sum(contact.energy(u) for contact in system.contacts)
     flat = [part.ravel() for part in vectors]
-    return np.concatenate([[t], *flat, depths, [beyond, stored, kinetic], work])
+    x = system.discretisation.nodes + system.from_mesh(u)[: len(system.discretisation.nodes)]
+    crossings = system.outer_sides.crossings(x)
+    return np.concatenate([[t], *flat, depths, [beyond, crossings, stored, kinetic], work])
 
 
 class Recorder:

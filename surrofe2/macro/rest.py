@@ -189,7 +189,7 @@ class Rest(RestState):
     @property
     def columns(self) -> dict[str, Array]:
         """By name, (steps + 1,): what `columns_of` lists, the factor under the name t."""
-        return named_columns(columns_of(self.system), self.journal["rows"])
+        return named_columns(columns_of(self.system, in_time=False), self.journal["rows"])
 
     @property
     def curves(self) -> dict[str, DisplacementCurve]:

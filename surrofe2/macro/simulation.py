@@ -59,7 +59,8 @@ class MacroRun(ViewedRun):
             boundary ``dissipated surface NAME``.
         history: by name, (m,) arrays at the output times: mean displacement of boundaries (µm),
             forces of supports, surface loads and bodies on the tissue (µN), positions and
-            penetration of bodies (µm); forces are linear between ends of steps.
+            penetration of bodies (µm), impulses of bodies on the tissue since t = 0 (µN µs); forces
+            are linear between ends of steps, impulses are integrated along the steps.
         nodes: (n_nodes, 2) reference positions, µm; elements: (n_el, 4 or 6) their nodes.
         rest: (n_nodes, 2) displacement of a tissue with free sides when it comes to rest before the
             run, from which all others count, µm; (0, 2) without.
@@ -293,7 +294,7 @@ def _make_run(
     report = recorder.report(finished=finished)
     state = recorder.state()
     problem, law, settings = given
-    found = named_columns(columns_of(system), state.journal["rows"])
+    found = named_columns(columns_of(system, in_time=True), state.journal["rows"])
     t, kinetic, internal = found["t"], found["kinetic"], found["work internal"]
     curves, samples = curves_of(t, found), state.journal["samples"]
     works = {

@@ -22,6 +22,7 @@ from surrofe2.macro.elements import Discretisation, Matrix, make_discretisation,
 from surrofe2.macro.forces import Contact, Force, Grip, make_contact, make_loads, traction_load
 from surrofe2.macro.free_sides import SurfaceForce, make_surface
 from surrofe2.macro.mass import mass_solver, tissue_mass
+from surrofe2.macro.outer_sides import OuterSides
 from surrofe2.problem.conditions import InitialVelocity
 from surrofe2.problem.mesh import facet_nodes, facets_of, nodes_on, region
 from surrofe2.problem.problem import (
@@ -37,6 +38,9 @@ from surrofe2.problem.problem import (
 T = TypeVar("T", Contact, SurfaceForce)
 
 
+NO_IMPULSES = np.empty(0)
+
+
 class Works(NamedTuple):
     """The works of all that acts on a tissue, pJ, or their powers, pJ/µs.
 
@@ -47,17 +51,22 @@ class Works(NamedTuple):
         forces: (k,) of each of `System.forces`.
         motion: of what moves supports.
         inertia: of M ü, the gain of kinetic energy.
+        impulses: (2 b,) beside the works, x and y of the impulse of each of b bodies on the tissue,
+            µN µs, or of their forces, µN; empty at rest.
     """
 
     internal: float
     forces: Array
     motion: float = 0.0
     inertia: float = 0.0
+    impulses: Array = NO_IMPULSES
 
     @property
     def row(self) -> Array:
-        """(k + 3,) all of them, for arithmetic and for the columns that `names_of_works` names."""
-        return np.array([self.internal, *self.forces, self.motion, self.inertia])
+        """(k + 3 + 2 b,) all of them, for arithmetic and for columns: works by `names_of_works`,
+        then impulses by `names_of_impulses`."""
+        works = [self.internal, *self.forces, self.motion, self.inertia]
+        return np.array([*works, *self.impulses])
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +81,7 @@ class System:
         forces: besides the tissue's own.
         solve_mass: inverse of the mass of the free unknowns, applied to (m,).
         initial_velocity: (n, 2) µm/µs.
+        outer_sides: those of the tissue, which may meet.
         probes: (k, n) weights of the displacements that are recorded, watched points and means of
             boundaries that are acted on by unloaded length; probe_names: what they are.
         rest: (n, 2) displacement of the mesh at rest under surface tension alone, from which all
@@ -88,6 +98,7 @@ class System:
     forces: tuple[Force, ...]
     solve_mass: Callable[[Array], Array]
     initial_velocity: Array
+    outer_sides: OuterSides
     probes: Array
     probe_names: tuple[str, ...]
     rest: Array | None = None
@@ -216,22 +227,38 @@ class System:
             after: a time within the piece of the amplitudes behind it, µs.
         """
         none = np.zeros(len(self.forces))
+        no_impulses = np.zeros(len(self.names_of_impulses))
         jump = self.spread(y, t, after)[1] - v
         jump.ravel()[self.free] = 0.0
         if not jump.any():
-            return y, Works(0.0, none).row
+            return y, Works(0.0, none, impulses=no_impulses).row
         m = self.free.size
         y = y.copy()
         y[m:] -= self.solve_mass(self.pick(self.inertia(jump)))
         new = self.spread(y, t, after)[1]
         # The impulse acts on the supports alone, at the mean of both velocities.
         gained = 0.5 * float(np.vdot(new + v, self.inertia(new - v)))
-        return y, Works(0.0, none, motion=gained, inertia=gained).row
+        return y, Works(0.0, none, gained, gained, no_impulses).row
 
     @property
     def names_of_works(self) -> tuple[str, ...]:
-        """The names of the entries of `Works.row`."""
+        """The names of the works in `Works.row`."""
         return "internal", *(force.name for force in self.forces), "motion", "inertia"
+
+    @property
+    def names_of_impulses(self) -> tuple[str, ...]:
+        """The names of the impulses in `Works.row`."""
+        return tuple(f"{contact.name} {axis}" for contact in self.contacts for axis in "xy")
+
+    def pushes(self, forces: Array) -> Array:
+        """(2 b,) resultants of b bodies on the tissue, µN, from all forces (k, n, 2)."""
+        tissue = slice(0, len(self.discretisation.nodes))
+        pushes = [
+            acting[tissue].sum(axis=0)
+            for force, acting in zip(self.forces, forces, strict=True)
+            if isinstance(force, Contact)
+        ]
+        return np.concatenate(pushes) if pushes else NO_IMPULSES
 
     @property
     def force_names(self) -> tuple[str, ...]:
@@ -371,6 +398,7 @@ def make_system(
         forces=tuple(forces),
         solve_mass=mass_solver(free_mass, free),
         initial_velocity=_initial_velocity(problem, supports, n),
+        outer_sides=OuterSides.of(mesh),
         probes=np.stack([*probes.values()]),
         probe_names=tuple(probes),
     )

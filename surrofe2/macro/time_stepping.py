@@ -42,7 +42,7 @@ class StepResult:
     Attributes:
         start, end: evaluations at both ends.
         error: root mean square of the error of y relative to the tolerances; kept up to 1.
-        mean_power: (k + 3,) a row of `Works`, pJ/µs.
+        mean_power: a row of `Works`, pJ/µs.
         bulge, power_bulge: b of y and of the work; 0 if there is none.
         memory: for the step that begins at its end; empty where the method needs none.
         work_before: of a jump of prescribed velocities where it begins, pJ; 0 if there is none."""
@@ -68,7 +68,7 @@ class StepResult:
         return start.y + self._integral(t, mean, start.rate, end.rate, self.bulge)
 
     def work(self, t: float) -> Array:
-        """(k + 3,) works from the start to t, a row of `Works`, pJ."""
+        """A row of `Works` from the start to t, pJ."""
         first = self.start.powers.row
         last = self.end.powers.row
         since = self._integral(t, self.mean_power, first, last, self.power_bulge)

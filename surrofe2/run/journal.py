@@ -15,7 +15,12 @@ from surrofe2.run.displacement_curve import DisplacementCurve
 
 BEYOND = "beyond bifurcation"
 """Column of how many points of the law are beyond a bifurcation."""
-_HISTORY = ("mean displacement", "node displacement", "force", "position", "penetration", BEYOND)
+CROSSINGS = "crossings of outer sides"
+"""Column of how many pairs of outer sides of the tissue cross each other."""
+_HISTORY = (
+    "mean displacement", "node displacement", "force", "impulse", "position", "penetration", BEYOND,
+    CROSSINGS,
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,8 +186,11 @@ def curves_of(t: Array, columns: Mapping[str, Array]) -> dict[str, DisplacementC
 
 def history_of(columns: Mapping[str, Array]) -> dict[str, Array]:
     """Those of boundaries, supports, loads and bodies, whose names `_HISTORY` begins; and how many
-    points are beyond a bifurcation, unless the law cannot tell and the column is NaN."""
+    points are beyond a bifurcation, unless the law cannot tell and the column is NaN; and how many
+    outer sides cross, where any do."""
     history = {name: column for name, column in columns.items() if name.startswith(_HISTORY)}
     if np.isnan(history.get(BEYOND, 0.0)).any():
         del history[BEYOND]
+    if not history.get(CROSSINGS, np.ones(1)).any():
+        del history[CROSSINGS]
     return history

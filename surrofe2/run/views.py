@@ -17,7 +17,7 @@ from surrofe2.base.errors import InputError
 from surrofe2.base.units import ENERGY, FORCE, LENGTH, NONE, TIME
 from surrofe2.run.charts import Curve, Panel, draw_panels, encoded
 from surrofe2.run.displacement_curve import DisplacementCurve
-from surrofe2.run.journal import BEYOND
+from surrofe2.run.journal import BEYOND, CROSSINGS
 from surrofe2.run.responses import STRAIN_NAME, STRESS_NAME
 
 Facts = Mapping[str, object]
@@ -80,12 +80,14 @@ class ViewedRun(Viewed):
         }
         for name, values in self.history.items():
             what = (FORCE, "force") if name.startswith("force") else (LENGTH, "place")
-            if name == BEYOND:
+            if name in (BEYOND, CROSSINGS):
                 what = NONE, "count"
             elif name.startswith(STRESS_NAME):
                 what = "MPa", "nominal stress"
             elif name.startswith(STRAIN_NAME):
                 what = NONE, "nominal strain"
+            elif name.startswith("impulse "):
+                what = "µN µs", "impulse"
             series[name] = Series(values, *what)
         for name, values in self.energies.items():
             series[f"energy {name}"] = Series(values, ENERGY, "energy")

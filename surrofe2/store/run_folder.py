@@ -33,7 +33,7 @@ from surrofe2.base.settings import check_value, hints_of
 from surrofe2.base.units import ENERGY, FORCE, LENGTH, NONE, STRESS, TIME
 from surrofe2.base.versions import describe_platform
 from surrofe2.run.displacement_curve import DisplacementCurve
-from surrofe2.run.journal import BEYOND
+from surrofe2.run.journal import BEYOND, CROSSINGS
 from surrofe2.run.responses import STRAIN_NAME, STRESS_NAME, Response, responses
 from surrofe2.run.views import Facts, ViewedRun, course
 from surrofe2.store.fields import (
@@ -664,6 +664,10 @@ def _unit_of(name: str) -> str:
         return "MPa"
     if name.startswith(STRAIN_NAME):
         return "1"
+    if name == CROSSINGS:
+        return "pairs"
+    if name.startswith("impulse "):
+        return "uNus"
     return "uN" if name.startswith("force ") else "um"
 
 

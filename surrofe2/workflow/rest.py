@@ -50,6 +50,8 @@ from surrofe2.workflow.run import (
     cache_report,
     closing_notes,
     costs,
+    crossed,
+    crossing_notes,
     decisions_of,
     law_of_run,
     new_record,
@@ -134,6 +136,7 @@ def rest_study(
         }
         met = {"watched": rest.watched.tolist(), **MetRange.of(rest.extremes).to_dict()}
         met |= buckled(rest.path[:, 0], rest.history, len(rest.F))
+        met |= crossed(rest.path[:, 0], rest.history)
         met |= answered
         if recipe.time != TimeSettings():  # a rest whose recipe states times of loads
             met |= relaxed(recipe, problem)
@@ -319,8 +322,10 @@ def rest_summary(record: RunRecord) -> str:
 
 
 def rest_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
-    """Notes on sharp bodies, free sides and the cache, each with whether it is a warning."""
+    """Notes on sharp bodies, outer sides that meet, free sides and the cache, each with whether it
+    is a warning."""
     yield from sharp_notes(record.problem.get("sharp", {}))
+    yield from crossing_notes(record)
     yield from relaxation_notes(record.met)
     yield from laws.surface_notes(record)
     yield from cache_notes(record)

@@ -49,7 +49,7 @@ from surrofe2.report.comparison import (
     closing_sentence,
     fallback_reasons,
 )
-from surrofe2.run.journal import BEYOND, part_of, within
+from surrofe2.run.journal import BEYOND, CROSSINGS, part_of, within
 from surrofe2.run.loop import Report, no_report
 from surrofe2.run.responses import nominal
 from surrofe2.rve import RveLaw
@@ -64,6 +64,7 @@ from surrofe2.store.run_folder import (
     caches_of,
     describe_origin,
     earlier_run,
+    is_rest,
     of_cell,
     write_curves,
     write_events,
@@ -406,6 +407,7 @@ def with_results(
             **run.met.to_dict(),
             "displacement": run.largest_displacement,
             **buckled(run.curve.t, run.history, n_points_of(run.problem.mesh)),
+            **crossed(run.curve.t, run.history),
         },
         threads=run.threads,
     )
@@ -628,6 +630,7 @@ def run_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
             wish = f"; a larger bodies.{name}.stiffness would lessen it" if is_deep else ""
             yield f"contact: {name} penetrates by {depth:.2g} µm{wish}", is_deep
     yield from sharp_notes(of.get("sharp", {}))
+    yield from crossing_notes(record)
     yield from laws.surface_notes(record)
     yield from cache_notes(record)
     if record.ranks is not None:  # what rank 0 takes for itself bounds what more ranks can do
@@ -666,6 +669,31 @@ def buckled(t: Array, history: Mapping[str, Array], points: int) -> dict[str, An
     some = np.flatnonzero(beyond)
     begin = float(t[some[0]]) if some.size else None
     return {BUCKLED: {"points": int(beyond.max(initial=0.0)), "of": points, "from": begin}}
+
+
+CROSSED = "outer_sides_cross_from"
+"""Entry of a record's `met`: the time, µs, or load factor."""
+
+
+def crossed(t: Array, history: Mapping[str, Array]) -> dict[str, Any]:
+    """What a record's `met` says of outer sides that cross: from which time or load factor on;
+    nothing where none do."""
+    crossings = history.get(CROSSINGS)
+    if crossings is None:
+        return {}
+    return {CROSSED: float(t[np.flatnonzero(crossings)[0]])}
+
+
+def crossing_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
+    """A warning where outer sides of the tissue meet, between which there is no contact."""
+    begin = record.met.get(CROSSED)
+    if begin is not None:
+        when = f"load factor {begin:.4g}" if is_rest(record) else f"t = {begin:.4g} µs"
+        yield (
+            f"outer sides of the tissue cross each other from {when} on; there is no contact of "
+            "tissue with tissue, so use the results up to there",
+            True,
+        )
 
 
 def tolerance_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:

@@ -280,3 +280,8 @@ def test_momentum_of_tissue_and_free_body_is_kept(friction, integrator, rng):
     given = 20.0 * abs(velocities[-1][-1] - [0.3, -0.8]).max()
     assert given > 1.0
     assert abs(momentum - start).max() < 1e-10 * abs(start).max()
+    # Integrated along the steps, and not from the forces at the output times.
+    lost = 20.0 * (velocities[0][-1] - velocities[-1][-1])
+    impulse = [run.history[f"impulse plate {axis}"][-1] for axis in "xy"]
+    allowed = {"explicit": 1e-9, "implicit": 1e-3}[integrator] * given
+    np.testing.assert_allclose(impulse, lost, rtol=0, atol=allowed)
