@@ -21,7 +21,8 @@ from surrofe2.questions import wilting as wilting_of
 from surrofe2.report.study import NamedCell, Study, keep_study
 from surrofe2.run.charts import encoded
 from surrofe2.rve import INITIALISATIONS
-from surrofe2.store.labelled_image import LINE, read_labels
+from surrofe2.store.labelled_image import LINE, Labels, read_labels
+from surrofe2.store.labelled_surface import read_surface
 from surrofe2.store.store import check_replaceable, keep, write_bytes, write_text
 from surrofe2.workflow.laws import use_threads
 from surrofe2.workflow.zoom import write_zoom, zoom_into
@@ -148,10 +149,13 @@ def cells(
         Path,
         typer.Argument(
             metavar="IMAGE",
-            help="TIFF, PNG or NPY whose pixels have the number of their cell, 0 between cells.",
+            help="TIFF, PNG or NPY whose pixels have the number of their cell, 0 between cells; or "
+            "PLY of MorphoGraphX whose vertices have a label, in µm.",
         ),
     ],
-    pixel: Annotated[float, typer.Option(metavar="µm", help="Side of a pixel.")],
+    pixel: Annotated[
+        float | None, typer.Option(metavar="µm", help="Side of a pixel; not of a PLY.")
+    ] = None,
     line: Annotated[
         int, typer.Option(metavar="N", help="Most pixels across a line between cells.")
     ] = LINE,
@@ -185,7 +189,8 @@ def cells(
     Reports number, area, variation of areas, aspect ratio, direction and neighbours of the cells
     that lie whole within the image. Cells at its border, specks, pieces, holes and places where
     four cells meet are named. Lines of up to --line pixels between cells are divided among them;
-    what is wider is a hole.
+    what is wider is a hole. A surface (PLY) is projected to a plane, and named or refused if it is
+    curved; cells at its edge count as whole.
     --out corrects area_variation and elongation until the cells of the RVE at rest are like those
     of the image, and reports how near they come.
 
@@ -210,8 +215,11 @@ def cells(
     for path in (out, picture):
         if path is not None and path.exists() and not fresh:
             raise InputError(f"{path}: it is there; --fresh writes this one in its place")
-    of_image = image_of.measure_cells(read_labels(image), pixel, line)
-    console.show_table(f"{image.name}, {pixel:g} µm per pixel", image_of.shapes_table(of_image))
+    labels, pixel, remarks = _labels(image, pixel)
+    of_image = image_of.measure_cells(labels, pixel, line)
+    console.show_table(f"{image.name}, {pixel:.4g} µm per pixel", image_of.shapes_table(of_image))
+    for remark in remarks:
+        console.print_warning(remark)
     for remark in of_image.remarks():
         console.print_line(remark)
     what = f"{len(of_image.area)} cells measured"
@@ -228,9 +236,21 @@ def cells(
         what += f", picture {picture}"
     # the recipe comes last: where it is, the picture is
     if out is not None and like is not None:
-        about = f"{len(of_image.area)} cells of {image.name}, {pixel:g} µm per pixel"
+        about = f"{len(of_image.area)} cells of {image.name}, {pixel:.4g} µm per pixel"
         write_text(out, image_of.section(like, about))
     console.done(out, what)
+
+
+def _labels(path: Path, pixel: float | None) -> tuple[Labels, float, tuple[str, ...]]:
+    """Labels of an image or a surface, the side of a pixel in µm, and remarks."""
+    if path.suffix.lower() != ".ply":
+        if pixel is None:
+            raise InputError("--pixel: missing; an image needs the side of a pixel in µm")
+        return read_labels(path), pixel, ()
+    if pixel is not None:
+        raise InputError(f"--pixel: {pixel:g}; a PLY is in µm: leave it out")
+    surface = read_surface(path)
+    return surface.labels, surface.pixel, surface.remarks
 
 
 def zoom(

@@ -17,4 +17,5 @@ In reading order:
     abaqus_file       files of Abaqus
     plane_mesh        one kind of element in the plane, with named sides and regions
     labelled_image    images whose pixels have the numbers of their cells
+    labelled_surface  surfaces whose vertices have them (PLY), as such images
 """

@@ -88,10 +88,15 @@ def _checked(path: Path, image: NDArray[Any]) -> Labels:
     if image.size and (image.min() < 0 or image.max() > _MOST_LABEL):
         raise InputError(f"{path}: labels must be from 0, between cells, to 2⁵³")
     labels: Labels = image.astype(np.int64)
+    check_count(path, labels)
+    return labels
+
+
+def check_count(path: Path, labels: Labels) -> None:
+    """Raise InputError where there are too few labels besides 0."""
     count = np.count_nonzero(np.unique(labels))
     if count < _FEWEST:
         raise InputError(
             f"{path}: {count} labels; each cell needs a number of its own: label it first, for "
             "example by skimage.measure.label"
         )
-    return labels
