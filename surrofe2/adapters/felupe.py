@@ -54,7 +54,8 @@ class FelupeMaterial:
 
     def __init__(self, law: StressLaw) -> None:
         require_tangents(law, "law")
-        self.law, self.dt = law, np.inf
+        self.law = law
+        self.dt = np.inf
         self.left_bifurcation: Flags | None = None
         self.x: list[Array] = [np.eye(2), np.zeros(4)]
         self._state: Any = None
@@ -66,8 +67,10 @@ class FelupeMaterial:
         Raises:
             SimulationError: a point has no stress, or the law does not accept the last substep.
         """
-        answer, trailing = self._answer(x), x[0].shape[2:]
-        P, end = answer.response.first_piola(answer.F), answer.F - np.eye(2)
+        answer = self._answer(x)
+        trailing = x[0].shape[2:]
+        P = answer.response.first_piola(answer.F)
+        end = answer.F - np.eye(2)
         return [_last(P, trailing), _last(end.reshape(-1, 4), trailing)]
 
     def hessian(self, x: Sequence[Array]) -> list[Array]:
@@ -84,14 +87,16 @@ class FelupeMaterial:
         """
         if self._last is None:
             return
-        last, self._last = self._last, None
+        last = self._last
+        self._last = None
         accepted = self.law.accept(last.F, last.F_dot, last.response)
         require_stress(accepted)
         self._state = accepted.state
         self._report(accepted.left_bifurcation)
 
     def _answer(self, x: Sequence[Array]) -> _Answer:
-        F, before = _first(x[0], (2, 2)), _first(x[1], (4,))
+        F = _first(x[0], (2, 2))
+        before = _first(x[1], (4,))
         last = self._last
         if last is not None and not np.array_equal(before, last.before):
             # FElupe took over the state of the last answer: its substep has ended.

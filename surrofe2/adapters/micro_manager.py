@@ -41,7 +41,8 @@ from surrofe2.rve import RveLaw
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow.laws import choose_law, true_law
 
-RECIPE, POINTS = "SURROFE2_RECIPE", "SURROFE2_POINTS"
+RECIPE = "SURROFE2_RECIPE"
+POINTS = "SURROFE2_POINTS"
 _ROWS = (1, 2)
 _HEADER = [f"{name}_{a}{b}" for name in ("F", "F_dot", "stress") for a in _ROWS for b in _ROWS]
 
@@ -82,12 +83,13 @@ class PointSimulation(MicroSimulationInterface):
     when a checkpoint is put back: then the time window is solved again."""
 
     def __init__(self, sim_id: int, law: StressLaw) -> None:
-        self._id, self._law = sim_id, law
+        self._id = sim_id
+        self._law = law
         self._state: Any = None
         self._solved: tuple[Array, Array, StressResponse] | None = None
 
     def initialize(self) -> dict[str, Array]:
-        """What `solve` gives at rest, by name, with which adaptivity can begin."""
+        """Return what `solve` gives at rest, by name, with which adaptivity can begin."""
         F = np.eye(2)[None]
         answer = self._law.respond(F, 0.0 * F, tangents=True)
         require_stress(answer)
@@ -128,7 +130,8 @@ class PointSimulation(MicroSimulationInterface):
 
     def set_state(self, state: Mapping[str, NDArray[Any]] | None) -> None:
         """Continue from what `get_state` gave."""
-        self._solved, self._state = None, state_of(self._law, state or {})
+        self._solved = None
+        self._state = state_of(self._law, state or {})
 
     def get_global_id(self) -> int:
         """Number among all simulations."""
@@ -144,7 +147,8 @@ class PointSimulation(MicroSimulationInterface):
         F, F_dot, answer = self._solved
         accepted = self._law.accept(F, F_dot, answer)
         require_stress(accepted)
-        self._state, self._solved = accepted.state, None
+        self._state = accepted.state
+        self._solved = None
 
 
 class MicroSimulation(PointSimulation):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 LONGEST = 300
 """Characters of a sentence; of a longer one the middle is left out."""
-_LONGEST_VALUE, _LONGEST_NAME = 80, 60
+_LONGEST_VALUE = 80
+_LONGEST_NAME = 60
 
 
 class Surrofe2Error(Exception):

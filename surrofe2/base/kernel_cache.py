@@ -73,7 +73,7 @@ def _digest_of_kernels(source: Path) -> str:
 
 @cache
 def cache_folder() -> Path:
-    """Where results of exactly these sources are kept between processes."""
+    """Return where results of exactly these sources are kept between processes."""
     return _cache_root() / _digest(PACKAGE.rglob("*.py"))
 
 
@@ -87,14 +87,14 @@ def _cache_root() -> Path:
 
 
 def folder_of_kernels(source: Path) -> Path | None:
-    """Where the kernels of a source file are kept; None where nothing can be written."""
+    """Return where the kernels of a source file are kept; None where nothing can be written."""
     root = _kernels_root()
     return None if root is None else root / _digest_of_kernels(source)
 
 
 @cache
 def _kernels_root() -> Path | None:
-    """Where kernels of all sources are kept; None where that cannot be written."""
+    """Return where kernels of all sources are kept; None where that cannot be written."""
     try:
         root = _cache_root() / "kernels"
         root.mkdir(parents=True, exist_ok=True)
@@ -242,7 +242,7 @@ class KernelCache(FunctionCache):
 
 
 def _modules_of_types(types: Iterable[Any]) -> Iterator[str]:
-    """Where the package defines the classes of named tuples, nested ones too."""
+    """Return where the package defines the classes of named tuples, nested ones too."""
     for each in types:
         if isinstance(each, numba.types.BaseNamedTuple):
             yield each.instance_class.__module__

@@ -262,7 +262,7 @@ def where_less(typing: Any, left: Any, right: Any, yes: Any, no: Any) -> Any:
 
 @intrinsic
 def any_less(typing: Any, left: Any, right: Any) -> Any:
-    """Whether left < right in any lane; each lanes or a float."""
+    """Return whether left < right in any lane; each lanes or a float."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         left, right = (
@@ -302,18 +302,16 @@ def _bits_of_float(context: Any, number: Any) -> Any:
 
 
 # (e^r − 1 − r)/r², interpolated where a Chebyshev polynomial of degree 10 is 0: to 2e-17 of e^r
-_Q0, _Q1, _Q2, _Q3, _Q4, _Q5, _Q6, _Q7, _Q8, _Q9 = (
-    0.5000000000000001,
-    0.16666666666666669,
-    0.04166666666662413,
-    0.008333333333330062,
-    0.0013888888917213717,
-    0.00019841269863053618,
-    2.4801521295954376e-05,
-    2.7557268459997064e-06,
-    2.7620088445409746e-07,
-    2.510038549551032e-08,
-)
+_Q0 = 0.5000000000000001
+_Q1 = 0.16666666666666669
+_Q2 = 0.04166666666662413
+_Q3 = 0.008333333333330062
+_Q4 = 0.0013888888917213717
+_Q5 = 0.00019841269863053618
+_Q6 = 2.4801521295954376e-05
+_Q7 = 2.7557268459997064e-06
+_Q8 = 2.7620088445409746e-07
+_Q9 = 2.510038549551032e-08
 _LOG2_E = 1.0 / math.log(2.0)
 _LN2 = math.log(2.0)  # its rounding shifts y by 1e-16 of itself
 _TO_INTEGER = 1.5 * 2.0**52  # added to a number it leaves its nearest integer in the low bits

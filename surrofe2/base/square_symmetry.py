@@ -12,7 +12,10 @@ import numpy as np
 
 from surrofe2.base.arrays import Array, Index
 
-SUM, DIFFERENCE, SHEAR, SPIN = 0, 1, 2, 3
+SUM = 0
+DIFFERENCE = 1
+SHEAR = 2
+SPIN = 3
 COMPONENTS = ("sum", "difference", "shear", "spin")
 INPUT_COMPONENTS = (SUM, DIFFERENCE, SHEAR, SUM, DIFFERENCE, SHEAR, SPIN)
 """The component that each of the seven inputs is, of U − I and then of A."""

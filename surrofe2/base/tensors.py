@@ -57,7 +57,10 @@ def unrotated(F: Array, F_dot: Array) -> tuple[Array, Array, Array]:
 
 def to_components(T: Array) -> Array:
     """Return sum, difference, shear and spin of T (…, 2, 2), as (…, 4)."""
-    xx, xy, yx, yy = T[..., 0, 0], T[..., 0, 1], T[..., 1, 0], T[..., 1, 1]
+    xx = T[..., 0, 0]
+    xy = T[..., 0, 1]
+    yx = T[..., 1, 0]
+    yy = T[..., 1, 1]
     return np.stack([xx + yy, xx - yy, xy + yx, yx - xy], axis=-1)
 
 

@@ -29,7 +29,8 @@ BATCH = 16
 """Audits that wait for each other: RVEs are solved several at once for little more than one."""
 BINS_A_DECADE = 50
 """A quantile is the upper edge of its bin: at most 4.7 % too large, never too small."""
-_LOWEST, _HIGHEST = -12, 6
+_LOWEST = -12
+_HIGHEST = 6
 _EDGES = 10.0 ** np.linspace(_LOWEST, _HIGHEST, (_HIGHEST - _LOWEST) * BINS_A_DECADE + 1)
 QUANTILES = (0.5, 0.9, 0.99, 0.999)
 
@@ -64,7 +65,8 @@ class ErrorRecord:
         errors (k,), NaN where there is no truth, and which of them are violations."""
         error = stress_error(asked.stress, truth.stress) / local
         error[truth.status != 0] = np.nan
-        broken, known = ~(error <= self.tolerance), ~np.isnan(error)
+        broken = ~(error <= self.tolerance)
+        known = ~np.isnan(error)
         self.audited += len(error)
         self.unsolved += int((~known).sum())
         self.violations += int(broken.sum())
@@ -177,7 +179,7 @@ class Starts(NamedTuple):
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray], fallback: Fallback) -> Starts | None:
-        """What `to_arrays` gave; None where there is nothing."""
+        """Return what `to_arrays` gave; None where there is nothing."""
         if "last_points" not in arrays:
             return None
         state = state_of(fallback, part_of(arrays, "last"))
@@ -192,7 +194,8 @@ def solve(
     RVEs start from the last batch: each from that of the same point where the points are the same,
     else from the one that is nearest in (F, Ḟ times 1 µs); without a batch from the reference.
     """
-    F, F_dot = asked.F, asked.F_dot
+    F = asked.F
+    F_dot = asked.F_dot
     at = np.concatenate([F.reshape(-1, 4), F_dot.reshape(-1, 4)], axis=1)
     start = None
     if last is not None:
@@ -202,7 +205,8 @@ def solve(
             start = start.take(np.array(nearest))
     answer = fallback.respond(F, F_dot, start)
     accepted = fallback.accept(F, F_dot, answer)
-    status, state = accepted.status, accepted.state
+    status = accepted.status
+    state = accepted.state
     good = ((status == 0) & are_unique(state, len(at))).nonzero()[0]
     if state is not None and len(good):
         last = Starts(asked.points[good], at[good], state.take(good))
@@ -226,7 +230,8 @@ class Audit:
         tolerance: float,
     ) -> None:
         self.record = ErrorRecord(tolerance)
-        self._surrogate, self._fallback = surrogate, fallback
+        self._surrogate = surrogate
+        self._fallback = fallback
         self._fraction = fraction
         self._random = np.random.default_rng(seed)
         self._waiting = self._spare = NO_QUESTION
@@ -249,14 +254,16 @@ class Audit:
         usually, where so many audits are `wanted` beyond those made; whether an audit is due."""
         if self._fraction == 0.0 or not len(points):
             return False
-        draw, fraction = self._random.random(len(points)), min(1.0, more * self._fraction)
+        draw = self._random.random(len(points))
+        fraction = min(1.0, more * self._fraction)
         short = self._short(wanted)
         if short <= 0:
             self._spare = NO_QUESTION
         chosen = (draw < (max(fraction, self._below) if short > 0 else fraction)).nonzero()[0]
         if not len(chosen):
             return False
-        at, draw = points[chosen], draw[chosen]
+        at = points[chosen]
+        draw = draw[chosen]
         steps = np.full(len(at), step)
         asked = Question(steps, at, F[at], F_dot[at], stress[at], risk[at], draw)
         self._waiting = self._waiting.and_also(asked.only(draw < fraction))
@@ -269,7 +276,8 @@ class Audit:
 
     def begin(self) -> None:
         """A window begins: answers before it stand, and are not remembered any more."""
-        self._spare, self._below = NO_QUESTION, 1.0
+        self._spare = NO_QUESTION
+        self._below = 1.0
 
     def end(self, wanted: int) -> None:
         """The window is over: let as many wait as are `wanted` beyond the audits made."""
@@ -277,7 +285,7 @@ class Audit:
         self._spare = NO_QUESTION
 
     def _short(self, wanted: int) -> int:
-        """How many of the audits that are wanted do not wait yet."""
+        """Return how many of the audits that are wanted do not wait yet."""
         return wanted - len(self._waiting.step)
 
     def _smallest(self, count: int) -> Question:
@@ -287,7 +295,8 @@ class Audit:
 
     def run(self, *, whole: bool = True) -> Finding | None:
         """Audit what waits, or of several steps as much as fills tiles of RVEs; None: nothing."""
-        asked, count = self._waiting, len(self._waiting.step)
+        asked = self._waiting
+        count = len(self._waiting.step)
         if not count:
             return None
         if not whole and asked.step[0] < asked.step[-1]:

@@ -47,7 +47,8 @@ class PointSet:
         """These points, and others behind them."""
         if not len(self) or not len(others):
             return self if len(self) else others
-        count, state = len(self), self.state
+        count = len(self)
+        state = self.state
         if state is not None:
             places = np.append(np.arange(count), np.zeros(len(others), dtype=np.intp))
             state = state.take(places).put(np.arange(count, len(places)), others.state)
@@ -119,7 +120,9 @@ def look_up(
         known = np.flatnonzero(status == 0)
         x, _ = to_inputs(F[known], F_dot[known])
         beyond = known[(np.abs(x) > reach).any(axis=1)]
-        stress[beyond], status[beyond], risk[beyond] = np.nan, NOT_TRUSTED, np.inf
+        stress[beyond] = np.nan
+        status[beyond] = NOT_TRUSTED
+        risk[beyond] = np.inf
     return stress, status, risk
 
 
@@ -129,7 +132,8 @@ def look_up_free(
     """As `look_up`, with stress 0, status 0 and an infinite risk at points on the fallback."""
     if not len(state.on_fallback) and state.limit >= 0.0:
         return look_up(surrogate, F, F_dot, state.limit, state.reach)
-    stress, risk = np.zeros_like(F), np.full(len(F), np.inf)
+    stress = np.zeros_like(F)
+    risk = np.full(len(F), np.inf)
     status = np.zeros(len(F), dtype=np.int8)
     free = state.free()
     if state.limit < 0.0:
@@ -148,7 +152,7 @@ def choose_branches(
     limit: float,
     reach: Array,
 ) -> tuple[NDArray[np.int8], Array, NDArray[np.int8], Flags]:
-    """Which points must leave the surrogate for the next step, and which may return to it.
+    """Return which points must leave the surrogate for the next step, and which may return to it.
 
     Returns:
         (n,) int8: why a free point must leave, 0 where it may stay.
@@ -156,7 +160,8 @@ def choose_branches(
             of none where nothing is trusted.
         (k,): whether each of them may return.
     """
-    points, free = state.on_fallback.points, state.free()
+    points = state.on_fallback.points
+    free = state.free()
     none = np.empty((0, 2, 2)), np.empty(0, dtype=np.int8), np.zeros(len(points), dtype=np.bool_)
     if limit < 0.0:
         return np.where(free, NOT_TRUSTED, np.int8(0)), *none
@@ -198,16 +203,21 @@ def extrapolate(F: Array, F_dot: Array, before: tuple[Array, Array] | None) -> t
 @kernel
 def _ahead(F: Any, F_dot: Any, F_before: Any, F_dot_before: Any) -> Any:
     """`extrapolate` with a step before, in two passes over the points."""
-    now, rate = F.ravel(), F_dot.ravel()
-    before, rate_before = F_before.ravel(), F_dot_before.ravel()
-    speed, done = 0.0, 0.0
+    now = F.ravel()
+    rate = F_dot.ravel()
+    before = F_before.ravel()
+    rate_before = F_dot_before.ravel()
+    speed = 0.0
+    done = 0.0
     for k in range(now.size):
         both = rate[k] + rate_before[k]
         speed += both * both
         done += (now[k] - before[k]) * both
     length = 2.0 * done / speed if speed > 0.0 else 0.0
-    there, rate_there = np.empty_like(F), np.empty_like(F_dot)
-    out, rate_out = there.ravel(), rate_there.ravel()
+    there = np.empty_like(F)
+    rate_there = np.empty_like(F_dot)
+    out = there.ravel()
+    rate_out = rate_there.ravel()
     if not length > 0.0:
         for k in range(now.size):
             out[k] = now[k] + (now[k] - before[k])

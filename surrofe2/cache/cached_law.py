@@ -47,7 +47,8 @@ from surrofe2.law.stress_law import (
 from surrofe2.run.journal import part_of, within
 from surrofe2.run.views import Facts, Viewed
 
-FALLBACK, AUDIT = 0, 1
+FALLBACK = 0
+AUDIT = 1
 """Why an RVE answered, see `OnTrueAnswer`."""
 _REASONS = {
     Status.OUT_OF_RANGE: "out_of_range",
@@ -95,8 +96,8 @@ class CachedLaw(Viewed):
         on_true_answer: OnTrueAnswer | None = None,
     ) -> None:
         check_parts(surrogate, fallback)
-        own = self.settings = settings or CacheSettings()
-        self.surrogate = surrogate.with_tolerance(own.tolerance, own.relative)
+        self.settings = settings or CacheSettings()
+        self.surrogate = surrogate.with_tolerance(self.settings.tolerance, self.settings.relative)
         self.table = self.surrogate if isinstance(self.surrogate, StressTable) else None
         self.fallback = fallback
         self.density = fallback.density
@@ -141,13 +142,14 @@ class CachedLaw(Viewed):
 
     def _begin(self, trust: Trust, since: float = 0.0) -> None:
         """Count and audit again from zero, with this trust; of answers since this time, µs."""
-        surrogate, own = self.surrogate, self.settings
-        allowed = own.tolerance * surrogate.stress_spread
+        surrogate = self.surrogate
+        settings = self.settings
+        allowed = settings.tolerance * surrogate.stress_spread
         self._counts = Counter({**NO_EFFORT, "in_domain": 0, "steps": 0, "switched": 0})
         self._left_range: dict[str, dict[str, float]] = {}
-        self._audit = Audit(surrogate, self.fallback, own.audit, own.seed, allowed)
+        self._audit = Audit(surrogate, self.fallback, settings.audit, settings.seed, allowed)
         self._closing = ClosingAudit(
-            surrogate, self.fallback, own.seed, allowed, is_wanted=own.audit > 0.0
+            surrogate, self.fallback, settings.seed, allowed, is_wanted=settings.audit > 0.0
         )
         self._trust = trust
         self._since = since
@@ -164,19 +166,20 @@ class CachedLaw(Viewed):
             )
 
     def history(self) -> dict[str, Any]:
-        """How the cache has done so far, as plain values for run.json."""
-        own, record = self.settings, self._audit.record
+        """Return how the cache has done so far, as plain values for run.json."""
+        settings = self.settings
+        record = self._audit.record
         return {
             "since": self._since,
             "tolerance": {
-                "share": own.tolerance,
-                "relative": own.relative,
+                "share": settings.tolerance,
+                "relative": settings.relative,
                 "spread": self.surrogate.stress_spread,
                 "absolute": record.tolerance,
             },
             "accepted": dict(self._counts),
             "left_range": deepcopy(self._left_range),
-            "audit": {"share": own.audit, "seed": own.seed, **record.to_dict()},
+            "audit": {"share": settings.audit, "seed": settings.seed, **record.to_dict()},
             "closing_audit": self._closing.to_dict(),
             "trust": self._trust.to_dict(),
         }
@@ -233,15 +236,17 @@ class CachedLaw(Viewed):
         carried = [] if window.is_full or window.failed else window.audits
         before = {"carried": carried, **self._counted()}
         tries = window.tries if carried else 1
-        step, limit = self._counts["steps"], self._trust.limit
+        step = self._counts["steps"]
+        limit = self._trust.limit
         self._window = Window(t, step, limit, before, list(carried), tries=tries)
         self._audit.begin()
         self._closing.mark()
         self._marked = state
 
     def verdict(self, *, final: bool = False) -> bool | None:
-        """Whether the steps since the mark stand; None: not known yet."""
-        window, trust = self._window, self._trust
+        """Return whether the steps since the mark stand; None: not known yet."""
+        window = self._window
+        trust = self._trust
         if final:
             self._audit.end(self._wanted())
         is_over = final or window.is_full
@@ -262,10 +267,12 @@ class CachedLaw(Viewed):
     def roll_back(self, t: float) -> CachedState:
         """The state at the mark, with the trust of now: if these answers failed, with less. Where
         the run resumed cold at the mark, no point is on the fallback yet."""
-        window, before = self._window, self._window.before
+        window = self._window
+        before = self._window.before
         assert before is not None
         self._decide(t, "rolled back")
-        self._counts, self._left_range = Counter(before["counts"]), deepcopy(before["left_range"])
+        self._counts = Counter(before["counts"])
+        self._left_range = deepcopy(before["left_range"])
         self._audit.go_back(window.step, before["record"])
         self._closing.go_back()
         if window.failed:
@@ -278,18 +285,21 @@ class CachedLaw(Viewed):
             list(before["carried"]),
             tries=window.tries + int(window.failed),
         )
-        limit, reach = self._trust.limit, np.array(self._trust.reach)
+        limit = self._trust.limit
+        reach = np.array(self._trust.reach)
         if self._marked is None:
             return CachedState(self._points, NO_POINTS, limit, reach)
         return replace(self._marked, limit=limit, reach=reach)
 
     def _counted(self) -> dict[str, Any]:
         """A copy of what is counted of accepted steps, plain values."""
-        record, left_range = asdict(self._audit.record), deepcopy(self._left_range)
+        record = asdict(self._audit.record)
+        left_range = deepcopy(self._left_range)
         return {"counts": dict(self._counts), "left_range": left_range, "record": record}
 
     def _decide(self, t: float, decision: str) -> None:
-        step, limit = self._counts["steps"], self._trust.limit
+        step = self._counts["steps"]
+        limit = self._trust.limit
         self._decisions.append(self._window.decision(t, step, limit, decision))
 
     def beyond_bifurcation(self, state: CachedState) -> Flags | None:
@@ -327,7 +337,8 @@ class CachedLaw(Viewed):
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> CachedState:
         """Continue where a law of the same parts and settings gave these; the state to do so by."""
         values = json.loads(arrays["values"].tobytes())
-        self._counts, self._left_range = Counter(values["counts"]), values["left_range"]
+        self._counts = Counter(values["counts"])
+        self._left_range = values["left_range"]
         self._since = float(values["since"])
         self._trust = Trust(**values["trust"])
         self._window = Window(**values["window"])
@@ -355,7 +366,8 @@ class CachedLaw(Viewed):
             F, F_dot = check_deformation(F, F_dot)
         if tangents:
             require_tangents(self)
-        count, is_first = len(F), state is None
+        count = len(F)
+        is_first = state is None
         if state is None:
             state = CachedState(count, NO_POINTS, self._trust.limit, np.array(self._trust.reach))
         if not isinstance(state, CachedState) or state.count != count:
@@ -364,11 +376,15 @@ class CachedLaw(Viewed):
                 "answer for the same points carried, or None"
             )
         stress, status, risk = look_up_free(self.surrogate, F, F_dot, state)
-        missed, known = status.nonzero()[0], state.on_fallback
-        effort, slopes, switched = {**NO_EFFORT, "hits": count}, [], None
+        missed = status.nonzero()[0]
+        known = state.on_fallback
+        effort = {**NO_EFFORT, "hits": count}
+        slopes = []
+        switched = None
         if len(missed) or len(known):
             check_deformation(F, F_dot)  # hits are in range, hence finite and det F > 0
-            new, known = PointSet(missed, status[missed]), NO_POINTS
+            new = PointSet(missed, status[missed])
+            known = NO_POINTS
             if len(missed) and not is_first:
                 switched = np.zeros(count, dtype=np.int8)
                 switched[missed] = new.why
@@ -377,7 +393,8 @@ class CachedLaw(Viewed):
             for each in filter(len, (state.on_fallback, new)):
                 at = F[each.points], F_dot[each.points]
                 answer = self.fallback.respond(*at, each.state, tangents=tangents)
-                stress[each.points], status[each.points] = answer.stress, answer.status
+                stress[each.points] = answer.stress
+                status[each.points] = answer.status
                 slopes.append((each.points, answer.tangents))
                 effort.update(answer.effort)
                 known = known.and_also(replace(each, state=answer.state))
@@ -391,11 +408,12 @@ class CachedLaw(Viewed):
         return StressResponse(stress, status, after, effort, of_all, switched, sources=sources)
 
     def _sources(self, state: CachedState) -> Sources:
-        """Where an answer came from, `state` being the one that it carries."""
+        """Return where an answer came from, `state` being the one that it carries."""
         source = np.full(state.count, SURROGATE if self.table is None else TABLE, dtype=np.int8)
         risk = np.zeros(state.count) if state.risk is None else state.risk.copy()
         known = state.on_fallback
-        source[known.points], risk[known.points] = known.why, 0.0
+        source[known.points] = known.why
+        risk[known.points] = 0.0
         return Sources(source, risk)
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
@@ -413,19 +431,27 @@ class CachedLaw(Viewed):
         points = known.points
         answer = StressResponse(response.stress[points], response.status[points], known.state)
         accepted = self.fallback.accept(F[points], F_dot[points], answer)
-        status, stress, left = response.status.copy(), response.stress, None
+        status = response.status.copy()
+        stress = response.stress
+        has_left = None
         status[points] = accepted.status
         if accepted.left_bifurcation is not None:
-            stress, left = stress.copy(), np.zeros(len(status), dtype=np.bool_)
-            stress[points], left[points] = accepted.stress, accepted.left_bifurcation
+            stress = stress.copy()
+            has_left = np.zeros(len(status), dtype=np.bool_)
+            stress[points] = accepted.stress
+            has_left[points] = accepted.left_bifurcation
         state = replace(state, on_fallback=replace(known, state=accepted.state))
-        return replace(response, stress=stress, status=status, state=state, left_bifurcation=left)
+        return replace(
+            response, stress=stress, status=status, state=state, left_bifurcation=has_left
+        )
 
     def commit(self, F: Array, F_dot: Array, checked: StressResponse) -> StressResponse:
         """Count, audit and learn, and choose the branches of the next step."""
-        counts, state = self._counts, checked.state
+        counts = self._counts
+        state = checked.state
         self._points = state.count
-        known, hits = state.on_fallback, state.free().nonzero()[0]
+        known = state.on_fallback
+        hits = state.free().nonzero()[0]
         counts.update(effort_of(state.count, known.why), steps=1, in_domain=len(hits))
         if len(known):
             out = known.points[known.why == Status.OUT_OF_RANGE]
@@ -446,10 +472,11 @@ class CachedLaw(Viewed):
         for which, value, bound in zip(*farthest_out(self.surrogate.range, F, F_dot), strict=True):
             if which >= 0:
                 new = {"points": 0, "farthest": float(value), "bound": float(bound)}
-                left = self._left_range.setdefault(QUANTITIES[which], new)
-                left["points"] += 1
-                if abs(value - bound) > abs(left["farthest"] - left["bound"]):
-                    left["farthest"], left["bound"] = float(value), float(bound)
+                beyond = self._left_range.setdefault(QUANTITIES[which], new)
+                beyond["points"] += 1
+                if abs(value - bound) > abs(beyond["farthest"] - beyond["bound"]):
+                    beyond["farthest"] = float(value)
+                    beyond["bound"] = float(bound)
 
     def _distribute(self, F: Array, F_dot: Array, stress: Array, known: PointSet) -> None:
         """Give the fallback's answers at the known points to whoever keeps or learns them."""
@@ -462,11 +489,12 @@ class CachedLaw(Viewed):
     ) -> Flags:
         """Give RVE answers to whoever keeps them, and what is news to the table; (n,) which of them
         the table has learnt."""
-        unique, status = are_unique(answer.state, len(F)), answer.status
+        unique = are_unique(answer.state, len(F))
+        status = answer.status
         kept = unique.nonzero()[0]
         if self.on_true_answer is not None and len(kept):
-            given = F[kept], F_dot[kept], answer.stress[kept], status[kept]
-            self.on_true_answer(*given, np.full(len(kept), why, dtype=np.int8))
+            answers = F[kept], F_dot[kept], answer.stress[kept], status[kept]
+            self.on_true_answer(*answers, np.full(len(kept), why, dtype=np.int8))
         if self.table is None:
             return np.zeros(len(F), dtype=np.bool_)
         is_learnt: Flags = unique & is_news & (status == 0)
@@ -486,7 +514,8 @@ class CachedLaw(Viewed):
         is_learnt = self._keep(asked.F, asked.F_dot, result.truth, AUDIT, result.broken)
         x, _ = to_inputs(asked.F, asked.F_dot)
         audits = asked.points, result.broken, result.error, is_learnt, asked.risk, np.abs(x)
-        window, trust = self._window, self._trust
+        window = self._window
+        trust = self._trust
         window.audits += np.column_stack(audits).tolist()
         if window.before is not None or trust.is_off or (window.stands and not window.is_full):
             return  # whoever marked the window judges it, or it is not over
@@ -503,8 +532,10 @@ class CachedLaw(Viewed):
         state: CachedState = response.state
         points = (state.free() & (switched != 0)).nonzero()[0]
         new, answer = self._solve_cold(F, F_dot, PointSet(points, switched[points]))
-        stress, status = response.stress.copy(), response.status.copy()
-        stress[points], status[points] = answer.stress, answer.status
+        stress = response.stress.copy()
+        status = response.status.copy()
+        stress[points] = answer.stress
+        status[points] = answer.status
         state = replace(state, on_fallback=state.on_fallback.and_also(new))
         return replace(response, stress=stress, status=status, state=state)
 
@@ -514,12 +545,12 @@ class CachedLaw(Viewed):
         table = self.table
         limit = self._trust.limit
         reach = np.array(self._trust.reach)
-        left = switched.copy()
+        unanswered = switched.copy()
         if table is None or limit < 0.0:
-            return left
-        hopeless = np.zeros(len(left), dtype=np.bool_)
+            return unanswered
+        hopeless = np.zeros(len(unanswered), dtype=np.bool_)
         while table.size < table.most_records:
-            points = np.flatnonzero((left != 0) & ~hopeless)
+            points = np.flatnonzero((unanswered != 0) & ~hopeless)
             if not len(points):
                 break
             chosen = points[table.apart(F[points], F_dot[points], TILE)]
@@ -531,17 +562,19 @@ class CachedLaw(Viewed):
             if len(learnt):
                 state = None if answer.state is None else answer.state.take(learnt)
                 table.learn(at[0][learnt], at[1][learnt], answer.stress[learnt], state)
-            open_points = np.flatnonzero(left)
+            open_points = np.flatnonzero(unanswered)
             of_open = F[open_points], F_dot[open_points]
             status = look_up(self.surrogate, *of_open, limit, reach)[1]
-            left[open_points[status == 0]] = 0
-        return left
+            unanswered[open_points[status == 0]] = 0
+        return unanswered
 
     def _choose_branches(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         """Choose the branches of the next step, looking ahead to where it will end."""
         state: CachedState = response.state
-        limit, reach = self._trust.limit, np.array(self._trust.reach)
-        known, stress = state.on_fallback, response.stress
+        limit = self._trust.limit
+        reach = np.array(self._trust.reach)
+        known = state.on_fallback
+        stress = response.stress
         # At rest a table learns within the step where it is needed (`learn_ahead`), so points do
         # not leave it for where they may go: without a step before nothing is extrapolated.
         is_learning = self.table is not None and not F_dot.any()
@@ -559,7 +592,8 @@ class CachedLaw(Viewed):
             new, answer = self._solve_cold(F, F_dot, PointSet(points, leaving[points]))
             self._counts["switched"] += len(points)
             solved = answer.status == 0
-            new, stress = new.only(solved), stress.copy()
+            new = new.only(solved)
+            stress = stress.copy()
             stress[new.points] = answer.stress[solved]
             self._distribute(F, F_dot, stress, new)
             known = known.and_also(new)
@@ -574,7 +608,7 @@ class CachedLaw(Viewed):
 
 
 def _is_ready(tensors: Any) -> bool:
-    """Whether tensors are a contiguous float64 array (n, 2, 2), as it must be."""
+    """Return whether tensors are a contiguous float64 array (n, 2, 2), as it must be."""
     return (
         isinstance(tensors, np.ndarray)
         and tensors.dtype == np.float64

@@ -94,7 +94,8 @@ class ClosingAudit:
         *,
         is_wanted: bool = True,
     ) -> None:
-        self._surrogate, self._fallback = surrogate, fallback
+        self._surrogate = surrogate
+        self._fallback = fallback
         self._is_wanted = is_wanted
         self._random = np.random.default_rng([seed, _STREAM])
         self._sample = self._at_mark = Sample()
@@ -159,7 +160,8 @@ class ClosingAudit:
         """Plain values for run.json: the `answers` that stand, how many of them are `sampled`, and
         `wrong_at_most`, None until RVEs have solved all of these."""
         done, count = self.progress
-        record, answers = self.record, self._sample.answers
+        record = self.record
+        answers = self._sample.answers
         bound = None
         if count and done == count and np.isfinite(record.tolerance):
             bound = record.violations / answers

@@ -77,7 +77,7 @@ class Surrogate(Protocol):
     def status_and_risk(
         self, F: Array, F_dot: Array, limit: float = np.inf
     ) -> tuple[NDArray[np.int8], Array]:
-        """Those of `lookup`, for less where no stress is needed."""
+        """Return those of `lookup`, for less where no stress is needed."""
 
     def tangents(self, F: Array, F_dot: Array) -> Tangents:
         """Of the stress of `lookup`, for implicit macro steps; InputError where it has none."""
@@ -122,8 +122,10 @@ def check_parts(surrogate: Surrogate, fallback: Fallback) -> None:
         return
     low, high = surrogate.range.stretch
     stretch = _PROBE * max(abs(low - 1.0), abs(high - 1.0))
-    shear, rate = _PROBE * surrogate.range.shear, _PROBE * surrogate.range.rate
-    F, F_dot = np.tile(np.eye(2), (8, 1, 1)), np.zeros((8, 2, 2))
+    shear = _PROBE * surrogate.range.shear
+    rate = _PROBE * surrogate.range.rate
+    F = np.tile(np.eye(2), (8, 1, 1))
+    F_dot = np.zeros((8, 2, 2))
     F[1, 0, 0] += stretch
     F[2, 1, 1] += stretch
     F[3] += [[0.0, shear], [shear, 0.0]]

@@ -29,7 +29,8 @@ import scipy  # scipy.special is loaded where a window has more violations than 
 
 from surrofe2.base.tensors import INPUTS
 
-WRONG, CONFIDENCE = 0.02, 0.95
+WRONG = 0.02
+CONFIDENCE = 0.95
 """W and C: a window of which 2 % of the answers are wrong stands with a probability of at most 5 %,
 the consumer's risk, however often it is tried."""
 VIOLATIONS = 2
@@ -68,12 +69,14 @@ LEAST_RAISE = 2.0
 """A factor is raised at least so many times, so that few windows fail in a row."""
 LARGEST_FACTOR = 100.0
 """Beyond it the bound says nothing of the error."""
-LEAST_KEPT, MOST_NARROWED = 0.1, 8
+LEAST_KEPT = 0.1
+MOST_NARROWED = 8
 """Share of the window's right answers that a narrower reach has to leave; times it is narrowed."""
 MORE_AUDITS = 4.0
 """Times as many answers are audited in the window after one that failed, which finds a fault that
 is left after a quarter of the steps."""
-STAY, RETURN = 0.9, 0.8
+STAY = 0.9
+RETURN = 0.8
 """Shares of the limit up to which the risk foreseen may rise for a point to stay with the
 surrogate, and to come back to it: what is foreseen is not met exactly, and none goes to and fro."""
 INPUT_NAMES = (
@@ -211,27 +214,30 @@ class Trust:
         most = np.where(usable, least / MARGIN, 0.0)
         factor = max(LEAST_RAISE * self.factor, 1.0 / most[0] if usable[0] else np.inf)
         most[0] = 1.0 / factor
-        left = (right <= most).mean(axis=0) if len(right) else np.zeros(len(most))
-        left *= usable
-        k = 1 + int(left[1:].argmax())
-        may_narrow = left[k] >= LEAST_KEPT and self.narrowed < MOST_NARROWED
+        kept = (right <= most).mean(axis=0) if len(right) else np.zeros(len(most))
+        kept *= usable
+        k = 1 + int(kept[1:].argmax())
+        may_narrow = kept[k] >= LEAST_KEPT and self.narrowed < MOST_NARROWED
         finding = f"{len(wrong)} of {len(wrong) + len(right)} audited answers are off by more than "
         finding += "the tolerance; "
-        if factor <= LARGEST_FACTOR and not (may_narrow and left[k] > 2.0 * left[0]):
+        if factor <= LARGEST_FACTOR and not (may_narrow and kept[k] > 2.0 * kept[0]):
             self.factor = factor
             unlearnt = audits[is_wrong & ~is_learnt]
             asked = MARGIN / unlearnt[:, 4].min(initial=np.inf)
             self.least_factor = max(self.least_factor, float(asked))
-            does, action = f"the risks count {factor:.3g} times from here on", "tightened"
+            does = f"the risks count {factor:.3g} times from here on"
+            action = "tightened"
         elif may_narrow:
             # An answer from before the reach was narrowed may lie farther out than it is now.
             self.reach[k - 1] = min(self.reach[k - 1], float(most[k]))
             self.narrowed += 1
             does = f"states with {INPUT_NAMES[k - 1]} of more than {most[k]:.3g} are left to RVEs"
-            does, action = f"{does} from here on", "narrowed"
+            does = f"{does} from here on"
+            action = "narrowed"
         else:
             self.is_off = True
-            does, action = "the cache is off from here on, RVEs answer", "off"
+            does = "the cache is off from here on, RVEs answer"
+            action = "off"
         self._note(step, finding + does, action)
 
     def stand(self) -> None:

@@ -138,18 +138,22 @@ class Commands(TyperGroup):
         except Surrofe2Error as error:
             if ctx.params.get("traceback"):
                 raise
-            message, code = f"error: {error}", 1
+            message = f"error: {error}"
+            code = 1
         except OSError as error:
             if error.errno != errno.ENAMETOOLONG:
                 raise
-            message, code = f"error: {shortened(f'{error.filename}: {error.strerror}')}", 1
+            message = f"error: {shortened(f'{error.filename}: {error.strerror}')}"
+            code = 1
         except console.InterruptedWork as work:
             kept, has_begun = work.args
             words = [each for each in ctx.meta["arguments"] if each != "--fresh" or not has_begun]
             again = console.command_line(words)
-            message, code = f"{cause()}: {kept}; resume with: {again}", exit_code()
+            message = f"{cause()}: {kept}; resume with: {again}"
+            code = exit_code()
         except KeyboardInterrupt:
-            message, code = f"{cause()}: nothing was changed", exit_code()
+            message = f"{cause()}: nothing was changed"
+            code = exit_code()
         console.print_warning(message)
         raise typer.Exit(code)
 

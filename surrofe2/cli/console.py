@@ -122,7 +122,7 @@ Fresh = Annotated[
 
 
 def folder_of(out: Path | None, recipe: Path) -> Path:
-    """Where a command writes: `out`, or the folder of the command and the recipe."""
+    """Return where a command writes: `out`, or the folder of the command and the recipe."""
     return out or Path("out") / f"{_now['command']}-{recipe.stem}"
 
 
@@ -378,7 +378,8 @@ def _stage(display: Progress, taken: int, what: str, total: float, unit: str) ->
 
     def report(done: float, note: str = "") -> None:
         nonlocal first, last
-        moment, parts = time.perf_counter(), list[str]()
+        moment = time.perf_counter()
+        parts = list[str]()
         far = [f"{_short(done)} of {_short(total)} {unit}"] * (total != 1.0)
         first = first or ((moment, done) if done > 0.0 else None)
         elapsed, more = (moment - first[0], done - first[1]) if first else (0.0, 0.0)
@@ -435,7 +436,7 @@ def on_interrupt(what: str, begun: Sequence[Path] = ()) -> Iterator[None]:
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:
-    """What another file of that name does not have; None where there is no file."""
+    """Return what another file of that name does not have; None where there is no file."""
     if not path.exists():
         return None
     status = path.stat()

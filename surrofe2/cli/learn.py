@@ -141,7 +141,8 @@ def refine(
     """
     study = open_study(recipe, threads)
     console.show_notes(recipe_notes(study))
-    folder, rows = console.folder_of(out, recipe), list[Round]()
+    folder = console.folder_of(out, recipe)
+    rows = list[Round]()
 
     def tell(row: Round) -> None:
         rows.append(row)
@@ -186,6 +187,7 @@ def export(
 
     Example: surrofe2 export training/bending-bar.h5 --to c
     """
-    law, path = read_surrogate(surrogate), out or surrogate.with_suffix(f".{to}")
+    law = read_surrogate(surrogate)
+    path = out or surrogate.with_suffix(f".{to}")
     text = write_c(law, path, name, fresh=fresh)
     console.done(path, f"{len(text.splitlines())} lines of C, {len(text.encode()) / 1e3:.0f} kB")

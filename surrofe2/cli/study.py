@@ -203,7 +203,8 @@ def study(
     laws = (law,) if true is not None or without_true else ("rve", law)
     first = 3 if law == "cached" else 1
     last = first - 1 + len(laws)
-    folders, records = [] if true is None else [true], list[RunRecord]()
+    folders = [] if true is None else [true]
+    records = list[RunRecord]()
     kept = "finished steps, samples and iterations, and the run's last checkpoint are kept"
     with console.on_interrupt(kept), console.stages() as stage:
         faults = checking.study_faults(stated, laws, fresh=fresh)
@@ -223,7 +224,8 @@ def study(
             records.append(record)
             folders.append(run_folder)
         # the comparison is made again: it takes no time, and its table is what people come for
-        out, several = folder / "comparison", len(folders) > 1
+        out = folder / "comparison"
+        several = len(folders) > 1
         comparison = compare_runs(folders, out, fresh=True) if several else None
         page = write_report(folders, folder / REPORT)
         console.print_line(f"{page}: all of it on one page")

@@ -31,6 +31,6 @@ def is_branching(law: StressLaw) -> bool:
 
 
 def count_beyond(law: StressLaw, state: Any) -> float:
-    """How many points are beyond a bifurcation; NaN where the law cannot tell."""
+    """Return how many points are beyond a bifurcation; NaN where the law cannot tell."""
     flags = beyond_bifurcation(law, state)
     return float("nan") if flags is None else float(flags.sum())

@@ -21,7 +21,8 @@ Entries = tuple[Index, ...]
 Motion = Callable[[float], tuple[Array, Array]]
 """(F, Ḟ) (2, 2) at a time in µs; entries that are free are not looked at."""
 
-_TOLERANCE, _ITERATIONS = 1e-12, 20
+_TOLERANCE = 1e-12
+_ITERATIONS = 20
 _LEAST_STEPS = 8
 
 
@@ -59,7 +60,8 @@ class StressPath:
                 f"{_LEAST_STEPS} steps, it has steps of {h:g} µs up to {self.t[-1]:g} µs"
             )
         last = slice(len(self.t) - steps, None)
-        omega, size = 2.0 * np.pi * frequency, float(np.sum(direction**2))
+        omega = 2.0 * np.pi * frequency
+        size = float(np.sum(direction**2))
         along = np.einsum("nij,ij->n", self.first_piola[last], direction) / size
         strain = np.einsum("nij,ij->n", self.F[last] - np.eye(2), direction) / size
         wave = np.exp(-1j * omega * self.t[last])
@@ -72,7 +74,8 @@ def oscillation(direction: Array, amplitude: float, frequency: float) -> Motion:
     omega = 2.0 * np.pi * frequency
 
     def motion(t: float) -> tuple[Array, Array]:
-        swing, speed = np.sin(omega * t), omega * np.cos(omega * t)
+        swing = np.sin(omega * t)
+        speed = omega * np.cos(omega * t)
         return np.eye(2) + amplitude * swing * direction, amplitude * speed * direction
 
     return motion
@@ -83,7 +86,8 @@ def ramp_and_hold(target: Array, length: float) -> Motion:
 
     def motion(t: float) -> tuple[Array, Array]:
         s = min(t / length, 1.0)
-        rise, rate = s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * (s * (1.0 - s)) ** 2 / length
+        rise = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        rate = 30.0 * (s * (1.0 - s)) ** 2 / length
         change = target - np.eye(2)
         return np.eye(2) + rise * change, rate * change
 
@@ -116,7 +120,8 @@ def follow_path(
         raise InputError(f"free: {list(free)}; entries of F are (0, 0), (0, 1), (1, 0), (1, 1)")
     if free:
         require_tangents(law, "free")
-    h, state = duration / steps, None
+    h = duration / steps
+    state = None
     t: Array = h * np.arange(steps + 1.0)
     entries: Entries = tuple(np.array(free, dtype=np.int64).reshape(-1, 2).T)
     F, F_dot, stress = (np.empty((steps + 1, 2, 2)) for _ in range(3))
@@ -128,13 +133,16 @@ def follow_path(
         if n == 0 or not free:
             answer = _checked(law.respond(F[n : n + 1], F_dot[n : n + 1], state), t[n])
         else:
-            base, weight = F[n - 1], h
+            base = F[n - 1]
+            weight = h
             if n > 1:
-                base, weight = (4.0 * F[n - 1] - F[n - 2]) / 3.0, 2.0 * h / 3.0
+                base = (4.0 * F[n - 1] - F[n - 2]) / 3.0
+                weight = 2.0 * h / 3.0
             rule = base[entries], weight
             answer = _without_stress(law, F[n], F_dot[n], entries, rule, state, t[n])
         accepted = _checked(law.accept(F[n : n + 1], F_dot[n : n + 1], answer), t[n])
-        state, stress[n] = accepted.state, accepted.stress[0]
+        state = accepted.state
+        stress[n] = accepted.stress[0]
     return StressPath(t, F, F_dot, stress, np.asarray(stress @ cofactor(F)))
 
 

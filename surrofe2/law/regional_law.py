@@ -59,8 +59,8 @@ class RegionalLaw(Viewed):
         self._learning = [isinstance(law, LearningLaw) for law in self.laws.values()]
         self._parts = [(law, self.points[name]) for name, law in self.laws.items()]
         self.density = np.empty(everyone.size)
-        for law, own in self._parts:
-            self.density[own] = law.density
+        for law, numbers in self._parts:
+            self.density[numbers] = law.density
 
     def facts(self) -> Facts:
         return self.laws
@@ -72,10 +72,10 @@ class RegionalLaw(Viewed):
 
     def at(self, points: Index) -> RegionalLaw:
         """The law of these points alone, (k,) numbers, by laws that are the same."""
-        own = {
+        numbers = {
             name: np.flatnonzero(np.isin(points, all_of)) for name, all_of in self.points.items()
         }
-        return RegionalLaw(self.laws, {name: part for name, part in own.items() if len(part)})
+        return RegionalLaw(self.laws, {name: part for name, part in numbers.items() if len(part)})
 
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
@@ -87,8 +87,8 @@ class RegionalLaw(Viewed):
         if not isinstance(states, tuple) or len(states) != len(self.laws):
             raise InputError("state: not of a law of these regions; pass one of it, or None")
         return self._joined(
-            law.respond(F[own], F_dot[own], part, tangents=tangents)
-            for (law, own), part in zip(self._parts, states, strict=True)
+            law.respond(F[points], F_dot[points], part, tangents=tangents)
+            for (law, points), part in zip(self._parts, states, strict=True)
         )
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
@@ -112,20 +112,20 @@ class RegionalLaw(Viewed):
         """As of `SwitchingLaw`; a law none of whose points switched stays as it is."""
         parts = self._parts_of(response)
         answers = [
-            cast(SwitchingLaw, law).restart_step(F[own], F_dot[own], part, switched[own])
-            if switched[own].any()
+            cast(SwitchingLaw, law).restart_step(F[points], F_dot[points], part, switched[points])
+            if switched[points].any()
             else part
-            for (law, own), part in zip(self._parts, parts, strict=True)
+            for (law, points), part in zip(self._parts, parts, strict=True)
         ]
         return self._together(response, answers, parts)
 
     def learn_ahead(self, F: Array, F_dot: Array, switched: NDArray[np.int8]) -> NDArray[np.int8]:
         """As of `ForesightLaw`, of the laws that can."""
-        left = switched.copy()
-        for law, own in self._parts:
-            if switched[own].any() and isinstance(law, ForesightLaw):
-                left[own] = law.learn_ahead(F[own], F_dot[own], switched[own])
-        return left
+        unanswered = switched.copy()
+        for law, points in self._parts:
+            if switched[points].any() and isinstance(law, ForesightLaw):
+                unanswered[points] = law.learn_ahead(F[points], F_dot[points], switched[points])
+        return unanswered
 
     @property
     def is_audited(self) -> bool:
@@ -146,10 +146,10 @@ class RegionalLaw(Viewed):
 
     def verdict(self, *, final: bool = False) -> bool | None:
         """As of `AuditedLaw`; where one law has come to its own, all do."""
-        found = [law.verdict(final=final) for law in self._audited]
-        if True in found and not final:
-            found = [law.verdict(final=True) for law in self._audited]
-        return False if False in found else (None if None in found else True)
+        verdicts = [law.verdict(final=final) for law in self._audited]
+        if True in verdicts and not final:
+            verdicts = [law.verdict(final=True) for law in self._audited]
+        return False if False in verdicts else (None if None in verdicts else True)
 
     def roll_back(self, t: float) -> Any:
         """As of `AuditedLaw`, of all laws; only those that failed are then more cautious."""
@@ -176,11 +176,11 @@ class RegionalLaw(Viewed):
     def beyond_bifurcation(self, state: Any) -> Flags | None:
         """(n,) as of the laws; None where one of them cannot tell."""
         flags = np.zeros(self.density.size, dtype=np.bool_)
-        for (law, own), part in zip(self._parts, state, strict=True):
+        for (law, points), part in zip(self._parts, state, strict=True):
             at_own = beyond_bifurcation(law, part)
             if at_own is None:
                 return None
-            flags[own] = at_own
+            flags[points] = at_own
         return flags
 
     def state_to_arrays(self, state: Any) -> dict[str, NDArray]:
@@ -199,11 +199,11 @@ class RegionalLaw(Viewed):
     def report(self) -> dict[str, Any] | None:
         return self._reported([law.report() for law in self._audited])
 
-    def _reported(self, found: Sequence[Any]) -> dict[str, Any] | None:
+    def _reported(self, reports: Sequence[Any]) -> dict[str, Any] | None:
         """What all laws report, each under the name of its region; None where one does not."""
-        if len(found) < len(self.laws):
+        if len(reports) < len(self.laws):
             return None
-        return {"cells": dict(zip(self.laws, found, strict=True))}
+        return {"cells": dict(zip(self.laws, reports, strict=True))}
 
     @property
     def decisions(self) -> list[dict[str, Any]] | None:
@@ -211,14 +211,14 @@ class RegionalLaw(Viewed):
         if not self.is_audited:
             return None
         pairs = zip(self.laws, self._audited, strict=True)
-        found = [{"cell": name, **line} for name, law in pairs for line in law.decisions or ()]
-        return sorted(found, key=lambda line: float(line["t"]))
+        decisions = [{"cell": name, **line} for name, law in pairs for line in law.decisions or ()]
+        return sorted(decisions, key=lambda line: float(line["t"]))
 
     def _parts_of(self, response: StressResponse) -> list[StressResponse]:
         """Stress, status and state of each law's points."""
         return [
-            StressResponse(response.stress[own], response.status[own], state)
-            for own, state in zip(self.points.values(), response.state, strict=True)
+            StressResponse(response.stress[points], response.status[points], state)
+            for points, state in zip(self.points.values(), response.state, strict=True)
         ]
 
     def _together(

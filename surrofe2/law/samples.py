@@ -58,7 +58,8 @@ class StressSamples(Viewed):
             raise InputError("samples.P_by_F, samples.P_by_F_dot: give both or neither")
         shapes = {name: (2, 2, 2, 2) if name in TANGENTS else (2, 2) for name in self._float_arrays}
         for name, shape in {**shapes, "status": (), "left_bifurcation": ()}.items():
-            array, wanted = getattr(self, name), (len(self.F), *shape)
+            array = getattr(self, name)
+            wanted = (len(self.F), *shape)
             if array is not None and np.shape(array) != wanted:
                 raise InputError(f"samples.{name}: shape {np.shape(array)}; it must be {wanted}")
         unknown = np.setdiff1d(self.status, [*Status])
@@ -70,7 +71,8 @@ class StressSamples(Viewed):
                 raise InputError(f"samples.{name}: not finite at a sample whose status is 0")
 
     def facts(self) -> Facts:
-        usable, failed = len(self.valid.F), int((self.status != 0).sum())
+        usable = len(self.valid.F)
+        failed = int((self.status != 0).sum())
         return {
             "samples": f"{len(self.F):,}",
             "usable": f"{usable:,}",
@@ -112,7 +114,7 @@ class StressSamples(Viewed):
         return replace(self, left_bifurcation=None).at(kept)
 
     def at(self, chosen: Flags | Index) -> StressSamples:
-        """Those of the samples with these numbers, or where True."""
+        """Return those of the samples with these numbers, or where True."""
         arrays: dict[str, Any] = {k: array[chosen] for k, array in self._float_arrays.items()}
-        left = None if self.left_bifurcation is None else self.left_bifurcation[chosen]
-        return replace(self, status=self.status[chosen], left_bifurcation=left, **arrays)
+        has_left = None if self.left_bifurcation is None else self.left_bifurcation[chosen]
+        return replace(self, status=self.status[chosen], left_bifurcation=has_left, **arrays)

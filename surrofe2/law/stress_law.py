@@ -94,7 +94,8 @@ class Tangents:
         return by_F, by_F_dot / J[:, None, None, None, None]
 
 
-SURROGATE, TABLE = -2, -3
+SURROGATE = -2
+TABLE = -3
 """Codes of `Sources` below the reasons of `Status` for which an RVE was asked."""
 
 
@@ -148,7 +149,8 @@ class StressResponse:
         return np.asarray(self.stress @ cofactor(F))
 
     def __repr__(self) -> str:
-        count, lost = len(self.status), int((self.status != 0).sum())
+        count = len(self.status)
+        lost = int((self.status != 0).sum())
         more = ", with tangents" if self.tangents is not None else ""
         more += f", {lost} without stress" if lost else ""
         return f"<StressResponse: {count} point{'s' * (count != 1)}{more}>"
@@ -157,7 +159,8 @@ class StressResponse:
 def joined(parts: Sequence[tuple[Index, StressResponse]], state: Any) -> StressResponse:
     """One response of all points, with this state, from those at parts of them and the indices of
     each part; see `joined_values`. Efforts are summed."""
-    effort, reasons = Counter[str](), dict[int, str]()
+    effort = Counter[str]()
+    reasons = dict[int, str]()
     for index, part in parts:
         effort.update(part.effort)
         reasons |= {int(index[k]): reason for k, reason in part.reasons.items()}
@@ -171,7 +174,7 @@ def joined(parts: Sequence[tuple[Index, StressResponse]], state: Any) -> StressR
         state=state,
         effort=effort,
         reasons=reasons,
-        sources=(lambda: joined_values([(own, of()) for own, of in tell])) if known else None,
+        sources=(lambda: joined_values([(points, of()) for points, of in tell])) if known else None,
         **arrays,
     )
 
@@ -184,7 +187,9 @@ def joined_values(parts: Sequence[tuple[Index, Any]]) -> Any:
     if known is None:
         return None
     if isinstance(known, Tangents | Sources):
-        columns = ([(own, getattr(v, item.name)) for own, v in parts] for item in fields(known))
+        columns = (
+            [(points, getattr(v, item.name)) for points, v in parts] for item in fields(known)
+        )
         return type(known)(*map(joined_values, columns))
     whole = np.zeros((sum(len(index) for index, _ in parts), *known.shape[1:]), known.dtype)
     for index, values in parts:
@@ -290,7 +295,7 @@ class AuditedLaw(StressLaw, Protocol):
         resumes cold from there."""
 
     def verdict(self, *, final: bool = False) -> bool | None:
-        """Whether the steps since the mark stand; None: not known yet, unless `final`."""
+        """Return whether the steps since the mark stand; None: not known yet, unless `final`."""
 
     def roll_back(self, t: float) -> Any:
         """The state at the mark, to continue from; t is where the verdict fell."""
@@ -321,14 +326,14 @@ class ResumableLaw(StressLaw, Protocol):
     """A law with a state that checkpoints hold."""
 
     def state_to_arrays(self, state: Any) -> dict[str, NDArray]:
-        """What the law must know to resume from the committed `state`."""
+        """Return what the law must know to resume from the committed `state`."""
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> Any:
         """The committed state whose `state_to_arrays` gave these arrays."""
 
 
 def state_arrays(law: StressLaw, state: Any) -> dict[str, NDArray]:
-    """What any law must know to resume from the committed `state`, which may be None."""
+    """Return what any law must know to resume from the committed `state`, which may be None."""
     if state is None or not isinstance(law, ResumableLaw):
         return {}
     return law.state_to_arrays(state)
@@ -366,14 +371,14 @@ def check_deformation(F: Any, F_dot: Any) -> tuple[Array, Array]:
 
 def _as_tensors(name: str, value: Any) -> Array:
     try:
-        given = np.asanyarray(value)
+        tensors = np.asanyarray(value)
     except (TypeError, ValueError):
-        given = np.array(None)
-    if given.dtype.kind not in "fiu":
-        raise InputError(f"{name}: {given.dtype}; it must be an array (n, 2, 2) of real numbers")
-    if np.ma.isMaskedArray(given):
+        tensors = np.array(None)
+    if tensors.dtype.kind not in "fiu":
+        raise InputError(f"{name}: {tensors.dtype}; it must be an array (n, 2, 2) of real numbers")
+    if np.ma.isMaskedArray(tensors):
         raise InputError(f"{name}: a masked array; every entry must be a number")
-    array = np.ascontiguousarray(given, dtype=np.float64)
+    array = np.ascontiguousarray(tensors, dtype=np.float64)
     if array.ndim != 3 or array.shape[1:] != (2, 2):
         raise InputError(f"{name}: shape {np.shape(value)}; it must be (n, 2, 2)")
     if not np.isfinite(array).all():

@@ -51,7 +51,7 @@ class RunAudits:
         return self._is_watching and not (has_mark and self._is_window_known)
 
     def mark(self, t: float) -> None:
-        """What was kept up to t stands."""
+        """Let what was kept up to t stand."""
         assert self._law is not None
         self._law.mark(t, self._equations.law_state)
 
@@ -71,7 +71,8 @@ class RunAudits:
             go_back: called where they do not, when the law is back at the mark; gives the state.
             final: no step follows, or none can.
         """
-        equations, back = self._equations, None
+        equations = self._equations
+        back = None
         if self._is_watching and self._law is not None:
             equations.is_committing = True
             stands = self._law.verdict(final=final)
@@ -86,7 +87,8 @@ class RunAudits:
     def close(self, closing: Callable[[int, int], None] | None) -> bool:
         """Solve a batch of the law's closing audit, and report how many are done of how many;
         False: there is none, or it is complete."""
-        law, equations = self._law, self._equations
+        law = self._law
+        equations = self._equations
         if law is None:
             return False
         began = clock()

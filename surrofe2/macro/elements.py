@@ -121,7 +121,8 @@ def make_discretisation(mesh: skfem.Mesh) -> Discretisation:
         x, y = mesh.p[:, elements[worst]].mean(axis=1)
         raise InputError(f"mesh: element {worst} at ({x:.6g}, {y:.6g}) µm is inverted within")
     gradients = np.stack([each[0].grad for each in basis.basis]).transpose(2, 3, 0, 1)
-    weights, points = basis.dx, basis.X
+    weights = basis.dx
+    points = basis.X
     if k == 4:
         whole = weights.sum(axis=1, keepdims=True)
         mean = np.einsum("eq,eqaj->eaj", weights / whole, gradients)[:, None]
@@ -175,9 +176,11 @@ def find_element(
     Raises:
         InputError: the position is outside the mesh.
     """
-    corners, k = nodes[elements], elements.shape[1]
+    corners = nodes[elements]
+    k = elements.shape[1]
     size = np.ptp(corners, axis=1)
-    low, high = corners.min(axis=1) - 0.1 * size, corners.max(axis=1) + 0.1 * size
+    low = corners.min(axis=1) - 0.1 * size
+    high = corners.max(axis=1) + 0.1 * size
     for e in np.flatnonzero(((low <= point) & (point <= high)).all(axis=1)):
         local = _local_position(corners[e], point)
         outside = max(-local.min(), (local.max() if k == 4 else local.sum()) - 1.0)
@@ -188,9 +191,9 @@ def find_element(
 
 def reference_shapes(k: int, points: Array) -> tuple[Array, Array]:
     """(q, k) shape functions and (q, k, 2) their slopes at points (2, q) of the reference."""
-    found = [ELEMENTS[k].lbasis(points, a) for a in range(k)]
-    values = [np.broadcast_to(value, points.shape[1]) for value, _ in found]
-    slopes = [np.broadcast_to(slope, points.shape) for _, slope in found]
+    functions = [ELEMENTS[k].lbasis(points, a) for a in range(k)]
+    values = [np.broadcast_to(value, points.shape[1]) for value, _ in functions]
+    slopes = [np.broadcast_to(slope, points.shape) for _, slope in functions]
     return np.stack(values, axis=1), np.stack(slopes).transpose(2, 0, 1)
 
 
@@ -323,21 +326,35 @@ def deformation_gradient(space: Any, u: Any, v: Any) -> tuple[Array, Array, Arra
         space: `Discretisation`.
         u, v: (n, 2), n at least the nodes.
     """
-    elements, gradients = space.elements, space.gradients
-    n_q, k = gradients.shape[1], gradients.shape[2]
+    elements = space.elements
+    gradients = space.gradients
+    n_q = gradients.shape[1]
+    k = gradients.shape[2]
     count = n_q * elements.shape[0]
-    F, F_dot, J = np.empty((count, 2, 2)), np.empty((count, 2, 2)), np.empty(count)
+    F = np.empty((count, 2, 2))
+    F_dot = np.empty((count, 2, 2))
+    J = np.empty(count)
     nodal = np.empty((k, 4))
     for e in range(elements.shape[0]):
         for a in range(k):
             row = np.uint64(elements[e, a])  # numba tests signed indices for counting from the end
-            nodal[a, 0], nodal[a, 1] = u[row, 0], u[row, 1]
-            nodal[a, 2], nodal[a, 3] = v[row, 0], v[row, 1]
+            nodal[a, 0] = u[row, 0]
+            nodal[a, 1] = u[row, 1]
+            nodal[a, 2] = v[row, 0]
+            nodal[a, 3] = v[row, 1]
         for q in range(n_q):
             p = np.uint64(n_q * e + q)
-            xx, xy, yx, yy, vxx, vxy, vyx, vyy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            xx = 0.0
+            xy = 0.0
+            yx = 0.0
+            yy = 0.0
+            vxx = 0.0
+            vxy = 0.0
+            vyx = 0.0
+            vyy = 0.0
             for a in range(k):
-                gx, gy = gradients[e, q, a, 0], gradients[e, q, a, 1]
+                gx = gradients[e, q, a, 0]
+                gy = gradients[e, q, a, 1]
                 xx += nodal[a, 0] * gx
                 xy += nodal[a, 0] * gy
                 yx += nodal[a, 1] * gx
@@ -346,9 +363,16 @@ def deformation_gradient(space: Any, u: Any, v: Any) -> tuple[Array, Array, Arra
                 vxy += nodal[a, 2] * gy
                 vyx += nodal[a, 3] * gx
                 vyy += nodal[a, 3] * gy
-            xx, yy = xx + 1.0, yy + 1.0
-            F[p, 0, 0], F[p, 0, 1], F[p, 1, 0], F[p, 1, 1] = xx, xy, yx, yy
-            F_dot[p, 0, 0], F_dot[p, 0, 1], F_dot[p, 1, 0], F_dot[p, 1, 1] = vxx, vxy, vyx, vyy
+            xx = xx + 1.0
+            yy = yy + 1.0
+            F[p, 0, 0] = xx
+            F[p, 0, 1] = xy
+            F[p, 1, 0] = yx
+            F[p, 1, 1] = yy
+            F_dot[p, 0, 0] = vxx
+            F_dot[p, 0, 1] = vxy
+            F_dot[p, 1, 0] = vyx
+            F_dot[p, 1, 1] = vyy
             J[p] = xx * yy - xy * yx
     return F, F_dot, J
 
@@ -368,26 +392,42 @@ def internal_force(space: Any, F: Any, stress: Any, n: Any = None) -> Array:
     It enters (58) as M a = load − f; (58) is printed with both signs reversed.
     """
     total = np.zeros((space.nodes.shape[0] if n is None else n, 2))
-    elements, gradients, weights = space.elements, space.gradients, space.weights
-    n_q, k = gradients.shape[1], gradients.shape[2]
+    elements = space.elements
+    gradients = space.gradients
+    weights = space.weights
+    n_q = gradients.shape[1]
+    k = gradients.shape[2]
     forces = np.zeros((k, 2))
     for e in range(elements.shape[0]):
         forces[:] = 0.0
         for q in range(n_q):
             p = np.uint64(n_q * e + q)
-            s00, s01, s10, s11 = stress[p, 0, 0], stress[p, 0, 1], stress[p, 1, 0], stress[p, 1, 1]
+            s00 = stress[p, 0, 0]
+            s01 = stress[p, 0, 1]
+            s10 = stress[p, 1, 0]
+            s11 = stress[p, 1, 1]
             if k == 4:
                 pressure = 0.5 * (s00 + s11)
                 if q < n_q - 1:
-                    s00, s11 = s00 - pressure, s11 - pressure
+                    s00 = s00 - pressure
+                    s11 = s11 - pressure
                 else:
-                    s00, s11, s01, s10 = pressure, pressure, 0.0, 0.0
+                    s00 = pressure
+                    s11 = pressure
+                    s01 = 0.0
+                    s10 = 0.0
             w = weights[e, q]
-            c00, c01, c10, c11 = F[p, 1, 1], -F[p, 1, 0], -F[p, 0, 1], F[p, 0, 0]
-            p00, p01 = w * (s00 * c00 + s01 * c10), w * (s00 * c01 + s01 * c11)
-            p10, p11 = w * (s10 * c00 + s11 * c10), w * (s10 * c01 + s11 * c11)
+            c00 = F[p, 1, 1]
+            c01 = -F[p, 1, 0]
+            c10 = -F[p, 0, 1]
+            c11 = F[p, 0, 0]
+            p00 = w * (s00 * c00 + s01 * c10)
+            p01 = w * (s00 * c01 + s01 * c11)
+            p10 = w * (s10 * c00 + s11 * c10)
+            p11 = w * (s10 * c01 + s11 * c11)
             for a in range(k):
-                gx, gy = gradients[e, q, a, 0], gradients[e, q, a, 1]
+                gx = gradients[e, q, a, 0]
+                gy = gradients[e, q, a, 1]
                 forces[a, 0] += p00 * gx + p01 * gy
                 forces[a, 1] += p10 * gx + p11 * gy
         for a in range(k):

@@ -61,7 +61,8 @@ def free_sides(problem: Problem) -> FreeSides:
     """The sides that the surface of a problem names. Raises `InputError` where a boundary or a
     region is not there, no side is free, or a side beside an element of no law or of two.
     """
-    mesh, surface = problem.mesh, problem.surface
+    mesh = problem.mesh
+    surface = problem.surface
     assert surface is not None
     if surface.on == FREE:
         names: tuple[str, ...] = (FREE,)
@@ -78,7 +79,8 @@ def free_sides(problem: Problem) -> FreeSides:
     first = np.sort(np.unique(every, return_index=True)[1])  # a side of two boundaries counts once
     facets = every[first]
     of_boundary = np.repeat(np.arange(len(parts)), [*map(len, parts)])[first]
-    nodes, elements = facet_nodes(mesh, facets), mesh.f2t[0, facets].astype(np.int64)
+    nodes = facet_nodes(mesh, facets)
+    elements = mesh.f2t[0, facets].astype(np.int64)
     laws, law = _laws(surface, mesh, elements)
     along = np.diff(mesh.p.T[nodes[:, :2]], axis=1)[:, 0]
     angle = np.degrees(np.arctan2(*np.sort(abs(along), axis=1).T))
@@ -108,17 +110,19 @@ def stretched_nodes(sides: FreeSides, space: Discretisation, n: int) -> Matrix:
     corners = space.nodes[sides.nodes[:, :2]]
     centres = scipy.spatial.KDTree(position.mean(axis=1))
     size = float(np.ptp(space.nodes[space.elements], axis=1).max())
-    found = []
+    selected = []
     for p, element in enumerate(sides.elements):
         law = sides.laws[sides.law[p]]
         reach = np.hypot(0.5 * law.width, 2.0 * law.depth) + 2.0 * size
-        middle, along = corners[p].mean(axis=0), corners[p, 1] - corners[p, 0]
+        middle = corners[p].mean(axis=0)
+        along = corners[p, 1] - corners[p, 0]
         near = np.sort(centres.query_ball_point(middle, reach)).astype(np.int64)
         along = along / np.linalg.norm(along)
         inward = np.array([-along[1], along[0]])
         if inward @ (position[element].mean(axis=0) - middle) < 0.0:
             inward = -inward
-        ahead, depth = (position[near] - middle) @ along, (position[near] - middle) @ inward
+        ahead = (position[near] - middle) @ along
+        depth = (position[near] - middle) @ inward
         taken = (abs(ahead) <= 0.5 * law.width) & (depth >= 0.0) & (depth <= 2.0 * law.depth)
         taken[near == element] = True
         own, q = np.nonzero(taken)
@@ -126,13 +130,13 @@ def stretched_nodes(sides: FreeSides, space: Discretisation, n: int) -> Matrix:
         weights = _weights(space.weights[own, q], depth[taken], law.depth)
         slopes = weights[:, None] * (space.gradients[own, q] @ along)
         nodes = space.elements[own].ravel()
-        found.append((slopes.ravel(), np.full(nodes.size, p), nodes))
-    slopes, rows, columns = (np.concatenate(each) for each in zip(*found, strict=True))
-    return scipy.sparse.csr_matrix((slopes, (rows, columns)), shape=(len(found), n))
+        selected.append((slopes.ravel(), np.full(nodes.size, p), nodes))
+    slopes, rows, columns = (np.concatenate(each) for each in zip(*selected, strict=True))
+    return scipy.sparse.csr_matrix((slopes, (rows, columns)), shape=(len(selected), n))
 
 
 def _weights(areas: Array, depths: Array, wanted: float) -> Array:
-    """Those of points, whose mean depth is the wanted one."""
+    """Return those of points, whose mean depth is the wanted one."""
     shares = areas / areas.sum()
     apart = depths - shares @ depths
     spread = float(shares @ apart**2)
@@ -210,7 +214,7 @@ class SurfaceForce:
         return for_components(form.assemble(basis, scale=scale[:, None] * np.ones(basis.dx.shape)))
 
     def refusal(self, nodes: Array, u: Array, v: Array) -> str:
-        """Where a law has no answer, and for which stretch."""
+        """Return where a law has no answer, and for which stretch."""
         _, stretch, rate = self._stretches(u, v)
         p = int(np.argmin(self._ask(stretch, rate).valid))
         x, y = nodes[self.sides.nodes[p, :2]].mean(axis=0)
@@ -231,9 +235,9 @@ class SurfaceForce:
             return laws[0].respond(stretch, rate, tangents=tangents)
         values = np.empty((3 if tangents else 1, stretch.size))
         for k, law in enumerate(laws):
-            own = np.flatnonzero(self.sides.law == k)
-            answer = law.respond(stretch[own], rate[own], tangents=tangents)
-            values[:, own] = answer[: len(values)]
+            points = np.flatnonzero(self.sides.law == k)
+            answer = law.respond(stretch[points], rate[points], tangents=tangents)
+            values[:, points] = answer[: len(values)]
         return SurfaceResponse(*values)
 
 

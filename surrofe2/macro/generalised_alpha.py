@@ -46,7 +46,8 @@ class Weights(NamedTuple):
     def of(cls, spectral_radius: float) -> Weights:
         """The weights whose amplification at infinite frequency is `spectral_radius`."""
         rho = spectral_radius
-        alpha_m, alpha_f = (2.0 * rho - 1.0) / (rho + 1.0), rho / (rho + 1.0)
+        alpha_m = (2.0 * rho - 1.0) / (rho + 1.0)
+        alpha_f = rho / (rho + 1.0)
         shift = alpha_f - alpha_m
         return cls(alpha_m, alpha_f, 0.25 * (1.0 + shift) ** 2, 0.5 + shift)
 
@@ -78,7 +79,8 @@ def _past(start: Evaluation, memory: Array) -> _Past:
     Where the law has come to answer by another branch, what was known moves by the jump, so that
     neither the error nor the first guess of the next step takes it for a motion.
     """
-    rate, size = start.rate, start.y.size
+    rate = start.rate
+    size = start.y.size
     if memory.size == 0:
         return _Past(1.0, start.acceleration, None)
     h, a, before, then = np.split(memory, [1, 1 + size // 2, 1 + size // 2 + size])
@@ -96,13 +98,15 @@ class GeneralisedAlpha:
     def __init__(self, equations: EquationsOfMotion, settings: MacroSettings) -> None:
         require_tangents(equations.law, "integrator implicit")
         self.weights = Weights.of(settings.spectral_radius)
-        self._settings, self._equations = settings, equations
+        self._settings = settings
+        self._equations = equations
         self._mass = equations.system.free_mass
         self._inertia = (1.0 - self.weights.alpha_m) * self._mass
 
     def first_length(self, start: Evaluation, t_end: float) -> float:
         """So short that the displacement gained is what the tolerance allows."""
-        limit, strongest = 1e-2 * t_end, float(abs(start.acceleration).max())
+        limit = 1e-2 * t_end
+        strongest = float(abs(start.acceleration).max())
         if strongest == 0.0:
             return limit
         return min(limit, float(np.sqrt(10.0 * self._settings.absolute_tolerance / strongest)))
@@ -111,7 +115,8 @@ class GeneralisedAlpha:
         self, start: Evaluation, memory: Array, t: float, found: Switched | None = None
     ) -> StepResult:
         """The step from `start` to time t; its works are those of `_works`."""
-        h, past = t - start.t, _past(start, memory)
+        h = t - start.t
+        past = _past(start, memory)
         # The algorithmic acceleration, its lag brought from the last step's to this one's; at the
         # end of the step it is carried on straight, or as where the step was restarted.
         a = start.acceleration + h / past.h * (past.a - start.acceleration)
@@ -145,7 +150,9 @@ class GeneralisedAlpha:
         Raises:
             NoStress: a point has none, or Newton does not converge. Switched: as of `evaluate`.
         """
-        w, equations, h = self.weights, self._equations, t - start.t
+        w = self.weights
+        equations = self._equations
+        h = t - start.t
         u, v = np.split(start.y, 2)
         u_known = u + h * v + h**2 * (0.5 - w.beta) * a
         v_known = v + h * (1.0 - w.gamma) * a

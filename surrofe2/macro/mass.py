@@ -53,7 +53,8 @@ def mass_solver(mass: Matrix, free: Index) -> Callable[[Array], Array]:
 
 def _are_free_alike(free: Index) -> bool:
     """Whether x and y of each node or body are free together, so that both have one factor."""
-    x, y = free[::2], free[1::2]
+    x = free[::2]
+    y = free[1::2]
     return np.array_equal(x + 1, y) and not (x % 2).any()
 
 
@@ -106,7 +107,9 @@ class MassFactor(NamedTuple):
 @kernel
 def solve_both(factor: Any, r: Any) -> Array:
     """M⁻¹ r (2 n,), components x and y of each row one after the other."""
-    begins, rows, values = factor.begins, factor.rows, factor.values
+    begins = factor.begins
+    rows = factor.rows
+    values = factor.values
     n = begins.size - 1
     x = np.empty((n, 2))
     for i in range(n):
@@ -114,15 +117,23 @@ def solve_both(factor: Any, r: Any) -> Array:
         x[place, 0] = r[2 * i]
         x[place, 1] = r[2 * i + 1]
     for j in range(n):  # L z = P r
-        a, b = x[j, 0], x[j, 1]
+        a = x[j, 0]
+        b = x[j, 1]
         for k in range(begins[j], begins[j + 1]):
             x[rows[k], 0] -= values[k] * a
             x[rows[k], 1] -= values[k] * b
     for j in range(n - 1, -1, -1):  # Lᵀ x = D⁻¹ z
         # Four sums at a time, since each would wait for its last term.
-        a0, b0 = x[j, 0] * factor.inverse_diagonal[j], x[j, 1] * factor.inverse_diagonal[j]
-        a1, b1, a2, b2, a3, b3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        k, end = begins[j], begins[j + 1]
+        a0 = x[j, 0] * factor.inverse_diagonal[j]
+        b0 = x[j, 1] * factor.inverse_diagonal[j]
+        a1 = 0.0
+        b1 = 0.0
+        a2 = 0.0
+        b2 = 0.0
+        a3 = 0.0
+        b3 = 0.0
+        k = begins[j]
+        end = begins[j + 1]
         while k + 4 <= end:
             a0 -= values[k] * x[rows[k], 0]
             b0 -= values[k] * x[rows[k], 1]

@@ -53,7 +53,7 @@ class MacroSettings:
         check_settings(self, "macro")
 
     def remark(self, largest: float) -> str | None:
-        """What to say of a run whose largest displacement was so many µm; None: nothing.
+        """Return what to say of a run whose largest displacement was so many µm; None: nothing.
 
         Where the absolute tolerance exceeds what the relative one allows of the largest
         displacement, steps are as long as stability or that tolerance bears, whatever the motion.

@@ -89,19 +89,20 @@ def make_pattern(
     """
     labels = np.asarray(labels)
     members = {g: 1 + np.flatnonzero(labels[1:] == g) for g in np.unique(labels[1:]).tolist()}
-    left: dict[int, set[int]] = {g: set() for g in members}
+    beside: dict[int, set[int]] = {g: set() for g in members}
     for g, h in pairs:
-        if g != h and g in left and h in left:
-            left[g].add(h)
-            left[h].add(g)
+        if g != h and g in beside and h in beside:
+            beside[g].add(h)
+            beside[h].add(g)
     later = {}  # groups as they are eliminated, and those coupled to each that come after
-    while left:
-        g = min(left, key=lambda h: (sum(len(members[k]) for k in left[h]), h))
-        later[g] = others = left.pop(g)
+    while beside:
+        g = min(beside, key=lambda h: (sum(len(members[k]) for k in beside[h]), h))
+        later[g] = others = beside.pop(g)
         for h in others:
-            left[h] |= others
-            left[h] -= {g, h}
-    rank, count = {g: k for k, g in enumerate(later)}, len(later)
+            beside[h] |= others
+            beside[h] -= {g, h}
+    rank = {g: k for k, g in enumerate(later)}
+    count = len(later)
     upper = [sorted(rank[h] for h in others) for others in later.values()]
     lower = [[h for h in range(g) if g in upper[h]] for g in range(count)]
     size = [2 * len(members[g]) for g in later]
@@ -109,15 +110,18 @@ def make_pattern(
     width, start = np.zeros((2, count), dtype=np.int32)
     group, column = np.full((2, len(labels)), HELD, dtype=np.int32)
     total = 0
-    for g, own in enumerate(members[label] for label in later):
+    for g, numbers in enumerate(members[label] for label in later):
         at = 0
         for h in [*lower[g], g, *upper[g]]:
             offset[g, h] = at
             at += size[h]
-        width[g], start[g] = at, total
-        group[own], column[own] = g, 2 * np.arange(len(own))
+        width[g] = at
+        start[g] = total
+        group[numbers] = g
+        column[numbers] = 2 * np.arange(len(numbers))
         total += size[g] * at
-    blocks, stride = offset[group[:, None], group], width[group]
+    blocks = offset[group[:, None], group]
+    stride = width[group]
     exists = (blocks >= 0) & (group[:, None] >= 0) & (group >= 0)
     blocks = blocks + (start[group] + column * stride)[:, None] + column
     return Pattern(
@@ -190,61 +194,78 @@ def factorise(a, pattern, symmetric):
     Where a is `symmetric`, elimination keeps to the upper triangle.
     """
     for g in range(pattern.width.shape[0]):
-        size, width = pattern.first[g + 1] - pattern.first[g], pattern.width[g]
-        own = pattern.offset[g, g]
+        size = pattern.first[g + 1] - pattern.first[g]
+        width = pattern.width[g]
+        diagonal = pattern.offset[g, g]
         for k in range(0, size, PANEL):
-            count, panel = min(PANEL, size - k), pattern.start[g] + k * width
-            _factorise_panel(a, panel, width, own + k, count)
+            count = min(PANEL, size - k)
+            panel = pattern.start[g] + k * width
+            _factorise_panel(a, panel, width, diagonal + k, count)
             _eliminate(a, pattern, g, g, k, symmetric)
             for m in range(pattern.upper_start[g], pattern.upper_start[g + 1]):
                 _eliminate(a, pattern, g, np.int64(pattern.upper[m]), k, symmetric)
 
 
 @kernel
-def _factorise_panel(a, panel, width, own, count):
+def _factorise_panel(a, panel, width, diagonal, count):
     """Eliminate the first columns of the `count` rows at `panel` from each other."""
     for k in range(count):
         line = panel + k * width
-        pivot = 1.0 / load(a, line + own + k)
-        store(pivot, a, line + own + k)
+        pivot = 1.0 / load(a, line + diagonal + k)
+        store(pivot, a, line + diagonal + k)
         for i in range(k + 1, count):
             row = panel + i * width
-            factor = load(a, row + own + k) * pivot
-            store(factor, a, row + own + k)
-            for j in range(own + k + 1, width):
+            factor = load(a, row + diagonal + k) * pivot
+            store(factor, a, row + diagonal + k)
+            for j in range(diagonal + k + 1, width):
                 store(load(a, row + j) - factor * load(a, line + j), a, row + j)
 
 
 @kernel
 def _eliminate(a, pattern, g, h, k, symmetric):
     """Clear the panel's columns, the eight (or last) at k of group g, from rows of h below it."""
-    size, rows = pattern.first[g + 1] - pattern.first[g], pattern.first[h + 1] - pattern.first[h]
-    width, own = pattern.width[g], pattern.offset[g, g]
-    there, at = pattern.width[h], pattern.offset[h, g] + k
-    count, panel = min(PANEL, size - k), pattern.start[g] + k * width
+    size = pattern.first[g + 1] - pattern.first[g]
+    rows = pattern.first[h + 1] - pattern.first[h]
+    width = pattern.width[g]
+    diagonal = pattern.offset[g, g]
+    there = pattern.width[h]
+    at = pattern.offset[h, g] + k
+    count = min(PANEL, size - k)
+    panel = pattern.start[g] + k * width
     # Row i of h, in pairs: its part in columns of g becomes multipliers at `at`; then, for each
     # group c right of it, row i −= multipliers · panel, from `begin` in the panel to `to` in row i.
     # If symmetric, what lies left of the diagonal is skipped, and multipliers come from `mirror`.
     for i in range(k + count if h == g else 0, rows, 2):
         row = pattern.start[h] + i * there
         _set_multipliers(
-            a, panel, width, own + k, count, row, there, at, pattern.offset[g, h] + i, symmetric
+            a,
+            panel,
+            width,
+            diagonal + k,
+            count,
+            row,
+            there,
+            at,
+            pattern.offset[g, h] + i,
+            symmetric,
         )
         if h == g or not symmetric:
             skip = i - i % PANEL if symmetric else k + count
-            begin, to = own + skip, pattern.offset[h, g] + skip
+            begin = diagonal + skip
+            to = pattern.offset[h, g] + skip
             _update(a, panel, width, count, row, there, at, begin, to, size - skip)
         for m in range(pattern.upper_start[g], pattern.upper_start[g + 1]):
             c = pattern.upper[m]
             if c >= h or not symmetric:
                 skip = i - i % PANEL if symmetric and c == h else 0
-                begin, to = pattern.offset[g, c] + skip, pattern.offset[h, c] + skip
+                begin = pattern.offset[g, c] + skip
+                to = pattern.offset[h, c] + skip
                 columns = pattern.first[c + 1] - pattern.first[c] - skip
                 _update(a, panel, width, count, row, there, at, begin, to, columns)
 
 
 @kernel
-def _set_multipliers(a, panel, width, own, count, row, there, at, mirror, symmetric):
+def _set_multipliers(a, panel, width, diagonal, count, row, there, at, mirror, symmetric):
     """Multipliers of the panel's columns in the two rows at `row`, in place of what they clear.
 
     own, at: where these columns begin in rows of the panel and in the two, which are `there` wide.
@@ -259,8 +280,8 @@ def _set_multipliers(a, panel, width, own, count, row, there, at, mirror, symmet
             else:
                 value = load(a, line + k)
                 for m in range(k):
-                    value -= load(a, line + m) * load(a, panel + m * width + own + k)
-            store(value * load(a, above + own + k), a, line + k)
+                    value -= load(a, line + m) * load(a, panel + m * width + diagonal + k)
+            store(value * load(a, above + diagonal + k), a, line + k)
 
 
 @kernel
@@ -277,10 +298,13 @@ def _update(a, panel, width, count, row, there, at, begin, to, columns):
 @kernel
 def _subtract_pair(a, line, width, factors, to, there, columns):
     """a[to + j] −= Σ_m a[factors + m] a[line + m · width + j] for both rows, two m."""
-    f0, f1 = load(a, factors), load(a, factors + 1)
-    g0, g1 = load(a, factors + there), load(a, factors + there + 1)
+    f0 = load(a, factors)
+    f1 = load(a, factors + 1)
+    g0 = load(a, factors + there)
+    g1 = load(a, factors + there + 1)
     for j in range(columns):
-        u0, u1 = load(a, line + j), load(a, line + width + j)
+        u0 = load(a, line + j)
+        u1 = load(a, line + width + j)
         store(load(a, to + j) - (f0 * u0 + f1 * u1), a, to + j)
         store(load(a, to + there + j) - (g0 * u0 + g1 * u1), a, to + there + j)
 
@@ -288,19 +312,44 @@ def _subtract_pair(a, line, width, factors, to, there, columns):
 @kernel
 def _subtract_panel(a, line, width, factors, to, there, columns):
     """As `_subtract_pair` with eight m."""
-    low, high = factors, factors + there
-    f0, f1, f2, f3 = load(a, low), load(a, low + 1), load(a, low + 2), load(a, low + 3)
-    f4, f5, f6, f7 = load(a, low + 4), load(a, low + 5), load(a, low + 6), load(a, low + 7)
-    g0, g1, g2, g3 = load(a, high), load(a, high + 1), load(a, high + 2), load(a, high + 3)
-    g4, g5, g6, g7 = load(a, high + 4), load(a, high + 5), load(a, high + 6), load(a, high + 7)
-    l1, l2, l3, l4 = line + width, line + 2 * width, line + 3 * width, line + 4 * width
-    l5, l6, l7 = line + 5 * width, line + 6 * width, line + 7 * width
+    low = factors
+    high = factors + there
+    f0 = load(a, low)
+    f1 = load(a, low + 1)
+    f2 = load(a, low + 2)
+    f3 = load(a, low + 3)
+    f4 = load(a, low + 4)
+    f5 = load(a, low + 5)
+    f6 = load(a, low + 6)
+    f7 = load(a, low + 7)
+    g0 = load(a, high)
+    g1 = load(a, high + 1)
+    g2 = load(a, high + 2)
+    g3 = load(a, high + 3)
+    g4 = load(a, high + 4)
+    g5 = load(a, high + 5)
+    g6 = load(a, high + 6)
+    g7 = load(a, high + 7)
+    l1 = line + width
+    l2 = line + 2 * width
+    l3 = line + 3 * width
+    l4 = line + 4 * width
+    l5 = line + 5 * width
+    l6 = line + 6 * width
+    l7 = line + 7 * width
     for j in range(columns):
-        u0, u1, u2, u3 = load(a, line + j), load(a, l1 + j), load(a, l2 + j), load(a, l3 + j)
-        p, q = f0 * u0 + f1 * u1, g0 * u0 + g1 * u1
+        u0 = load(a, line + j)
+        u1 = load(a, l1 + j)
+        u2 = load(a, l2 + j)
+        u3 = load(a, l3 + j)
+        p = f0 * u0 + f1 * u1
+        q = g0 * u0 + g1 * u1
         p += f2 * u2 + f3 * u3
         q += g2 * u2 + g3 * u3
-        u4, u5, u6, u7 = load(a, l4 + j), load(a, l5 + j), load(a, l6 + j), load(a, l7 + j)
+        u4 = load(a, l4 + j)
+        u5 = load(a, l5 + j)
+        u6 = load(a, l6 + j)
+        u7 = load(a, l7 + j)
         p += f4 * u4 + f5 * u5
         q += g4 * u4 + g5 * u5
         p += f6 * u6 + f7 * u7
@@ -332,20 +381,24 @@ def has_negative_pivots(lu, pattern, answer):
 @kernel
 def solve(lu, b, pattern):
     """Replace b (unknowns, TILE) by the solution, lu as `factorise` left it, in any precision."""
-    y, groups = np.zeros((pattern.first[-1], TILE)), pattern.width.shape[0]
+    y = np.zeros((pattern.first[-1], TILE))
+    groups = pattern.width.shape[0]
     _reorder(b, y, pattern, False)
     for g in range(groups):
-        first, row = pattern.first[g], pattern.start[g]
+        first = pattern.first[g]
+        row = pattern.start[g]
         for k in range(pattern.first[g + 1] - first):
             value = load(y, first + k) - _dot(lu, row + pattern.offset[g, g], y, first, k)
             for m in range(pattern.lower_start[g], pattern.lower_start[g + 1]):
                 c = pattern.lower[m]
-                begin, count = pattern.first[c], pattern.first[c + 1] - pattern.first[c]
+                begin = pattern.first[c]
+                count = pattern.first[c + 1] - pattern.first[c]
                 value -= _dot(lu, row + pattern.offset[g, c], y, begin, count)
             store(value, y, first + k)
             row += pattern.width[g]
     for g in range(groups - 1, -1, -1):
-        first, size = pattern.first[g], pattern.first[g + 1] - pattern.first[g]
+        first = pattern.first[g]
+        size = pattern.first[g + 1] - pattern.first[g]
         row = pattern.start[g] + size * pattern.width[g]
         for k in range(size - 1, -1, -1):
             row -= pattern.width[g]
@@ -353,7 +406,8 @@ def solve(lu, b, pattern):
             value = load(y, first + k) - _dot(lu, pivot + 1, y, first + k + 1, size - k - 1)
             for m in range(pattern.upper_start[g], pattern.upper_start[g + 1]):
                 c = pattern.upper[m]
-                begin, count = pattern.first[c], pattern.first[c + 1] - pattern.first[c]
+                begin = pattern.first[c]
+                count = pattern.first[c + 1] - pattern.first[c]
                 value -= _dot(lu, row + pattern.offset[g, c], y, begin, count)
             store(value * load(lu, pivot), y, first + k)
     _reorder(y, b, pattern, True)
@@ -365,40 +419,47 @@ def solve_columns(lu, b, pattern, transposed):
 
     The factors are far larger than the columns and are read once for all of them.
     """
-    y, groups = np.zeros((COLUMNS, pattern.first[-1], TILE)), pattern.width.shape[0]
+    y = np.zeros((COLUMNS, pattern.first[-1], TILE))
+    groups = pattern.width.shape[0]
     for m in range(COLUMNS):
         _reorder(b[m], y[m], pattern, False)
     for g in range(groups):
-        first, row = pattern.first[g], pattern.start[g]
+        first = pattern.first[g]
+        row = pattern.start[g]
         size = pattern.first[g + 1] - first
         for k in range(size):
-            own = row + pattern.offset[g, g]
+            diagonal = row + pattern.offset[g, g]
             if transposed:
-                _scale(y, first + k, load(lu, own + k))
-                _spread(lu, own + k + 1, y, first + k, first + k + 1, size - k - 1)
-                neighbours, ends = pattern.upper, pattern.upper_start
+                _scale(y, first + k, load(lu, diagonal + k))
+                _spread(lu, diagonal + k + 1, y, first + k, first + k + 1, size - k - 1)
+                neighbours = pattern.upper
+                ends = pattern.upper_start
             else:
-                _gather(lu, own, y, first + k, first, k)
-                neighbours, ends = pattern.lower, pattern.lower_start
+                _gather(lu, diagonal, y, first + k, first, k)
+                neighbours = pattern.lower
+                ends = pattern.lower_start
             for m in range(ends[g], ends[g + 1]):
                 _with_block(lu, row, y, first + k, pattern, g, neighbours[m], transposed)
             row += pattern.width[g]
     for g in range(groups - 1, -1, -1):
-        first, size = pattern.first[g], pattern.first[g + 1] - pattern.first[g]
+        first = pattern.first[g]
+        size = pattern.first[g + 1] - pattern.first[g]
         row = pattern.start[g] + size * pattern.width[g]
         for k in range(size - 1, -1, -1):
             row -= pattern.width[g]
-            own = row + pattern.offset[g, g]
+            diagonal = row + pattern.offset[g, g]
             if transposed:
-                _spread(lu, own, y, first + k, first, k)
-                neighbours, ends = pattern.lower, pattern.lower_start
+                _spread(lu, diagonal, y, first + k, first, k)
+                neighbours = pattern.lower
+                ends = pattern.lower_start
             else:
-                _gather(lu, own + k + 1, y, first + k, first + k + 1, size - k - 1)
-                neighbours, ends = pattern.upper, pattern.upper_start
+                _gather(lu, diagonal + k + 1, y, first + k, first + k + 1, size - k - 1)
+                neighbours = pattern.upper
+                ends = pattern.upper_start
             for m in range(ends[g], ends[g + 1]):
                 _with_block(lu, row, y, first + k, pattern, g, neighbours[m], transposed)
             if not transposed:
-                _scale(y, first + k, load(lu, own + k))
+                _scale(y, first + k, load(lu, diagonal + k))
     for m in range(COLUMNS):
         _reorder(y[m], b[m], pattern, True)
 
@@ -407,7 +468,8 @@ def solve_columns(lu, b, pattern, transposed):
 def _reorder(source, target, pattern, back):
     """From the order of particles to that of elimination, or `back`; pressures are left out."""
     for i in range(1, pattern.group.shape[0] - pattern.pressures):
-        here, there = 2 * i - 2, pattern.first[pattern.group[i]] + pattern.column[i]
+        here = 2 * i - 2
+        there = pattern.first[pattern.group[i]] + pattern.column[i]
         if back:
             here, there = there, here
         store(load(source, here), target, there)
@@ -417,7 +479,10 @@ def _reorder(source, target, pattern, back):
 @kernel
 def _dot(lu, at, y, first, count):
     """Σ_j lu[at + j] y[first + j] over j < count, in four chains."""
-    s0, s1, s2, s3 = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    s0 = spread(0.0)
+    s1 = spread(0.0)
+    s2 = spread(0.0)
+    s3 = spread(0.0)
     for j in range(0, count - 3, 4):
         s0 += load(lu, at + j) * load(y, first + j)
         s1 += load(lu, at + j + 1) * load(y, first + j + 1)
@@ -431,7 +496,9 @@ def _dot(lu, at, y, first, count):
 @pair_law
 def _with_block(lu, row, y, here, pattern, g, c, transposed):
     """`_spread` or `_gather` with the columns of group c in a row of group g."""
-    at, first, count = pattern.offset[g, c], pattern.first[c], pattern.first[c + 1]
+    at = pattern.offset[g, c]
+    first = pattern.first[c]
+    count = pattern.first[c + 1]
     if transposed:
         _spread(lu, row + at, y, here, first, count - first)
     else:
@@ -441,7 +508,10 @@ def _with_block(lu, row, y, here, pattern, g, c, transposed):
 @kernel
 def _gather(lu, at, y, here, first, count):
     """y[:, here] −= Σ_j lu[at + j] y[:, first + j] over j < count."""
-    s0, s1, s2, s3 = load(y, 0, here), load(y, 1, here), load(y, 2, here), load(y, 3, here)
+    s0 = load(y, 0, here)
+    s1 = load(y, 1, here)
+    s2 = load(y, 2, here)
+    s3 = load(y, 3, here)
     for j in range(count):
         factor = load(lu, at + j)
         s0 -= factor * load(y, 0, first + j)
@@ -457,7 +527,10 @@ def _gather(lu, at, y, here, first, count):
 @kernel
 def _spread(lu, at, y, here, first, count):
     """y[:, first + j] −= lu[at + j] y[:, here] for j < count."""
-    s0, s1, s2, s3 = load(y, 0, here), load(y, 1, here), load(y, 2, here), load(y, 3, here)
+    s0 = load(y, 0, here)
+    s1 = load(y, 1, here)
+    s2 = load(y, 2, here)
+    s3 = load(y, 3, here)
     for j in range(count):
         factor = load(lu, at + j)
         store(load(y, 0, first + j) - factor * s0, y, 0, first + j)

@@ -55,7 +55,8 @@ def add_central_forces(x, v, f, pairs, weight, is_bond, c):
     (docs/theory.md, walls at a free boundary); c(r) keeps the parameter m_wall.
     """
     for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
+        i = pairs[k, 0]
+        j = pairs[k, 1]
         pair = pair_at(x, v, i, j)
         acting, law = central_law(pair, is_bond, weight[k], c)
         a = acting * pair.inverse * tension(law, pair.rate)
@@ -79,7 +80,9 @@ def central_slopes(pair, is_bond, weight, c):
     """(∂f/∂r, ∂f/∂w) of a bond or contact with force t n; the second is γ n ⊗ n."""
     acting, law = central_law(pair, is_bond, weight, c)
     _, stiffness, damping, damping_slope = law
-    nx, ny, by_rate = pair.nx, pair.ny, acting * damping
+    nx = pair.nx
+    ny = pair.ny
+    by_rate = acting * damping
     over = acting * tension(law, pair.rate) * pair.inverse
     along = acting * (stiffness + damping_slope * pair.rate) - over
     ux = along * nx + by_rate * (pair.wx - pair.rate * nx) * pair.inverse
@@ -92,12 +95,15 @@ def central_slopes(pair, is_bond, weight, c):
 @kernel
 def add_central_jacobian(work, L, pairs, weight, is_bond, topology, c, matrix, columns):
     """Add to matrix and columns; see `force_jacobian`."""
-    own, owner = topology.particles, topology.owner
+    particles = topology.particles
+    owner = topology.owner
     # named in the loop, numba would count references to them there
-    block, stride = topology.block, topology.stride
+    block = topology.block
+    stride = topology.stride
     for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
-        j_own = j if j < own else owner[j - own]
+        i = pairs[k, 0]
+        j = pairs[k, 1]
+        j_own = j if j < particles else owner[j - particles]
         pair = pair_at(work.x, work.v, i, j)
         rr, rw = central_slopes(pair, is_bond, weight[k], c)
         add_pair_jacobian(matrix, block, stride, L, i, j_own, rr, rw)
@@ -109,7 +115,8 @@ def add_central_jacobian(work, L, pairs, weight, is_bond, topology, c, matrix, c
 def add_central_gradients(work, weights, by_x, by_v, pairs, weight, is_bond, c):
     """Add to by_x and by_v; see `add_force_gradients`."""
     for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
+        i = pairs[k, 0]
+        j = pairs[k, 1]
         pair = pair_at(work.x, work.v, i, j)
         rr, rw = central_slopes(pair, is_bond, weight[k], c)
         for m in range(FIELDS):
@@ -122,13 +129,15 @@ def add_central_gradients(work, weights, by_x, by_v, pairs, weight, is_bond, c):
 def add_central_rates(work, f_rate, pairs, weight, is_bond, c):
     """With a = t/|r| and s = n·w: f = a r and ḟ = (t′ − a) s n + a w."""
     for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
+        i = pairs[k, 0]
+        j = pairs[k, 1]
         pair = pair_at(work.x, work.v, i, j)
         acting, (elastic, stiffness, _, _) = central_law(pair, is_bond, weight[k], c)
         over = acting * elastic * pair.inverse
         along = (acting * stiffness - over) * pair.rate * pair.inverse
         add_pair(work.f, i, j, over * pair.rx, over * pair.ry)
-        gx, gy = along * pair.rx + over * pair.wx, along * pair.ry + over * pair.wy
+        gx = along * pair.rx + over * pair.wx
+        gy = along * pair.ry + over * pair.wy
         add_pair(f_rate, i, j, gx, gy)
 
 
@@ -139,16 +148,21 @@ def add_central_stiffness_rates(work, u, f, pairs, weight, is_bond, c):
     K̇ p = b s/|r| p + (t″ − b/|r|) s (n·p) n + b [(n·p) ṅ + (ṅ·p) n]
     """
     for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
+        i = pairs[k, 0]
+        j = pairs[k, 1]
         pair = pair_at(work.x, work.v, i, j)
-        nx, ny, inverse, rate = pair.nx, pair.ny, pair.inverse, pair.rate
+        nx = pair.nx
+        ny = pair.ny
+        inverse = pair.inverse
+        rate = pair.rate
         acting, (elastic, stiffness, _, _) = central_law(pair, is_bond, weight[k], c)
         b = acting * (stiffness - elastic * inverse)
         across = b * rate * inverse
         along = -across
         if not is_bond:
             along += acting * contact_bend(inverse, c) * rate
-        turn_x, turn_y = b * (pair.wx - rate * nx) * inverse, b * (pair.wy - rate * ny) * inverse
+        turn_x = b * (pair.wx - rate * nx) * inverse
+        turn_y = b * (pair.wy - rate * ny) * inverse
         for m in range(FIELDS):
             px, py = field_difference(u, m, i, j)
             stretch = nx * px + ny * py

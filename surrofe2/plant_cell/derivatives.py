@@ -48,9 +48,11 @@ def force_jacobian(work, L, topology, c, matrix, columns):
     matrix[:] = 0.0
     columns[:] = 0.0
     for kind in range(2):  # one call, so that its machine code is made once
-        pairs, weight = topology.bonds, topology.bond_weight
+        pairs = topology.bonds
+        weight = topology.bond_weight
         if kind == 1:
-            pairs, weight = topology.contacts, topology.contact_weight
+            pairs = topology.contacts
+            weight = topology.contact_weight
         add_central_jacobian(work, L, pairs, weight, kind == 0, topology, c, matrix, columns)
     add_sph_jacobian(work, L, topology, c, matrix, columns)
     add_uniform_jacobian(work, topology, c, matrix, columns)
@@ -62,7 +64,8 @@ def add_force_gradients(work, weights, by_x, by_v, topology, c):
 
     At work.x and work.v; weights, by_x, by_v: (4, 2, local, TILE).
     """
-    bonds, contacts = topology.bonds, topology.contacts
+    bonds = topology.bonds
+    contacts = topology.contacts
     add_central_gradients(work, weights, by_x, by_v, bonds, topology.bond_weight, True, c)
     add_central_gradients(work, weights, by_x, by_v, contacts, topology.contact_weight, False, c)
     add_sph_gradients(work, weights, by_x, by_v, topology, c)

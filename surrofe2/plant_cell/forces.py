@@ -17,7 +17,9 @@ from surrofe2.plant_cell.uniform_fluid import add_uniform_energy, add_uniform_fo
 def local_forces(work, topology, c):
     """work.f at work.x and work.v: forces on own particles and, not yet folded, on images."""
     work.f[:] = 0.0
-    x, v, f = work.x, work.v, work.f
+    x = work.x
+    v = work.v
+    f = work.f
     add_central_forces(x, v, f, topology.bonds, topology.bond_weight, True, c)
     add_central_forces(x, v, f, topology.contacts, topology.contact_weight, False, c)
     add_sph_forces(x, v, f, topology, c, work.slope, work.volume)
@@ -27,11 +29,11 @@ def local_forces(work, topology, c):
 @kernel
 def fold_images(f, topology):
     """Add the forces on images to their owners; own particles then feel the whole force."""
-    own = topology.particles
+    particles = topology.particles
     for k in range(topology.owner.shape[0]):
         i = topology.owner[k]
-        store(load(f, 0, i) + load(f, 0, own + k), f, 0, i)
-        store(load(f, 1, i) + load(f, 1, own + k), f, 1, i)
+        store(load(f, 0, i) + load(f, 0, particles + k), f, 0, i)
+        store(load(f, 1, i) + load(f, 1, particles + k), f, 1, i)
 
 
 @kernel

@@ -29,7 +29,9 @@ Ints = NDArray[np.int32]
 
 SKIN = 0.2
 """How much farther than the cut-off contacts are listed, in cut-offs."""
-BESIDE, BESIDE_UNIFORM, FARTHEST = 1.4, 1.2, 3.0
+BESIDE = 1.4
+BESIDE_UNIFORM = 1.2
+FARTHEST = 3.0
 """Distances in the reference, in cut-offs, of walls that bound no plant cell of SPH fluid together:
 up to the first, or the second with a uniform fluid, they have blocks in matrices; beyond the third
 they are never listed."""
@@ -119,7 +121,8 @@ class Near:
         covered = np.empty((len(F), TILE), dtype=np.bool_)
         mark_covered(F, z, self.F, self.z, self.reach, self.cutoff, covered)
         if exactly and not covered.all():
-            every, unlisted = self.every, self.every.contacts[~self.listed]
+            every = self.every
+            unlisted = self.every.contacts[~self.listed]
             mark_apart(F, z, unlisted, every.owner, every.image_offset, self.cutoff, covered)
         return covered
 
@@ -134,7 +137,8 @@ class Near:
         """
         if not np.array_equal(part.listed, self.listed):
             return None
-        F, z = self.F.copy(), self.z.copy()
+        F = self.F.copy()
+        z = self.z.copy()
         put_points(F, index, part.F, row)
         put_points(z, index, part.z, row)
         return replace(self, F=F, z=z)
@@ -175,12 +179,14 @@ class Neighbours:
         return self._listing(F, z, listed, self.cutoff + SKIN * self.cutoff)
 
     def _listing(self, F: Array, z: Array, listed: Flags, reach: float) -> Near:
-        every, own = self.topology, self.topology.particles
+        every = self.topology
+        particles = self.topology.particles
         contacts = every.contacts[listed]
-        used = np.arange(own + len(every.owner)) < own
+        used = np.arange(particles + len(every.owner)) < particles
         used[contacts[:, 1]] = used[every.bonds[:, 1]] = used[every.rim] = True
         # images keep their order, so that sums over them are the same to the bit with every list
-        number, images = (np.cumsum(used) - 1).astype(np.int32), used[own:]
+        number = (np.cumsum(used) - 1).astype(np.int32)
+        images = used[particles:]
         topology = every._replace(
             contacts=number[contacts],
             contact_weight=every.contact_weight[listed],
@@ -211,7 +217,8 @@ def mark_apart(F, z, pairs, owner, offset, cutoff, apart):
             continue
         nearest = np.full((1, TILE), np.inf)
         for k in range(pairs.shape[0]):
-            least, square = load(nearest, 0), _square(F, z, t, pairs[k], owner, offset)
+            least = load(nearest, 0)
+            square = _square(F, z, t, pairs[k], owner, offset)
             store(where_less(square, least, square, least), nearest, 0)
         for lane in range(TILE):
             apart[t, lane] |= nearest[0, lane] >= cutoff * cutoff
@@ -220,12 +227,20 @@ def mark_apart(F, z, pairs, owner, offset, cutoff, apart):
 @kernel
 def _square(F, z, t, pair, owner, offset):
     """Squared distance of a pair of local particles in the RVEs of tile t."""
-    own, i, j, ox, oy = z.shape[2], pair[0], pair[1], 0.0, 0.0
-    if j >= own:
-        image = j - own
-        j, ox, oy = owner[image], offset[image, 0], offset[image, 1]
-    dx, dy = load(z, t, 0, j) - load(z, t, 0, i), load(z, t, 1, j) - load(z, t, 1, i)
-    dx, dy = dx + ox, dy + oy
+    particles = z.shape[2]
+    i = pair[0]
+    j = pair[1]
+    ox = 0.0
+    oy = 0.0
+    if j >= particles:
+        image = j - particles
+        j = owner[image]
+        ox = offset[image, 0]
+        oy = offset[image, 1]
+    dx = load(z, t, 0, j) - load(z, t, 0, i)
+    dy = load(z, t, 1, j) - load(z, t, 1, i)
+    dx = dx + ox
+    dy = dy + oy
     rx = load(F, t, 0, 0) * dx + load(F, t, 0, 1) * dy
     ry = load(F, t, 1, 0) * dx + load(F, t, 1, 1) * dy
     return rx * rx + ry * ry
@@ -240,17 +255,24 @@ def mark_covered(F, z, listed_F, listed_z, reach, cutoff, covered):
         for i in range(z.shape[2]):
             dx = load(z, t, 0, i) - load(listed_z, t, 0, i)
             dy = load(z, t, 1, i) - load(listed_z, t, 1, i)
-            farthest, square = load(moved, 0), dx * dx + dy * dy
+            farthest = load(moved, 0)
+            square = dx * dx + dy * dy
             store(where_less(farthest, square, square, farthest), moved, 0)
         for k in range(TILE):
-            xx, xy, yx, yy = F[t, 0, 0, k], F[t, 0, 1, k], F[t, 1, 0, k], F[t, 1, 1, k]
+            xx = F[t, 0, 0, k]
+            xy = F[t, 0, 1, k]
+            yx = F[t, 1, 0, k]
+            yy = F[t, 1, 1, k]
             a, b, c, d = (
                 listed_F[t, 0, 0, k], listed_F[t, 0, 1, k], listed_F[t, 1, 0, k],
                 listed_F[t, 1, 1, k],
             )  # fmt: skip
             largest = 0.5 * (np.hypot(a + d, b - c) + np.hypot(a - d, b + c))
             # G times det F₀, of which the smallest singular value is taken as of any 2 × 2 matrix
-            gxx, gxy, gyx, gyy = xx * d - xy * c, xy * a - xx * b, yx * d - yy * c, yy * a - yx * b
+            gxx = xx * d - xy * c
+            gxy = xy * a - xx * b
+            gyx = yx * d - yy * c
+            gyy = yy * a - yx * b
             smallest = 0.5 * (np.hypot(gxx + gyy, gxy - gyx) - np.hypot(gxx - gyy, gxy + gyx))
             room = reach - 2.0 * largest * np.sqrt(moved[0, k])
             covered[t, k] = smallest * room >= cutoff * (a * d - b * c)
@@ -269,8 +291,11 @@ def make_neighbours(
         lattice: (2, 2), its columns the lattice vectors, µm.
         arrangement: instead of the cell's own, such as a slab.
     """
-    arrangement, particles = arrangement or make_arrangement(cell), len(position)
-    walls, cutoff, weight = arrangement.walls, cell.repulsion_cutoff, 0.5 * cell.outer_wall
+    arrangement = arrangement or make_arrangement(cell)
+    particles = len(position)
+    walls = arrangement.walls
+    cutoff = cell.repulsion_cutoff
+    weight = 0.5 * cell.outer_wall
     contacts, has_block = _contacts(arrangement, position, lattice, cutoff)
     mass = np.full(particles, cell.fluid_mass)
     mass[:walls] = cell.wall_particle_mass * np.where(arrangement.outer > 0, weight, 1.0)
@@ -325,9 +350,11 @@ def _interacting_groups(
 
     contacts: (k, 2) or more columns, the first two the particles that may touch, by their owners.
     """
-    has_particles, cells = bool(arrangement.fluid_counts), len(arrangement.rims)
+    has_particles = bool(arrangement.fluid_counts)
+    cells = len(arrangement.rims)
     walls = arrangement.wall_edge if has_particles else _pieces_of_walls(arrangement)
-    first, counts = int(walls.max()) + 1, arrangement.fluid_counts or (1,) * cells
+    first = int(walls.max()) + 1
+    counts = arrangement.fluid_counts or (1,) * cells
     labels = np.concatenate([walls, first + np.repeat(np.arange(cells), counts)])
     pairs = set()
     for k, rim in enumerate(arrangement.rims):
@@ -343,7 +370,8 @@ def _interacting_groups(
 def _pieces_of_walls(arrangement: Arrangement) -> Index:
     """(walls,) group of each wall particle: a vertex alone, or a piece of an edge between two."""
     vertices = len(arrangement.tessellation.vertices)
-    groups, count = [np.arange(vertices)], vertices
+    groups = [np.arange(vertices)]
+    count = vertices
     for particles in np.bincount(arrangement.wall_edge[vertices:]):
         pieces = -(-particles // PIECE)
         groups.append(count + np.arange(particles) * pieces // max(particles, 1))
@@ -360,17 +388,21 @@ def _contacts(
     each other, and bound no plant cell of SPH fluid together, meet only where tissue is crushed:
     their forces act then, but matrices do without them, and solvers take more steps.
     """
-    walls, has_particles = arrangement.walls, bool(arrangement.fluid_counts)
+    walls = arrangement.walls
+    has_particles = bool(arrangement.fluid_counts)
     pairs = _wall_pairs(position[:walls], lattice, FARTHEST * cutoff)
     bonded = np.isin(_keys(pairs), _keys(arrangement.bonds))
     pairs = pairs[~bonded]
-    i, j, shift = pairs[:, 0], pairs[:, 1], pairs[:, 2:]
+    i = pairs[:, 0]
+    j = pairs[:, 1]
+    shift = pairs[:, 2:]
     distance = np.linalg.norm(position[j] + shift @ lattice.T - position[i], axis=1)
     has_block = distance <= (BESIDE if has_particles else BESIDE_UNIFORM) * cutoff
     if has_particles:
         same = np.unique(np.concatenate([_keys(_all_pairs(rim)) for rim in arrangement.rims]))
         has_block |= np.isin(_keys(pairs), same)
-    fluid, touching = walls + arrangement.fluid_start, []
+    fluid = walls + arrangement.fluid_start
+    touching = []
     for first, last, rim in zip(fluid[:-1], fluid[1:], arrangement.rims, strict=False):
         inside = np.repeat(np.arange(first, last), len(rim))[:, None]
         touching.append(np.hstack([inside, np.tile(rim, (last - first, 1))]))
@@ -383,15 +415,16 @@ def _wall_pairs(position: Array, lattice: Array, reach: float) -> Index:
     height = abs(np.linalg.det(lattice)) / np.linalg.norm(lattice, axis=0)[::-1]
     extent = np.ptp(np.linalg.solve(lattice, position.T), axis=1)
     most = np.ceil(reach / height + extent).astype(int)
-    found = []
+    pairs = []
     for a in range(-most[0], most[0] + 1):
         for b in range(-most[1], most[1] + 1):
             r = position[None] + lattice @ np.array([a, b]) - position[:, None]
             i, j = np.nonzero((r**2).sum(axis=2) <= reach**2)
             once = (i < j) | ((i == j) & ((a, b) > (0, 0)))
-            i, j = i[once], j[once]
-            found.append(np.stack([i, j, np.full_like(i, a), np.full_like(i, b)], axis=1))
-    return np.concatenate(found)
+            i = i[once]
+            j = j[once]
+            pairs.append(np.stack([i, j, np.full_like(i, a), np.full_like(i, b)], axis=1))
+    return np.concatenate(pairs)
 
 
 def _all_pairs(rim: Ints) -> Ints:
@@ -405,7 +438,8 @@ def _keys(pairs: NDArray[np.integer]) -> Index:
     i, j, a, b = pairs.T.astype(np.int64)
     turned = (i > j) | ((i == j) & ((a < 0) | ((a == 0) & (b < 0))))
     i, j = np.where(turned, j, i), np.where(turned, i, j)
-    a, b = np.where(turned, -a, a), np.where(turned, -b, b)
+    a = np.where(turned, -a, a)
+    b = np.where(turned, -b, b)
     # i, j, a, b side by side in 64 bits; shifts are raised by half of `_SHIFTS` to be positive
     return ((i << 32) | j) * _SHIFTS**2 + (a + _SHIFTS // 2) * _SHIFTS + b + _SHIFTS // 2
 

@@ -45,7 +45,9 @@ class Constants(NamedTuple):
 
 def make_constants(cell: CellParameters, rest_length: float) -> Constants:
     """Constants of eqs. (1), (2), (8), (9) for one set of parameters."""
-    m, k, strength = cell.wall_particle_mass, cell.wall_stiffness, cell.repulsion_strength
+    m = cell.wall_particle_mass
+    k = cell.wall_stiffness
+    strength = cell.repulsion_strength
     return Constants(
         wall_stiffness=k,
         rest_length=float(rest_length),
@@ -83,7 +85,8 @@ def contact(length, inverse, c):
     What a kernel does not use of the four costs nothing.
     """
     inverse_3 = inverse * inverse * inverse
-    inverse_6, beyond = inverse_3 * inverse_3, 1.0 / c.cutoff**6
+    inverse_6 = inverse_3 * inverse_3
+    beyond = 1.0 / c.cutoff**6
     cube = length * length * length
     fade = cube * cube * beyond
     critical = c.contact_damping * inverse_3 * inverse_root(length)

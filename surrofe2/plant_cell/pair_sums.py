@@ -126,7 +126,10 @@ def add_block(matrix, block, stride, i, j, entries):
 @pair_law
 def add_pair_jacobian(matrix, block, stride, L, i, j, rr, rw):
     """Spread ∂f/∂r = rr and ∂f/∂w = rw over own particles i and j."""
-    lxx, lxy, lyx, lyy = load(L, 0, 0), load(L, 0, 1), load(L, 1, 0), load(L, 1, 1)
+    lxx = load(L, 0, 0)
+    lxy = load(L, 0, 1)
+    lyx = load(L, 1, 0)
+    lyy = load(L, 1, 1)
     xx = rr[0] + rw[0] * lxx + rw[1] * lyx
     xy = rr[1] + rw[0] * lxy + rw[1] * lyy
     yx = rr[2] + rw[2] * lxx + rw[3] * lyx
@@ -182,5 +185,6 @@ def add_field_pair(fields, m, i, j, fx, fy):
 @pair_law
 def add_transposed(fields, m, i, j, slopes, px, py):
     """slopesᵀ p to field m at i, its negative at j."""
-    fx, fy = slopes[0] * px + slopes[2] * py, slopes[1] * px + slopes[3] * py
+    fx = slopes[0] * px + slopes[2] * py
+    fy = slopes[1] * px + slopes[3] * py
     add_field_pair(fields, m, i, j, fx, fy)

@@ -165,9 +165,11 @@ class CellParameters:
                 f"{self.area_variation}; it must be 0, or {LEAST_VARIATION} to 0.6",
             )
         if self.arrangement == "voronoi":
-            is_allowed, allowed = self.cells >= FEWEST_VORONOI, f"at least {FEWEST_VORONOI}"
+            is_allowed = self.cells >= FEWEST_VORONOI
+            allowed = f"at least {FEWEST_VORONOI}"
         else:
-            is_allowed, allowed = isqrt(self.cells) ** 2 == self.cells, "a square number"
+            is_allowed = isqrt(self.cells) ** 2 == self.cells
+            allowed = "a square number"
         if not is_allowed:
             raise InputError(
                 "cell.cells",
@@ -332,9 +334,12 @@ class LivingTissue:
         Raises:
             InputError: the walls alone weigh more than the tissue.
         """
-        usual, side = CellParameters(), self.cell_size
-        thickness, springs = usual.tissue_thickness, usual.wall_springs_per_side
-        spring, cross_section = side / springs, 2.0 * self.wall_thickness * thickness
+        usual = CellParameters()
+        side = self.cell_size
+        thickness = usual.tissue_thickness
+        springs = usual.wall_springs_per_side
+        spring = side / springs
+        cross_section = 2.0 * self.wall_thickness * thickness
         wall_particle = _WALL_DENSITY * cross_section * spring
         weight = 1e-6 * self.density * side**2 * thickness - (2 * springs - 1) * wall_particle
         tension = self.turgor * thickness * side
@@ -356,7 +361,9 @@ class LivingTissue:
 
 _WALL_DENSITY = 1.1e-3
 """Of a wet wall, ng/µm³: two thirds water, one third polysaccharides of 1500 kg/m³."""
-_REPULSION, _CUTOFF, _SMOOTHING = 1.2, 0.37, 0.22
+_REPULSION = 1.2
+_CUTOFF = 0.37
+_SMOOTHING = 0.22
 """Contact force a spring's length away over the walls' tension; lengths over the side."""
 _CARRIED = 1.1484
 """Turgor that the walls carry over c_s² times the mass of SPH fluid per area, at these three."""

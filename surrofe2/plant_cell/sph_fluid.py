@@ -43,13 +43,16 @@ def add_sph_forces(x, v, f, topology, c, slope, volume):
 
     Scratch, filled here: slope (pairs, TILE) W′/|r|; volume (fluid, TILE) 1/ρ.
     """
-    pairs, first = topology.fluid_pairs, topology.walls
+    pairs = topology.fluid_pairs
+    first = topology.walls
     fluid_specific_volume(x, topology, c, slope, volume)
     for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
+        i = pairs[k, 0]
+        j = pairs[k, 1]
         rx, ry = difference(x, i, j)
         wx, wy = difference(v, i, j)
-        volume_i, volume_j = load(volume, i - first), load(volume, j - first)
+        volume_i = load(volume, i - first)
+        volume_j = load(volume, j - first)
         a, b = fluid_coefficients(load(slope, k), volume_i, volume_j, c)
         add_pair(f, i, j, a * rx + b * wx, a * ry + b * wy)
 
@@ -57,13 +60,15 @@ def add_sph_forces(x, v, f, topology, c, slope, volume):
 @kernel
 def fluid_specific_volume(x, topology, c, slope, volume):
     """volume = 1/ρ of eq. (7) and slope = W′/|r| of every fluid pair."""
-    pairs, first = topology.fluid_pairs, topology.walls
+    pairs = topology.fluid_pairs
+    first = topology.walls
     h = c.smoothing_length
-    own = c.fluid_mass * spline(spread(0.0), h)
+    by_itself = c.fluid_mass * spline(spread(0.0), h)
     for p in range(volume.shape[0]):
-        store(own, volume, p)
+        store(by_itself, volume, p)
     for k in range(pairs.shape[0]):
-        p, q = pairs[k, 0] - first, pairs[k, 1] - first
+        p = pairs[k, 0] - first
+        q = pairs[k, 1] - first
         rx, ry = difference(x, pairs[k, 0], pairs[k, 1])
         length, inverse = norm(rx, ry)
         s = length * (1.0 / h)
@@ -87,11 +92,15 @@ def add_sph_energy(x, topology, c, slope, volume, energy):
 @pair_law
 def fluid_slopes(pair, steep, volume_i, volume_j, c):
     """(∂f/∂r, ∂f/∂w, ∂f/∂V_i, ∂f/∂V_j) of a fluid pair, W′/|r| = steep, V = 1/ρ."""
-    rx, ry, wx, wy = pair.rx, pair.ry, pair.wx, pair.wy
+    rx = pair.rx
+    ry = pair.ry
+    wx = pair.wx
+    wy = pair.wy
     a, b = fluid_coefficients(steep, volume_i, volume_j, c)
     bend = spline_bend(steep, pair.length, pair.inverse, c.smoothing_length)
     da, db = fluid_coefficients(bend, volume_i, volume_j, c)
-    ux, uy = da * rx + db * wx, da * ry + db * wy
+    ux = da * rx + db * wx
+    uy = da * ry + db * wy
     rr = (a + ux * pair.nx, ux * pair.ny, uy * pair.nx, a + uy * pair.ny)
     rw = (b, spread(0.0), spread(0.0), b)
     ai, bi = fluid_volume_slopes(steep, volume_j, c)
@@ -111,24 +120,31 @@ def add_sph_jacobian(work, L, topology, c, matrix, columns):
 @kernel
 def _add_cell_jacobian(cell, work, L, topology, c, matrix, columns):
     """Pressure and viscous forces of one plant cell, work.slope and work.volume given."""
-    pairs, first = topology.fluid_pairs, topology.walls + topology.fluid_start[cell]
+    pairs = topology.fluid_pairs
+    first = topology.walls + topology.fluid_start[cell]
     fluid = topology.fluid_start[cell + 1] - topology.fluid_start[cell]
-    block, stride = topology.block, topology.stride
+    block = topology.block
+    stride = topology.stride
     by_density = np.zeros((2 * fluid, fluid, TILE))
     density_by_x = np.zeros((fluid, 2 * fluid, TILE))
     density_by_load = np.zeros((fluid, 4, TILE))
     for k in range(topology.fluid_pair_start[cell], topology.fluid_pair_start[cell + 1]):
-        i, j = pairs[k, 0], pairs[k, 1]
-        p, q = i - first, j - first
+        i = pairs[k, 0]
+        j = pairs[k, 1]
+        p = i - first
+        q = j - first
         pair = pair_at(work.x, work.v, i, j)
-        steep, volume_i = load(work.slope, k), load(work.volume, i - topology.walls)
+        steep = load(work.slope, k)
+        volume_i = load(work.volume, i - topology.walls)
         volume_j = load(work.volume, j - topology.walls)
         rr, rw, at_i, at_j = fluid_slopes(pair, steep, volume_i, volume_j, c)
         add_pair_jacobian(matrix, block, stride, L, i, j, rr, rw)
-        by_i, by_j = -volume_i * volume_i, -volume_j * volume_j
+        by_i = -volume_i * volume_i
+        by_j = -volume_j * volume_j
         add_pair_column(by_density, 2 * p, 2 * q, p, by_i * at_i[0], by_i * at_i[1])
         add_pair_column(by_density, 2 * p, 2 * q, q, by_j * at_j[0], by_j * at_j[1])
-        gx, gy = c.fluid_mass * steep * pair.rx, c.fluid_mass * steep * pair.ry
+        gx = c.fluid_mass * steep * pair.rx
+        gy = c.fluid_mass * steep * pair.ry
         add_pair_row(density_by_x, p, 2 * p, 2 * q, gx, gy)
         add_pair_row(density_by_x, q, 2 * p, 2 * q, gx, gy)
         if columns.shape[0] > 0:
@@ -138,7 +154,8 @@ def _add_cell_jacobian(cell, work, L, topology, c, matrix, columns):
             add_load(density_by_load, q, 0, gx, gy, zx, zy)
     # the fluid of a plant cell is one group of the pattern: its block begins at its first particle
     g = topology.group[first]
-    width, column = topology.width[g], topology.column[first]
+    width = topology.width[g]
+    column = topology.column[first]
     at = topology.start[g] + column * width + topology.offset[g, g] + column
     add_product(by_density, density_by_x, matrix, at, width)
     if columns.shape[0] > 0:
@@ -170,7 +187,8 @@ def add_product(left, right, values, at, width):
     for m in range(left.shape[0]):
         row = at + m * width
         for n in range(0, right.shape[1], 2):
-            even, odd = load(values, row + n), load(values, row + n + 1)
+            even = load(values, row + n)
+            odd = load(values, row + n + 1)
             for s in range(left.shape[1]):
                 factor = load(left, m, s)
                 even += factor * load(right, s, n)
@@ -182,15 +200,21 @@ def add_product(left, right, values, at, width):
 @kernel
 def add_sph_gradients(work, weights, by_x, by_v, topology, c):
     """Add to by_x and by_v; see `add_force_gradients`."""
-    pairs, first = topology.fluid_pairs, topology.walls
-    slope, volume = work.slope, work.volume
+    pairs = topology.fluid_pairs
+    first = topology.walls
+    slope = work.slope
+    volume = work.volume
     fluid_specific_volume(work.x, topology, c, slope, volume)
     by_volume = np.zeros((FIELDS, volume.shape[0], TILE))
     for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
-        p, q = i - first, j - first
+        i = pairs[k, 0]
+        j = pairs[k, 1]
+        p = i - first
+        q = j - first
         pair = pair_at(work.x, work.v, i, j)
-        steep, volume_i, volume_j = load(slope, k), load(volume, p), load(volume, q)
+        steep = load(slope, k)
+        volume_i = load(volume, p)
+        volume_j = load(volume, q)
         rr, rw, at_i, at_j = fluid_slopes(pair, steep, volume_i, volume_j, c)
         for m in range(FIELDS):
             px, py = field_difference(weights, m, i, j)
@@ -204,7 +228,8 @@ def add_sph_gradients(work, weights, by_x, by_v, topology, c):
             here = load(volume, p)
             store(-here * here * load(by_volume, m, p), by_volume, m, p)
     for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
+        i = pairs[k, 0]
+        j = pairs[k, 1]
         rx, ry = difference(work.x, i, j)
         density = c.fluid_mass * load(slope, k)
         for m in range(FIELDS):
@@ -215,12 +240,15 @@ def add_sph_gradients(work, weights, by_x, by_v, topology, c):
 @kernel
 def add_sph_rates(work, f_rate, volume_rate, topology, c):
     """With α = m² c_s² (W′/|r|) (V_i + V_j) of eq. (8): f = α r and ḟ = α̇ r + α w."""
-    slope, volume = work.slope, work.volume
-    pairs, first = topology.fluid_pairs, topology.walls
+    slope = work.slope
+    volume = work.volume
+    pairs = topology.fluid_pairs
+    first = topology.walls
     fluid_specific_volume(work.x, topology, c, slope, volume)
     volume_rate[:] = 0.0
     for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
+        i = pairs[k, 0]
+        j = pairs[k, 1]
         rx, ry = difference(work.x, i, j)
         wx, wy = difference(work.v, i, j)
         density_rate = c.fluid_mass * load(slope, k) * (rx * wx + ry * wy)
@@ -231,8 +259,10 @@ def add_sph_rates(work, f_rate, volume_rate, topology, c):
         store(-here * here * load(volume_rate, p), volume_rate, p)
     strength = c.fluid_mass * c.fluid_mass * c.sound_speed_squared
     for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
-        p, q = i - first, j - first
+        i = pairs[k, 0]
+        j = pairs[k, 1]
+        p = i - first
+        q = j - first
         pair = pair_at(work.x, work.v, i, j)
         steep = load(slope, k)
         volumes = strength * (load(volume, p) + load(volume, q))
@@ -242,7 +272,8 @@ def add_sph_rates(work, f_rate, volume_rate, topology, c):
         a_rate = bend * pair.rate * volumes + steep * strength * (
             load(volume_rate, p) + load(volume_rate, q)
         )
-        gx, gy = a_rate * pair.rx + a * pair.wx, a_rate * pair.ry + a * pair.wy
+        gx = a_rate * pair.rx + a * pair.wx
+        gy = a_rate * pair.ry + a * pair.wy
         add_pair(f_rate, i, j, gx, gy)
 
 
@@ -254,18 +285,22 @@ def add_sph_stiffness_rates(work, u, f, topology, c):
     """
     if topology.fluid_pairs.shape[0] == 0:
         return
-    x, v = work.x.copy(), work.v.copy()
+    x = work.x.copy()
+    v = work.v.copy()
     speed = np.full(TILE, 1e-300)
     for axis in range(2):
         for i in range(v.shape[1]):
             for k in range(TILE):
                 speed[k] = max(speed[k], abs(v[axis, i, k]))
     step = STEP * c.smoothing_length / speed
-    by_x, by_v = np.empty_like(u), np.empty_like(u)
+    by_x = np.empty_like(u)
+    by_v = np.empty_like(u)
     work.v[:] = 0.0  # dashpots off, and K is symmetric: gradients of Σ u·f by x are K u
     for side in range(2):
         work.x[:] = x + (1.0 - 2.0 * side) * step * v
-        by_x[:], by_v[:] = 0.0, 0.0
+        by_x[:] = 0.0
+        by_v[:] = 0.0
         add_sph_gradients(work, u, by_x, by_v, topology, c)
         f[:] = f + by_x * ((0.5 - side) / step)
-    work.x[:], work.v[:] = x, v
+    work.x[:] = x
+    work.v[:] = v

@@ -25,10 +25,12 @@ Edge = tuple[int, int, Shift]
 
 LLOYD_STEPS = 3
 """Voronoi points move so often to the centroids of their polygons."""
-_MOST_STEPS, _APART = 200, -0.1
+_MOST_STEPS = 200
+_APART = -0.1
 """Moves of points after which a variation of areas is out of reach; the fraction of the way to
 their centroids by which they move if areas are to differ more."""
-_MOST_STRETCH, _CLOSE = 40.0, 1e-6
+_MOST_STRETCH = 40.0
+_CLOSE = 1e-6
 _SHORTEST = 1e-3
 _IMAGES = np.array([(a, b) for a in range(-2, 3) for b in range(-2, 3)])
 
@@ -122,9 +124,11 @@ def centroid(corners: Array) -> Array:
 
 def edge_of(a: Corner, b: Corner) -> tuple[Edge, Shift, bool]:
     """Edge between two corners of a polygon, the shift of its first vertex, whether turned."""
-    (v, s), (w, t) = a, b
+    v, s = a
+    w, t = b
     there = (t[0] - s[0], t[1] - s[1])
-    forward, back = (v, w, there), (w, v, (-there[0], -there[1]))
+    forward = (v, w, there)
+    back = (w, v, (-there[0], -there[1]))
     turned = _order(back) < _order(forward)
     return (back, t, True) if turned else (forward, s, False)
 

@@ -56,7 +56,8 @@ class Fluid(NamedTuple):
 def normal_at(x, rim, k):
     """g_k of positions (or any other field) x (2, local, TILE) on the rim."""
     count = rim.shape[0]
-    before, after = rim[(k + count - 1) % count], rim[(k + 1) % count]
+    before = rim[(k + count - 1) % count]
+    after = rim[(k + 1) % count]
     gx = 0.5 * (load(x, 1, after) - load(x, 1, before))
     gy = 0.5 * (load(x, 0, before) - load(x, 0, after))
     return gx, gy
@@ -68,11 +69,16 @@ def rim_product(u, x, rim):
 
     Since Σ g_k = 0, u counts from its value at the first particle, which rounds less.
     """
-    xx, xy, yx, yy = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
-    first_x, first_y = load(u, 0, rim[0]), load(u, 1, rim[0])
+    xx = spread(0.0)
+    xy = spread(0.0)
+    yx = spread(0.0)
+    yy = spread(0.0)
+    first_x = load(u, 0, rim[0])
+    first_y = load(u, 1, rim[0])
     for k in range(rim.shape[0]):
         gx, gy = normal_at(x, rim, k)
-        ux, uy = load(u, 0, rim[k]) - first_x, load(u, 1, rim[k]) - first_y
+        ux = load(u, 0, rim[k]) - first_x
+        uy = load(u, 1, rim[k]) - first_y
         xx += ux * gx
         xy += ux * gy
         yx += uy * gx
@@ -96,7 +102,8 @@ def rim_of(topology, cell):
 @pair_law
 def twice_deviator(L, factor):
     """(xx, xy, yy) of factor (L + Lᵀ − tr L I); yy is −xx."""
-    xx, xy = factor * (L[0] - L[3]), factor * (L[1] + L[2])
+    xx = factor * (L[0] - L[3])
+    xy = factor * (L[1] + L[2])
     return xx, xy, -xx
 
 
@@ -140,7 +147,8 @@ def add_uniform_energy(x, topology, c, energy):
     area = np.empty((1, TILE))
     for cell in range(topology.rim_start.shape[0] - 1):
         store(rim_area(x, rim_of(topology, cell)), area, 0)
-        mass, rest = topology.fluid_mass[cell], topology.rest_area[cell]
+        mass = topology.fluid_mass[cell]
+        rest = topology.rest_area[cell]
         osmotic = mass * c.sound_speed_squared
         for lane in range(TILE):
             here = area[0, lane]
@@ -151,10 +159,13 @@ def add_uniform_energy(x, topology, c, energy):
 @kernel
 def add_uniform_jacobian(work, topology, c, matrix, columns):
     """Add to matrix and columns; see `force_jacobian`."""
-    own, owner = topology.particles, topology.owner
-    block, stride = topology.block, topology.stride
+    particles = topology.particles
+    owner = topology.owner
+    block = topology.block
+    stride = topology.stride
     for cell in range(topology.rim_start.shape[0] - 1):
-        rim, unknown = rim_of(topology, cell), own + cell
+        rim = rim_of(topology, cell)
+        unknown = particles + cell
         fluid = fluid_at(work.x, work.v, topology, cell, c)
         xx, xy, yy = fluid.stress
         # half of S R, by which the force follows the neighbour after
@@ -164,9 +175,10 @@ def add_uniform_jacobian(work, topology, c, matrix, columns):
         add_block(matrix, block, stride, unknown, unknown, (-1.0 / fluid.slope, 0.0, 0.0, -1.0))
         for k in range(rim.shape[0]):
             gx, gy = normal_at(work.x, rim, k)
-            i, j = rim[k], rim[(k + 1) % rim.shape[0]]
-            i = i if i < own else owner[i - own]
-            j = j if j < own else owner[j - own]
+            i = rim[k]
+            j = rim[(k + 1) % rim.shape[0]]
+            i = i if i < particles else owner[i - particles]
+            j = j if j < particles else owner[j - particles]
             add_block(matrix, block, stride, i, j, turn)
             add_block(matrix, block, stride, j, i, back)
             add_block(matrix, block, stride, i, unknown, (gx, 0.0, gy, 0.0))
@@ -178,10 +190,13 @@ def add_uniform_jacobian(work, topology, c, matrix, columns):
 @kernel
 def _add_columns(work, topology, c, columns):
     """∂f/∂F_bc and ∂f/∂Ḟ_bc, along the motions e_b z_c of positions and of velocities."""
-    own, still, change = topology.particles, np.zeros_like(work.x), np.empty_like(work.x)
+    particles = topology.particles
+    still = np.zeros_like(work.x)
+    change = np.empty_like(work.x)
     moving = np.empty_like(work.x)
     for m in range(columns.shape[1]):
-        b, along = m % 4 // 2, m % 2
+        b = m % 4 // 2
+        along = m % 2
         moving[:] = 0.0
         moving[b] = work.z[along]
         change[:] = 0.0
@@ -190,7 +205,7 @@ def _add_columns(work, topology, c, columns):
         else:
             _add_change(work.x, work.v, still, moving, topology, c, change)
         for k in range(change.shape[1]):
-            i = k if k < own else topology.owner[k - own]
+            i = k if k < particles else topology.owner[k - particles]
             store(load(columns, 2 * i, m) + load(change, 0, k), columns, 2 * i, m)
             store(load(columns, 2 * i + 1, m) + load(change, 1, k), columns, 2 * i + 1, m)
 
@@ -199,10 +214,13 @@ def _add_columns(work, topology, c, columns):
 def _add_change(x, v, dx, dv, topology, c, change):
     """Add how forces change as local positions move by dx and velocities by dv."""
     for cell in range(topology.rim_start.shape[0] - 1):
-        rim, fluid = rim_of(topology, cell), fluid_at(x, v, topology, cell, c)
+        rim = rim_of(topology, cell)
+        fluid = fluid_at(x, v, topology, cell, c)
         xx, xy, yy = fluid.stress
-        by_dx, by_dv = rim_product(dx, x, rim), rim_product(dv, x, rim)
-        turned, area = rim_product(v, dx, rim), by_dx[0] + by_dx[3]
+        by_dx = rim_product(dx, x, rim)
+        by_dv = rim_product(dv, x, rim)
+        turned = rim_product(v, dx, rim)
+        area = by_dx[0] + by_dx[3]
         dxx = by_dv[0] + turned[0] - fluid.L[0] * area
         dxy = by_dv[1] + turned[1] - fluid.L[1] * area
         dyx = by_dv[2] + turned[2] - fluid.L[2] * area
@@ -227,11 +245,15 @@ def add_uniform_gradients(work, weights, by_x, by_v, topology, c):
         by y_k: (p′ tr Φ + 1/A L:T) g_k + 1/A T ġ_k + Ŝ g_k(φ),   Ŝ = R S Rᵀ
     """
     for cell in range(topology.rim_start.shape[0] - 1):
-        rim, fluid = rim_of(topology, cell), fluid_at(work.x, work.v, topology, cell, c)
+        rim = rim_of(topology, cell)
+        fluid = fluid_at(work.x, work.v, topology, cell, c)
         sxx, sxy, syy = fluid.stress
-        L, per_area = fluid.L, fluid.per_area
+        L = fluid.L
+        per_area = fluid.per_area
         for m in range(FIELDS):
-            field, to_x, to_v = weights[m], by_x[m], by_v[m]
+            field = weights[m]
+            to_x = by_x[m]
+            to_v = by_v[m]
             product = rim_product(field, work.x, rim)
             txx, txy, tyy = twice_deviator(product, c.viscosity * per_area)
             along = fluid.slope * (product[0] + product[3])
@@ -250,7 +272,8 @@ def add_uniform_gradients(work, weights, by_x, by_v, topology, c):
 def add_uniform_rates(work, f_rate, topology, c):
     """Add the elastic forces f = p g_k to work.f, and ḟ = p′ Ȧ g_k + p ġ_k to f_rate."""
     for cell in range(topology.rim_start.shape[0] - 1):
-        rim, fluid = rim_of(topology, cell), fluid_at(work.x, work.v, topology, cell, c)
+        rim = rim_of(topology, cell)
+        fluid = fluid_at(work.x, work.v, topology, cell, c)
         pressure = fluid.pressure
         rate = fluid.slope * _trace(rim_product(work.v, work.x, rim))
         for k in range(rim.shape[0]):
@@ -264,10 +287,13 @@ def add_uniform_rates(work, f_rate, topology, c):
 def add_uniform_stiffness_rates(work, u, f, topology, c):
     """Add K̇ u to f: K u_k = p′ (g·u) g_k + p g_k(u), with g·u = Σ g_k·u_k; and its rate."""
     for cell in range(topology.rim_start.shape[0] - 1):
-        rim, fluid = rim_of(topology, cell), fluid_at(work.x, work.v, topology, cell, c)
-        slope, area_rate = fluid.slope, _trace(rim_product(work.v, work.x, rim))
+        rim = rim_of(topology, cell)
+        fluid = fluid_at(work.x, work.v, topology, cell, c)
+        slope = fluid.slope
+        area_rate = _trace(rim_product(work.v, work.x, rim))
         for m in range(FIELDS):
-            field, to = u[m], f[m]
+            field = u[m]
+            to = f[m]
             across = _trace(rim_product(field, work.x, rim))
             along = fluid.bend * area_rate * across
             along += slope * _trace(rim_product(field, work.v, rim))

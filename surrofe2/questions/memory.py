@@ -25,12 +25,16 @@ from surrofe2.rve.micro_integration import integrate_rve
 Path = Callable[[float], tuple[Array, Array]]
 """(F, Ḟ) at a time in µs."""
 
-PERIOD, STRETCH, SHEAR, RATE = 17.0, 0.02, 0.03, 0.005
+PERIOD = 17.0
+STRETCH = 0.02
+SHEAR = 0.03
+RATE = 0.005
 """µs, the bar's second mode; amplitudes of F₁₁ and F₁₂ by which the second past departs; Ḟ₁₂ in
 1/µs where both meet."""
 TOLERANCE = 0.01
 """Part of the largest stress that may depend on the past."""
-AFTER, MICRO_STEP = 10.0, 1e-3
+AFTER = 10.0
+MICRO_STEP = 1e-3
 """µs: how long the stresses are watched, and the step of the integration."""
 _NOISE = 1e-9
 """Differences below this part of the stress are the integrator's."""
@@ -46,7 +50,8 @@ def steady_shear(rate: float, start: float = 0.0) -> Path:
 
 def returning(path: Path, period: float) -> Path:
     """A path, but for an excursion D sin²(πt/T) before t = 0: F and Ḟ meet there, F̈ does not."""
-    omega, away = 2.0 * np.pi / period, 0.5 * np.array([[STRETCH, SHEAR], [0.0, 0.0]])
+    omega = 2.0 * np.pi / period
+    away = 0.5 * np.array([[STRETCH, SHEAR], [0.0, 0.0]])
 
     def excursion(t: float) -> tuple[Array, Array]:
         F, F_dot = path(t)
@@ -88,14 +93,16 @@ class Memory:
     @property
     def sound(self) -> bool:
         """Whether the difference is small and fades fast against the period."""
-        fading, forgotten = self.fading_time(), self.largest <= _NOISE * self.scale
+        fading = self.fading_time()
+        forgotten = self.largest <= _NOISE * self.scale
         short = forgotten or (fading is not None and fading <= _SHORT * self.period)
         return self.largest <= self.tolerance * self.scale and short
 
     @property
     def verdict(self) -> str:
         """One sentence on whether a cache on (F, Ḟ) is sound."""
-        fading, period = self.fading_time(), f"{self.period:g} µs"
+        fading = self.fading_time()
+        period = f"{self.period:g} µs"
         fades = f"not faded after {self.t[-1]:g} µs"
         if fading is not None:
             fades = f"fading in {number(fading, 2)} µs"
@@ -124,9 +131,12 @@ def memory(
     """
     if not 0.0 < period < np.inf:
         raise InputError(f"--period: {period}; it must be positive and finite (µs)")
-    law, t, steady = RveLaw(cell), np.linspace(0.0, after, 201), steady_shear(RATE)
+    law = RveLaw(cell)
+    t = np.linspace(0.0, after, 201)
+    steady = steady_shear(RATE)
     times = np.concatenate([[-1.5 * period], t])
-    pasts, stresses = (steady, returning(steady, period)), []
+    pasts = (steady, returning(steady, period))
+    stresses = []
     for past in pasts:
         stresses.append(integrate_rve(law, past, times, micro_step)[1:])
         progress(len(stresses) / len(pasts))
@@ -135,12 +145,12 @@ def memory(
 
 
 QUANTITIES: tuple[Quantity[Memory], ...] = (
-    Quantity("a cache is", "", "", lambda found: "sound" if found.sound else "not sound"),
-    Quantity("largest difference", "µN/µm", ".3g", lambda found: found.largest),
-    Quantity("largest stress", "µN/µm", ".3g", lambda found: found.scale),
-    Quantity("fading time", "µs", ".3g", lambda found: found.fading_time()),
-    Quantity("time to hundredth", "µs", ".3g", lambda found: found.fading_time(0.01)),
-    Quantity("verdict", "", None, lambda found: found.verdict),
+    Quantity("a cache is", "", "", lambda result: "sound" if result.sound else "not sound"),
+    Quantity("largest difference", "µN/µm", ".3g", lambda result: result.largest),
+    Quantity("largest stress", "µN/µm", ".3g", lambda result: result.scale),
+    Quantity("fading time", "µs", ".3g", lambda result: result.fading_time()),
+    Quantity("time to hundredth", "µs", ".3g", lambda result: result.fading_time(0.01)),
+    Quantity("verdict", "", None, lambda result: result.verdict),
 )
 
 
@@ -151,11 +161,11 @@ def memory_study(
     progress: Callable[[float], None] = lambda done: None,
 ) -> Study:
     """The fading difference of the stresses; as `memory`."""
-    found = memory(cell, period, progress=progress)
+    result = memory(cell, period, progress=progress)
     labels = "time since both pasts met (µs)", "difference of the stresses (µN/µm)"
-    curve = Curve("difference", found.t, found.difference, markers=False)
+    curve = Curve("difference", result.t, result.difference, markers=False)
     return Study(
         title="Two pasts that end in the same (F, Ḟ): difference of the stresses",
         panels=(Panel(*labels, (curve,), log_y=True),),
-        table=Table(QUANTITIES, (found,)),
+        table=Table(QUANTITIES, (result,)),
     )

@@ -90,7 +90,8 @@ def cell_moduli(cell: CellParameters, initialisation: str) -> CellModuli:
     Raises:
         InputError: the plant cell has no equilibrium at rest.
     """
-    F, law = np.eye(2)[None], RveLaw(cell, initialisation=initialisation)
+    F = np.eye(2)[None]
+    law = RveLaw(cell, initialisation=initialisation)
     tangents = law.respond(F, 0.0 * F, tangents=True).tangents
     if tangents is None or not np.isfinite(tangents.P_by_F).all():
         raise InputError(f"moduli: no equilibrium at rest by initialisation {initialisation}")
@@ -101,7 +102,8 @@ def voigt(tangent: Array) -> Array:
     """(3, 3) of a tangent (2, 2, 2, 2), its minor symmetries taken: xx, yy, xy."""
     symmetric = 0.5 * (tangent + tangent.transpose(1, 0, 2, 3))
     symmetric = 0.5 * (symmetric + symmetric.transpose(0, 1, 3, 2))
-    a, b = np.array([0, 1, 0]), np.array([0, 1, 1])
+    a = np.array([0, 1, 0])
+    b = np.array([0, 1, 1])
     return np.asarray(symmetric[a[:, None], b[:, None], a[None], b[None]])
 
 
@@ -112,7 +114,8 @@ def turgor(cell: CellParameters) -> float:
     thickness. A uniform fluid has this pressure. The mean of c_s² ρ over SPH particles is smaller,
     since walls and fluid repel each other over a distance and the fluid does not fill the cell.
     """
-    unit, still = RveLaw(cell).unit_cell, np.zeros((1, 2, 2))
+    unit = RveLaw(cell).unit_cell
+    still = np.zeros((1, 2, 2))
     position = unit.position[None]
     seen = look_into(unit, np.eye(2)[None], still, position, 0.0 * position)
     return float(np.trace(seen.wall_stress[0])) / 2.0 / cell.tissue_thickness
@@ -157,7 +160,7 @@ def with_turgor(cell: CellParameters, pressure: float) -> CellParameters:
 
 
 def experiment_table(cell: CellParameters) -> Table[Any]:
-    """What experiments on the tissue at rest would find: moduli, turgor, walls, stability.
+    """Return what experiments on the tissue at rest would find: moduli, turgor, walls, stability.
 
     Moduli are drained or not as the cell's sap is, and of slow tests, whose particles relax.
 
@@ -199,7 +202,9 @@ _TESTS: tuple[tuple[str, Callable[[Array, float], float], str, dict[str, float]]
 _UNIT: Quantity[Any] = Quantity("unit", "", "")
 
 
-def moduli_tables(cell: CellParameters, found: Mapping[str, CellModuli]) -> dict[str, Table[Any]]:
+def moduli_tables(
+    cell: CellParameters, by_method: Mapping[str, CellModuli]
+) -> dict[str, Table[Any]]:
     """By title: elastic and viscous moduli by initialisation, in 2D and over the thickness."""
     tables = {}
     for kind, unit in (("elastic", ""), ("viscous", " µs")):
@@ -207,7 +212,7 @@ def moduli_tables(cell: CellParameters, found: Mapping[str, CellModuli]) -> dict
             rows = [
                 {"initialisation": method}
                 | {name: float(of_C(getattr(each, kind) / over)) for name, of_C in MODULI.items()}
-                for method, each in found.items()
+                for method, each in by_method.items()
             ]
             columns: list[Quantity[Any]] = [Quantity("initialisation", "", "")]
             columns += [Quantity(name, "", ".4g") for name in MODULI]

@@ -29,7 +29,8 @@ CATEGORIES = (
 )
 STABLE, LEFT, UNSTABLE, FAILED = range(4)
 
-STRETCH, SHEAR = (0.75, 1.5), (0.0, 0.6)
+STRETCH = (0.75, 1.5)
+SHEAR = (0.0, 0.6)
 """Range of the map; F_xy < 0 mirrors F_xy > 0."""
 
 WAYS: Mapping[str, tuple[tuple[float, float, float], float]] = {
@@ -41,7 +42,9 @@ WAYS: Mapping[str, tuple[tuple[float, float, float], float]] = {
 }
 """Direction (F_xx, F_yy, F_xy) and how far it is followed."""
 
-_BATCH, _MARCH, _CLOSE = 128, 2.5e-3, 1e-5
+_BATCH = 128
+_MARCH = 2.5e-3
+_CLOSE = 1e-5
 
 PLANES: Mapping[str, tuple[str, str, tuple[int, int], tuple[float, float]]] = {
     "stretch": ("no shear", "stretch $F_{yy}$", (1, 1), STRETCH),
@@ -60,12 +63,15 @@ def stability(
     cell: CellParameters, points: int = 41, *, progress: Callable[[float], None] = lambda _: None
 ) -> Study:
     """What becomes of RVEs on points × points deformations of two planes, and the onset by way."""
-    panels, counts, done = [], {}, 0
+    panels = []
+    counts = {}
+    done = 0
     for name, (title, y_label, index, span) in PLANES.items():
         F = np.tile(np.eye(2), (points, points, 1, 1))
         F[:, :, 0, 0] = np.linspace(*STRETCH, points)[:, None]
         F[:, :, *index] = np.linspace(*span, points)
-        F, parts = F.reshape(-1, 2, 2), []
+        F = F.reshape(-1, 2, 2)
+        parts = []
         for first in range(0, len(F), _BATCH):
             parts.append(categories(cell, F[first : first + _BATCH]))
             done += len(parts[-1])
@@ -81,7 +87,8 @@ def stability(
     rows = []
     for way, (direction, length) in WAYS.items():
         onset = find_onset(cell, direction, length)
-        up_to, loses = length if onset is None else onset, onset is not None
+        up_to = length if onset is None else onset
+        loses = onset is not None
         rows.append({"way": way, "stable up to": up_to, "loses stability": loses})
     return Study(
         title="Stable equilibria of the plant cell at rest",
@@ -106,7 +113,7 @@ def categories(cell: CellParameters, F: Array) -> Index:
 def find_onset(
     cell: CellParameters, direction: tuple[float, float, float], length: float
 ) -> float | None:
-    """How far F = I + s (direction) may go before the reference branch loses stability.
+    """Return how far F = I + s (direction) may go before the reference branch loses stability.
 
     Followed in steps of 0.0025 and then bisected to 1e-5; None where it is stable up to `length`.
     """
@@ -114,12 +121,15 @@ def find_onset(
     unit = law.unit_cell
     xx, yy, xy = direction
     way = np.array([[xx, xy], [0.0, yy]])
-    z, s, step = unit.position.T[None].copy(), 0.0, _MARCH
+    z = unit.position.T[None].copy()
+    s = 0.0
+    step = _MARCH
     while s < length:
         F = (np.eye(2) + (s + step) * way)[None]
         trial = seek(unit, F, z, law.settings.tolerance)
         if trial.stable[0]:
-            z, s = trial.z, s + step
+            z = trial.z
+            s = s + step
         elif step < _CLOSE:
             return s
         else:

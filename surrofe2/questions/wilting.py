@@ -36,7 +36,8 @@ from surrofe2.run.charts import Curve, Panel
 from surrofe2.rve import RveLaw
 
 POINTS = 16
-_TRIALS, _EVEN = 30, 1e-10
+_TRIALS = 30
+_EVEN = 1e-10
 """Newton's method for the shape of the box, and the stress besides a pressure, over the turgor,
 at which it stops."""
 _SAME = 1e-3

@@ -41,8 +41,10 @@ class RankState:
         number: by which ranks know it, as long as this object lives.
     """
 
-    def __init__(self, law: DistributedLaw, owner: Index, left: Flags) -> None:
-        self.law, self.owner, self.left_points = law, owner, left
+    def __init__(self, law: DistributedLaw, owner: Index, left_points: Flags) -> None:
+        self.law = law
+        self.owner = owner
+        self.left_points = left_points
         self.number = next(law.driver.numbers)
 
     def __del__(self) -> None:
@@ -68,16 +70,20 @@ class RankState:
 
     def put(self, index: Index, part: RankState) -> RankState:
         """This state with that of these points replaced."""
-        owner, left, row = self.owner.copy(), self.left_points.copy(), self.rows()
+        owner = self.owner.copy()
+        left_points = self.left_points.copy()
+        row = self.rows()
         number = np.full(len(owner), self.number)
-        owner[index], left[index] = part.owner, part.left_points
-        number[index], row[index] = part.number, part.rows()
-        return self._joined(owner, left, number, row)
+        owner[index] = part.owner
+        left_points[index] = part.left_points
+        number[index] = part.number
+        row[index] = part.rows()
+        return self._joined(owner, left_points, number, row)
 
-    def _joined(self, owner: Index, left: Flags, number: Index, row: Index) -> RankState:
+    def _joined(self, owner: Index, left_points: Flags, number: Index, row: Index) -> RankState:
         """The state whose points are these rows of the states of these numbers, on their ranks."""
-        after = RankState(self.law, owner, left)
-        places = ((after.number, number[own], row[own]) for own in after.shares())
+        after = RankState(self.law, owner, left_points)
+        places = ((after.number, number[points], row[points]) for points in after.shares())
         self.law.driver.do(_join, [each if len(each[1]) else None for each in places])
         return after
 
@@ -95,10 +101,13 @@ class DistributedLaw:
     """
 
     def __init__(self, law: RveLaw, driver: Driver) -> None:
-        self.law, self.driver = law, driver
+        self.law = law
+        self.driver = driver
         self._number = next(driver.numbers)
-        self.cell, self.initialisation = law.cell, law.initialisation
-        self.density, self.has_tangents = law.density, law.has_tangents
+        self.cell = law.cell
+        self.initialisation = law.initialisation
+        self.density = law.density
+        self.has_tangents = law.has_tangents
         driver.do(_have, [(self._number, law)] * driver.ranks)
 
     def beyond_bifurcation(self, state: RankState) -> Flags:
@@ -109,15 +118,16 @@ class DistributedLaw:
         """All of a state, as one `RveState` of all points would give it, piece by piece; and, by
         ``owner`` and ``ranks``, which rank has each point, and of how many.
         """
-        whole, shares = dict[str, NDArray](), state.shares()
+        whole = dict[str, NDArray]()
+        shares = state.shares()
         for begin in range(0, max(map(len, shares)), PIECE):
-            pieces = [own[begin : begin + PIECE] for own in shares]
+            pieces = [points[begin : begin + PIECE] for points in shares]
             at = self._number, state.number, begin
-            tasks = [(*at, len(own)) if len(own) else None for own in pieces]
-            for own, part in zip(pieces, self.driver.do(_to_arrays, tasks), strict=True):
+            tasks = [(*at, len(points)) if len(points) else None for points in pieces]
+            for points, part in zip(pieces, self.driver.do(_to_arrays, tasks), strict=True):
                 for name, values in (part or {}).items():
                     room = np.empty((len(state.owner), *values.shape[1:]), values.dtype)
-                    whole.setdefault(name, room)[own] = values
+                    whole.setdefault(name, room)[points] = values
         return {**whole, "owner": state.owner, "ranks": np.array(self.driver.ranks)}
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> RankState:
@@ -133,7 +143,7 @@ class DistributedLaw:
         else:
             owner = owner.astype(np.intp)
         state = RankState(self, owner, arrays["left"])
-        parts = [{name: each[own] for name, each in arrays.items()} for own in state.shares()]
+        parts = [{name: each[points] for name, each in arrays.items()} for points in state.shares()]
         tasks = [(self._number, state.number, part) if len(part["z"]) else None for part in parts]
         self.driver.do(_from_arrays, tasks)
         return state
@@ -156,23 +166,27 @@ class DistributedLaw:
         F, F_dot = check_deformation(F, F_dot)
         before = self._checked(response.state, len(F))
         answered = F, F_dot, response.stress, response.status
-        found = self._by_ranks(_accept, before.owner, (before.number,), answered)
-        left, state = found.left_bifurcation, found.state
-        stress = response.stress if left is None else found.stress
+        accepted = self._by_ranks(_accept, before.owner, (before.number,), answered)
+        has_left = accepted.left_bifurcation
+        state = accepted.state
+        stress = response.stress if has_left is None else accepted.stress
         return replace(
-            response, stress=stress, status=found.status, state=state, left_bifurcation=left
+            response, stress=stress, status=accepted.status, state=state, left_bifurcation=has_left
         )
 
     def _by_ranks(
-        self, work: Any, owner: Index, given: tuple[Any, ...], arrays: Sequence[NDArray]
+        self, work: Any, owner: Index, entries: tuple[Any, ...], arrays: Sequence[NDArray]
     ) -> StressResponse:
-        """What ranks make of arrays (n, …), each at the points that it owns."""
+        """Return what ranks make of arrays (n, …), each at the points that it owns."""
         after = RankState(self, owner, np.zeros(len(owner), dtype=np.bool_))
-        shares, of_all = after.shares(), (self._number, *given, after.number)
-        tasks = [(*of_all, *(each[own] for each in arrays)) for own in shares]
+        shares = after.shares()
+        of_all = (self._number, *entries, after.number)
+        tasks = [(*of_all, *(each[points] for each in arrays)) for points in shares]
         results = self.driver.do(work, [task if len(task[-1]) else None for task in tasks])
-        parts = [(own, part) for own, part in zip(shares, results, strict=True) if len(own)]
-        after.left_points = joined_values([(own, part.state) for own, part in parts])
+        parts = [
+            (points, part) for points, part in zip(shares, results, strict=True) if len(points)
+        ]
+        after.left_points = joined_values([(points, part.state) for points, part in parts])
         return joined(parts, after)
 
     def _dealt(self, at: Array) -> Index:

@@ -73,7 +73,8 @@ def world() -> Any:
 
 def own_threads() -> int:
     """Cores for each rank: those that it is bound to, or its share of the machine's or quota's."""
-    bound, allowed = len(os.sched_getaffinity(0)), cores()
+    bound = len(os.sched_getaffinity(0))
+    allowed = cores()
     local = [os.environ[name] for name in _LOCAL_SIZES if name in os.environ]
     is_shared = bound == os.cpu_count() or allowed < bound
     ranks = int(local[0]) if local and is_shared else 1
@@ -169,8 +170,10 @@ class Driver(AbstractContextManager["Driver"]):
                 comm.scatter([1] * int(comm.size))
                 raise InputError(f"mpiexec: {problem}")
         self.ranks = int(comm.size)
-        self.tasks, self.seconds = 0, {"computing": 0.0, "messages": 0.0}
-        self.numbers, self.dropped = count(), list[int]()
+        self.tasks = 0
+        self.seconds = {"computing": 0.0, "messages": 0.0}
+        self.numbers = count()
+        self.dropped = list[int]()
         self._worker = Worker()
         _drivers.append(self)
 
@@ -190,10 +193,11 @@ class Driver(AbstractContextManager["Driver"]):
             SimulationError: it failed on a rank, which the message names.
         """
         with held():
-            dropped, self.dropped = self.dropped, []
+            dropped = self.dropped
+            self.dropped = []
             began = clock()
-            own = self._comm.scatter([(work, each, dropped) for each in arguments])
-            results: list[_Result] = self._comm.gather(_done(self._worker, own))
+            mine = self._comm.scatter([(work, each, dropped) for each in arguments])
+            results: list[_Result] = self._comm.gather(_done(self._worker, mine))
             elapsed = clock() - began
         slowest = max(seconds for _, seconds, _, _ in results)
         self.tasks += 1
@@ -278,7 +282,7 @@ def _sources() -> str:
 
 
 def _disagreement(identities: Sequence[_Identity]) -> str:
-    """What is not the same on all ranks; empty where everything is."""
+    """Return what is not the same on all ranks; empty where everything is."""
     first = identities[0]
     for number, other in enumerate(identities):
         if other.arguments != first.arguments:
@@ -312,7 +316,9 @@ def _done(worker: Worker, task: _Task) -> _Result:
     work, arguments, dropped = task
     for number in dropped:
         worker.states.pop(number, None)
-    began, value, error = clock(), None, None
+    began = clock()
+    value = None
+    error = None
     try:
         if arguments is not None:
             value = work(worker, *arguments)

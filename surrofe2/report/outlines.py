@@ -55,8 +55,10 @@ def outlines_figure(
         drawn = PolyCollection(every, facecolors=[_LEAF], edgecolors="black", linewidths=0.6)
         places[1].add_collection(drawn)
         corners = np.concatenate(every)
-        own = PolyCollection(list(polygons), facecolors="none", edgecolors=BLUE, linewidths=1.2)
-        places[1].add_collection(own)
+        polygons_of_cells = PolyCollection(
+            list(polygons), facecolors="none", edgecolors=BLUE, linewidths=1.2
+        )
+        places[1].add_collection(polygons_of_cells)
         places[1].set_title("RVE at rest (blue), repeated, at the same scale", fontsize=9)
         low, high = corners.min(axis=0), corners.max(axis=0)
         size = np.maximum(high - low, [width, height])

@@ -21,8 +21,12 @@ if TYPE_CHECKING:
 
 
 # The palette of Okabe and Ito, told apart by readers of every colour vision.
-BLUE, SKY, GREEN = "#0072B2", "#56B4E9", "#009E73"
-VERMILION, ORANGE, PURPLE = "#D55E00", "#E69F00", "#CC79A7"
+BLUE = "#0072B2"
+SKY = "#56B4E9"
+GREEN = "#009E73"
+VERMILION = "#D55E00"
+ORANGE = "#E69F00"
+PURPLE = "#CC79A7"
 PALETTE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 """Colours of curves without a style of their own, in turn."""
 _REFERENCE: dict[str, Any] = {"color": "black", "linewidth": 2.8, "alpha": 0.4, "zorder": 1}
@@ -50,7 +54,9 @@ _TURNS = (("o", "-"), ("s", "--"), ("^", ":"))
 _DASHES = ("-", "--", "-.", ":")
 """Of lines without markers, in turn."""
 _PANEL_SIZE = (4.6, 3.1)  # inches
-_LEGEND_ROW, _LEGEND_ROOM, _TITLE_ROW = 0.2, 0.15, 0.2
+_LEGEND_ROW = 0.2
+_LEGEND_ROOM = 0.15
+_TITLE_ROW = 0.2
 _MOST_INSIDE = 2
 """Lines that a legend inside a panel names."""
 _LONG = 30

@@ -49,7 +49,7 @@ class CurveDifference:
 
 
 def difference(curve: DisplacementCurve, reference: DisplacementCurve) -> CurveDifference:
-    """How far `curve` is from `reference` at the reference's times they both cover.
+    """Return how far `curve` is from `reference` at the reference's times they both cover.
 
     Vectors are compared by their Euclidean distance; `curve` is interpolated linearly where its
     times differ.
@@ -60,7 +60,8 @@ def difference(curve: DisplacementCurve, reference: DisplacementCurve) -> CurveD
     within = (reference.t >= curve.t[0]) & (reference.t <= curve.t[-1])
     if not within.any():
         raise InputError("displacement curves: no common time; they must overlap")
-    t, there = reference.t[within], reference.displacement[within]
+    t = reference.t[within]
+    there = reference.displacement[within]
     here = np.stack([np.interp(t, curve.t, curve.displacement[:, k]) for k in range(2)], axis=1)
     distance = np.linalg.norm(here - there, axis=1)
     scale, largest = (float(np.linalg.norm(values, axis=1).max()) for values in (there, here))

@@ -89,7 +89,7 @@ class Recorder(Protocol):
         """Whether a checkpoint may be taken upon an interrupt now."""
 
     def checkpoint(self) -> Any:
-        """What carries the run on, in memory of its own."""
+        """Return what carries the run on, in memory of its own."""
 
 
 def carry_out(

@@ -30,7 +30,7 @@ class Viewed(ABC):
 
     @abstractmethod
     def facts(self) -> Facts:
-        """What matters of it, by name."""
+        """Return what matters of it, by name."""
 
     def __repr__(self) -> str:
         facts = ", ".join(f"{name} {value}" for name, value in self.facts().items())
@@ -148,7 +148,8 @@ class ViewedRun(Viewed):
         Raises:
             InputError: pandas is not installed.
         """
-        pandas, series = _library("pandas", "to_pandas"), self.series()
+        pandas = _library("pandas", "to_pandas")
+        series = self.series()
         columns = {name: each.values for name, each in series.items()}
         index, unit = ("factor", NONE) if self.is_rest else ("t_us", TIME)
         frame = pandas.DataFrame(columns, index=pandas.Index(self.curve.t, name=index))

@@ -16,6 +16,7 @@ from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.pair_sums import make_workspace
 from surrofe2.rve.rve_state import (
+    OPEN,
     answer_of,
     copy_particles,
     drive_of,
@@ -36,7 +37,7 @@ class Stepping(NamedTuple):
 
 @parallel_kernel
 def iterate(drive, x, v, mass, topology, c, stepping, answer):
-    """Iterate x, v (tiles, 2, own, TILE) in place; iterations: Euler steps, −1 at the limit."""
+    """Iterate x, v (tiles, 2, own, TILE) in place; iterations: Euler steps, OPEN at the limit."""
     for t in numba.prange(x.shape[0]):
         _iterate_tile(
             drive_of(drive, t), x[t], v[t], mass, topology, c, stepping, answer_of(answer, t)
@@ -45,9 +46,13 @@ def iterate(drive, x, v, mass, topology, c, stepping, answer):
 
 @kernel
 def _iterate_tile(drive, x, v, mass, topology, c, stepping, answer):
-    F, rate, dt, stop = drive.F, drive.rate, stepping.dt, stepping.stop
+    F = drive.F
+    rate = drive.rate
+    dt = stepping.dt
+    stop = stepping.stop
     work = make_workspace(topology)
-    sigma, mean = np.empty((2, 2, TILE)), np.empty((1, TILE))
+    sigma = np.empty((2, 2, TILE))
+    mean = np.empty((1, TILE))
     rescale = _rescaling(F, rate, dt)
     copy_particles(x, work.x)
     copy_particles(v, work.v)
@@ -61,7 +66,7 @@ def _iterate_tile(drive, x, v, mass, topology, c, stepping, answer):
                 continue
             if mean[0, k] < stop or not mean[0, k] < np.inf or count == stepping.limit:
                 done[k] = True
-                answer.iterations[k] = count if mean[0, k] < stop else -1
+                answer.iterations[k] = count if mean[0, k] < stop else OPEN
                 answer.residual[0, k] = mean[0, k]
                 keep_lane(sigma, k, answer.stress)
                 keep_lane(work.x, k, x)
@@ -87,26 +92,31 @@ def _rescaling(F, rate, dt):
 @kernel
 def set_moving_images(F, rate, x, v, topology):
     """Images at x and v of their owners and the lattice's, which moves with (F, Ḟ)."""
-    own = topology.particles
+    particles = topology.particles
     for m in range(topology.owner.shape[0]):
         i = topology.owner[m]
-        sx, sy = topology.image_offset[m, 0], topology.image_offset[m, 1]
+        sx = topology.image_offset[m, 0]
+        sy = topology.image_offset[m, 1]
         for axis in range(2):
             offset = load(F, axis, 0) * sx + load(F, axis, 1) * sy
-            store(load(x, axis, i) + offset, x, axis, own + m)
+            store(load(x, axis, i) + offset, x, axis, particles + m)
             drift = load(rate, axis, 0) * sx + load(rate, axis, 1) * sy
-            store(load(v, axis, i) + drift, v, axis, own + m)
+            store(load(v, axis, i) + drift, v, axis, particles + m)
 
 
 @kernel
-def _euler_step(work, mass, P, own, dt):
+def _euler_step(work, mass, P, particles, dt):
     """(69), then (72): x ← P (x̂ − x̂₁), v ← v̂ − v̂₁."""
-    x, v, f = work.x, work.v, work.f
-    corner_x, corner_y = load(x, 0, 0) + dt * load(v, 0, 0), load(x, 1, 0) + dt * load(v, 1, 0)
+    x = work.x
+    v = work.v
+    f = work.f
+    corner_x = load(x, 0, 0) + dt * load(v, 0, 0)
+    corner_y = load(x, 1, 0) + dt * load(v, 1, 0)
     pull = dt / mass[0]
-    corner_u, corner_v = load(v, 0, 0) + pull * load(f, 0, 0), load(v, 1, 0) + pull * load(f, 1, 0)
+    corner_u = load(v, 0, 0) + pull * load(f, 0, 0)
+    corner_v = load(v, 1, 0) + pull * load(f, 1, 0)
     xx, xy, yx, yy = entries(P)
-    for i in range(own):
+    for i in range(particles):
         hx = load(x, 0, i) + dt * load(v, 0, i) - corner_x
         hy = load(x, 1, i) + dt * load(v, 1, i) - corner_y
         push = dt / mass[i]

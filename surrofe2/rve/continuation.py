@@ -38,10 +38,18 @@ from surrofe2.plant_cell.neighbours import Topology
 from surrofe2.plant_cell.pair_laws import Constants
 from surrofe2.plant_cell.pair_sums import difference, make_workspace
 from surrofe2.rve.newton import ASTRAY, SEEK, SEEK_LIMIT, move, renew, set_elastic_jacobian
-from surrofe2.rve.rve_state import Drive, Factors, place, place_images, stored_energy
+from surrofe2.rve.rve_state import (
+    OPEN,
+    Drive,
+    Factors,
+    place,
+    place_images,
+    stored_energy,
+)
 from surrofe2.rve.unit_cell import Equilibria, UnitCell, relax
 
-LONGEST, SHORTEST = 0.05, 0.004
+LONGEST = 0.05
+SHORTEST = 0.004
 """Longest step, and the one that is not halved any further: largest change of an entry of Rᵀ F."""
 SHORTEST_UNIFORM = 2e-5
 """The latter with a uniform fluid: slack walls bow within a short part of the path, and stably."""
@@ -51,14 +59,16 @@ BEND = 0.02
 JUMP = 1.0
 """Material displacement of a particle, µm times `Constants.scale`, that no step along one branch
 makes; so are the lengths below, but that of fluid particles."""
-EFFORT, OF_STEP_DOWN = 2700, 10
+EFFORT = 2700
+OF_STEP_DOWN = 10
 """Newton iterations on the path of a point after which it is given up; a step down counts ten."""
 
 RESTING = 1e-4
 """Mean particle force below which a minimum is left to Newton's method, µN."""
 KICK = 0.2
 """Longest displacement of a particle out of a saddle, µm."""
-ALIKE, EVEN = 1e-3, 1e-5
+ALIKE = 1e-3
+EVEN = 1e-5
 """Relative difference of the stiffness of unstable modes that count as one, and of the energies on
 the two sides of a saddle, over their fall, that do."""
 DOWN = 0.4
@@ -67,7 +77,8 @@ PAIRED = 0.02
 """Distance of fluid particles below which they count as one, µm."""
 LEAST = 1e-12
 """Stiffness of a mode that counts as one, over the largest of a particle."""
-STEPS, HALVINGS = 100, 30
+STEPS = 100
+HALVINGS = 30
 """Steps down to a minimum, and halvings of each, after which there is none."""
 ROAM = 2.0
 """How far particles may move, µm, before their contacts are listed again."""
@@ -91,10 +102,13 @@ class Continuation:
     """
 
     def __init__(self, unit: UnitCell, tolerance: float, start: Array, end: Array, z: Array):
-        self.unit, self.tolerance = unit, tolerance
+        self.unit = unit
+        self.tolerance = tolerance
         turned = rotation(end)
-        self.start, self.end = turned @ transpose(rotation(start)) @ start, end
-        self.z, self.done = z.copy(), np.zeros(len(z))
+        self.start = turned @ transpose(rotation(start)) @ start
+        self.end = end
+        self.z = z.copy()
+        self.done = np.zeros(len(z))
         # the change of F as the material sees it, the same for a rotated RVE
         change = transpose(turned) @ (self.end - self.start)
         length = np.abs(change).max(axis=(1, 2))
@@ -126,21 +140,25 @@ class Continuation:
         while len(active):
             z = self.z[active]
             F, trial, slope, good = self._next(active)
-            step, shortest = self.step[active], self.shortest[active]
-            part, there = np.minimum(self.done[active] + step, 1.0), trial.z
+            step = self.step[active]
+            shortest = self.shortest[active]
+            part = np.minimum(self.done[active] + step, 1.0)
+            there = trial.z
             self.solves[active] += 1
             stuck = np.flatnonzero(~good & (step <= shortest))
             if len(stuck):
                 ended = active[stuck]
                 self.unstable[ended] = trial.found[stuck]
-                begin, spare = trial.take(stuck), EFFORT - self.effort[ended]
+                begin = trial.take(stuck)
+                spare = EFFORT - self.effort[ended]
                 there[stuck], good[stuck], tried = self._leave(F[stuck], z[stuck], begin, spare)
                 self.effort[ended] += OF_STEP_DOWN * tried
                 self.solves[ended] += 1
                 self.left[ended] |= good[stuck]
                 slope[stuck] = self._slopes(ended, F[stuck], there[stuck])
             ahead = active[good]
-            self.z[ahead], self.done[ahead] = there[good], part[good]
+            self.z[ahead] = there[good]
+            self.done[ahead] = part[good]
             self.slope[ahead] = slope[good]
             step = step * np.where(good, 2.0, 0.5)
             self.step[active] = np.clip(step, shortest, self.longest[active])
@@ -157,7 +175,9 @@ class Continuation:
             too.
         """
         # a tile solves eight points for the price of one: its free lanes try shorter steps at once
-        count, tries, shortest = len(active), max(TILE // len(active), 1), self.shortest[active]
+        count = len(active)
+        tries = max(TILE // len(active), 1)
+        shortest = self.shortest[active]
         step = np.maximum(self.step[active, None] * 0.5 ** np.arange(tries), shortest[:, None])
         part = np.minimum(self.done[active, None] + step, 1.0)[:, :, None, None]
         F = (1.0 - part) * self.start[active, None] + part * self.end[active, None]
@@ -175,8 +195,10 @@ class Continuation:
         effort = self.effort[active, None] + trial.iterations.reshape(count, tries).cumsum(axis=1)
         last = good | (step <= shortest[:, None]) | (effort >= EFFORT)
         last[:, -1] = True
-        taken, every = last.argmax(axis=1), np.arange(count)
-        self.step[active], self.effort[active] = step[every, taken], effort[every, taken]
+        taken = last.argmax(axis=1)
+        every = np.arange(count)
+        self.step[active] = step[every, taken]
+        self.effort[active] = effort[every, taken]
         row = tries * every + taken
         return F[every, taken], trial.take(row), slope[row], good[every, taken]
 
@@ -186,8 +208,8 @@ class Continuation:
         if self.predicts:
             change = (self.end - self.start)[index].reshape(-1, 1, 4)
             by_F = np.nan_to_num(elastic_slopes(self.unit, F, z))  # not finite: of no equilibrium
-            own = (by_F * change).sum(axis=2).reshape(len(z), -1, 2)
-            slope[:, :, 1:] = own.transpose(0, 2, 1)
+            by_deformation = (by_F * change).sum(axis=2).reshape(len(z), -1, 2)
+            slope[:, :, 1:] = by_deformation.transpose(0, 2, 1)
         return slope
 
     def _leave(
@@ -201,25 +223,26 @@ class Continuation:
         saddle = trial.found & ~trial.stable & ~_jumped(trial.z, z, self.unit.constants.scale)
         begin = np.where(saddle[:, None, None], trial.z, z)
         most = np.maximum(spare // OF_STEP_DOWN, 1)
-        below, found, tried = descend(self.unit, F, begin, most)
+        below, is_stable, tried = descend(self.unit, F, begin, most)
         solved = seek(self.unit, F, below, self.tolerance)
         there = np.where(solved.found[:, None, None], solved.z, below)
-        found &= solved.stable & ~_paired(self.unit.topology, F, there)
-        return there, found, tried
+        is_stable &= solved.stable & ~_paired(self.unit.topology, F, there)
+        return there, is_stable, tried
 
 
 def seek(unit: UnitCell, F: Array, z: Array, tolerance: float) -> Equilibria:
     """Elastic equilibria near z (m, 2, n) by Newton's method; iterations, however it ends."""
     skin = 2.0 * unit.constants.scale * ASTRAY * np.linalg.norm(F, axis=(1, 2)).max()
     topology = unit.neighbours.near(pack(F), pack(z), skin).topology
-    found = relax(topology, unit.constants, z, F, tolerance, task=SEEK)
-    count = np.where(found.iterations == -1, SEEK_LIMIT, np.abs(found.iterations))
-    return found._replace(iterations=count)
+    equilibria = relax(topology, unit.constants, z, F, tolerance, task=SEEK)
+    count = np.where(equilibria.iterations == OPEN, SEEK_LIMIT, np.abs(equilibria.iterations))
+    return equilibria._replace(iterations=count)
 
 
 def elastic_slopes(unit: UnitCell, F: Array, z: Array) -> Array:
     """(m, free, 4) ∂z/∂F_xx, xy, yx, yy of elastic equilibria z (m, 2, n) at F (m, 2, 2)."""
-    tensors, tiles = pack(F), pack(z)
+    tensors = pack(F)
+    tiles = pack(z)
     topology = unit.neighbours.near(tensors, tiles, 0.0).topology
     drive = Drive(tensors, np.zeros_like(tensors))
     factors = Factors.empty(drive, tiles, topology)
@@ -267,29 +290,32 @@ class Found(NamedTuple):
 
 
 @parallel_kernel
-def go_down(F, z, step, topology, c, found):
+def go_down(F, z, step, topology, c, after):
     """Move z (tiles, 2, n, TILE) by the step δx (tiles, 2n − 2, TILE), in place.
 
     The step is halved until E falls below the energy `found` before; else z stays.
     """
     for t in numba.prange(z.shape[0]):
         here = Found(
-            found.energy[t], found.falls[t], found.forces[t], found.slope[t], found.nearest[t]
+            after.energy[t], after.falls[t], after.forces[t], after.slope[t], after.nearest[t]
         )
         _go_down_tile(F[t], z[t], step[t], topology, c, here)
 
 
 @kernel
-def _go_down_tile(F, z, step, topology, c, found):
-    work, no_columns = make_workspace(topology), np.empty((0, 8, TILE))
-    trial, energy, falls = np.empty((1, TILE)), found.energy, found.falls
+def _go_down_tile(F, z, step, topology, c, after):
+    work = make_workspace(topology)
+    no_columns = np.empty((0, 8, TILE))
+    trial = np.empty((1, TILE))
+    energy = after.energy
+    falls = after.falls
     falls[:] = False
     for _ in range(HALVINGS):
         place(work, z, F, topology)
         move(step, F, work.z)
         place_images(work, F, topology)
         elastic_energy(work, topology, c, trial)
-        left = 0
+        remaining = 0
         for k in range(TILE):
             if falls[k]:
                 continue
@@ -298,26 +324,26 @@ def _go_down_tile(F, z, step, topology, c, found):
                 energy[0, k] = trial[0, k]
             else:
                 step[:, k] *= 0.5
-                left += 1
-        if left == 0:
+                remaining += 1
+        if remaining == 0:
             break
     for k in range(TILE):
         if not falls[k]:
             step[:, k] = 0.0
     move(step, F, z)
     place(work, z, F, topology)
-    set_elastic_jacobian(work, F, topology, c, found.slope, no_columns)
+    set_elastic_jacobian(work, F, topology, c, after.slope, no_columns)
     local_forces(work, topology, c)
     fold_images(work.f, topology)
     for i in range(1, topology.particles):
-        store(load(work.f, 0, i), found.forces, 2 * i - 2)
-        store(load(work.f, 1, i), found.forces, 2 * i - 1)
+        store(load(work.f, 0, i), after.forces, 2 * i - 2)
+        store(load(work.f, 1, i), after.forces, 2 * i - 1)
     nearest = spread(np.inf)
     for k in range(topology.fluid_pairs.shape[0]):
         rx, ry = difference(work.x, topology.fluid_pairs[k, 0], topology.fluid_pairs[k, 1])
         square = rx * rx + ry * ry
         nearest = where_less(square, nearest, square, nearest)
-    store(nearest, found.nearest, 0)
+    store(nearest, after.nearest, 0)
 
 
 def descend(
@@ -330,15 +356,21 @@ def descend(
         many steps were tried.
     """
     scale = unit.constants.scale
-    z, found, tried = z.copy(), np.zeros(len(z), dtype=np.bool_), np.zeros(len(z), dtype=np.int_)
-    limit, energy = np.minimum(np.full(len(z), most), STEPS), np.full(len(z), np.inf)
+    z, arrived, tried = z.copy(), np.zeros(len(z), dtype=np.bool_), np.zeros(len(z), dtype=np.int_)
+    limit = np.minimum(np.full(len(z), most), STEPS)
+    energy = np.full(len(z), np.inf)
     # The first step has no length, and any energy is below ∞: it only evaluates energy, forces and
     # Hessian where the descent begins.
-    active, step = np.arange(len(z)), np.zeros((len(z), 2 * z.shape[2] - 2))
+    active = np.arange(len(z))
+    step = np.zeros((len(z), 2 * z.shape[2] - 2))
     while len(active):
         # Whenever an RVE stops, the others are packed into tiles again, so that no lane is idle.
-        count, tensors, moving = len(active), pack(F[active]), pack(z[active])
-        tiles, free, room = len(tensors), step.shape[1], 0.0
+        count = len(active)
+        tensors = pack(F[active])
+        moving = pack(z[active])
+        tiles = len(tensors)
+        free = step.shape[1]
+        room = 0.0
         unknowns = free + 2 * unit.topology.pressures
         here = Found(
             energy=pack(energy[active, None]),
@@ -350,10 +382,8 @@ def descend(
         continues = np.ones(count, dtype=np.bool_)
         while continues.all():
             if room < scale * DOWN:
-                topology, room = (
-                    unit.neighbours.near(tensors, moving, 2.0 * scale * ROAM).topology,
-                    scale * ROAM,
-                )
+                topology = unit.neighbours.near(tensors, moving, 2.0 * scale * ROAM).topology
+                room = scale * ROAM
                 # full matrices, whatever those of a topology are: all eigenvalues are wanted
                 dense = dense_pattern(topology.particles, topology.pressures)
                 topology = topology._replace(**dense._asdict())
@@ -363,14 +393,17 @@ def descend(
             continues = unpack(here.falls & apart, count) & (tried[active] < limit[active])
             for k in np.flatnonzero(continues).tolist():
                 tile, lane = divmod(k, TILE)
-                forces, hessian = here.forces[tile, :, lane], -here.slope[tile, :, lane]
+                forces = here.forces[tile, :, lane]
+                hessian = -here.slope[tile, :, lane]
                 at = F[active[k]], moving[tile, :, :, lane]
-                step[k], found[active[k]] = _step(*at, forces, hessian, topology, unit.constants)
+                step[k], arrived[active[k]] = _step(*at, forces, hessian, topology, unit.constants)
                 tried[active[k]] += 1
-                continues[k] = not found[active[k]]
-        z[active], energy[active] = unpack(moving, count), unpack(here.energy, count)[:, 0]
-        active, step = active[continues], step[continues]
-    return z, found, tried
+                continues[k] = not arrived[active[k]]
+        z[active] = unpack(moving, count)
+        energy[active] = unpack(here.energy, count)[:, 0]
+        active = active[continues]
+        step = step[continues]
+    return z, arrived, tried
 
 
 def _step(
@@ -429,7 +462,8 @@ def over_saddle(
     )
     if resting:
         softest = stiffness < (1.0 - ALIKE) * stiffness.min(initial=0.0)
-        stiffness, modes = stiffness[softest], modes[:, softest]
+        stiffness = stiffness[softest]
+        modes = modes[:, softest]
         # displacements that single out one of mirrored branches, whatever F
         angle = np.arange(1, len(forces) // 2 + 1) * np.sqrt(2.0)
         pattern = (F @ np.stack([np.cos(angle), np.sin(2.0 * angle)])).T.ravel()

@@ -47,7 +47,9 @@ def integrate_rve(law: RveLaw, path: Path, times: Array, micro_step: float = 1e-
     if times.ndim != 1 or (np.diff(times) <= 0.0).any() or not micro_step > 0.0:
         raise InputError("micro-integration: times must increase and micro_step be positive")
     unit = law.unit_cell
-    X, mass, topology = law.rest_state(1).z[0], unit.neighbours.mass, unit.topology
+    X = law.rest_state(1).z[0]
+    mass = unit.neighbours.mass
+    topology = unit.topology
     F, F_dot = path(times[0])
     elastic = RveLaw(law.cell, initialisation="elastic", reference=law.reference)
     z = elastic.respond(F[None], np.zeros((1, 2, 2))).state.z[0]
@@ -116,10 +118,14 @@ def _accelerations(u, w, drive, X, mass, topology, c, work, a):
 def _integrate(u, w, drive, dt, X, mass, topology, c):
     """Classical Runge–Kutta steps of u¹ and u̇¹; F and rate at every half step."""
     work = make_workspace(topology)
-    a1, a2, a3, a4 = np.empty_like(u), np.empty_like(u), np.empty_like(u), np.empty_like(u)
+    a1 = np.empty_like(u)
+    a2 = np.empty_like(u)
+    a3 = np.empty_like(u)
+    a4 = np.empty_like(u)
     half = 0.5 * dt
     for step in range((drive.F.shape[0] - 1) // 2):
-        first, middle = drive_of(drive, 2 * step), drive_of(drive, 2 * step + 1)
+        first = drive_of(drive, 2 * step)
+        middle = drive_of(drive, 2 * step + 1)
         last = drive_of(drive, 2 * step + 2)
         _accelerations(u, w, first, X, mass, topology, c, work, a1)
         w2 = w + half * a1

@@ -4,8 +4,8 @@ At the fixed point of constrained runs, (69) to (72), v_i = L x_i and f_i(x, L x
 particle. `chord` corrects with a kept factorisation after a linear prediction; `newton`
 refactorises. With the rate at zero both find the elastic equilibrium (65).
 
-A solver evaluates forces, asks `settle` which lanes are done, and moves the others on. In
-iterations (TILE,) 0 marks a lane still under way, −1 one that was given up.
+A solver evaluates forces, asks `settle` which lanes are done, and moves the others on. How lanes
+stand is in iterations (TILE,), see `rve_state`.
 
 Kept per point, besides material positions z at (F, Ḟ): the LU factors of the force Jacobian in
 single precision (they only precondition; the residual is double), and the slopes ∂z/∂(F, Ḟ)
@@ -35,6 +35,8 @@ from surrofe2.plant_cell.neighbours import Topology
 from surrofe2.plant_cell.pair_laws import Constants
 from surrofe2.plant_cell.pair_sums import make_workspace
 from surrofe2.rve.rve_state import (
+    OPEN,
+    UNDER_WAY,
     Drive,
     answer_of,
     copy_particles,
@@ -50,7 +52,9 @@ from surrofe2.rve.rve_state import (
     set_images,
 )
 
-CHORD_LIMIT, NEWTON_LIMIT, SEEK_LIMIT = 10, 40, 16
+CHORD_LIMIT = 10
+NEWTON_LIMIT = 40
+SEEK_LIMIT = 16
 CONTRACTION = 0.5
 """`chord` gives a point up where the mean force does not fall by this factor."""
 LONGEST_STEP = 0.4
@@ -64,7 +68,11 @@ a solution with kept factors may lie on another branch."""
 PATIENCE = 6
 """From so many evaluations on the residual is to be halved by each while such is sought."""
 
-SKIP, CHECK, RENEW, SOLVE, SEEK = 0, 1, 2, 3, 4
+SKIP = 0
+CHECK = 1
+RENEW = 2
+SOLVE = 3
+SEEK = 4
 """What `newton` does with a tile; each up to SOLVE does what the one before does, too."""
 
 
@@ -108,7 +116,8 @@ def add_slopes(slopes, first, tensor, z):
     for m in range(slopes.shape[0]):
         value = load(slopes, m, first) * xx + load(slopes, m, first + 1) * xy
         value += load(slopes, m, first + 2) * yx + load(slopes, m, first + 3) * yy
-        axis, i = m % 2, m // 2 + 1
+        axis = m % 2
+        i = m // 2 + 1
         store(load(z, axis, i) + value, z, axis, i)
 
 
@@ -117,17 +126,17 @@ def settle(residual, before, stop, count, source, target, iterations):
     """Mark lanes that are solved or given up at evaluation `count`; return how many are not.
 
     iterations becomes count where the residual (1, TILE) is within tolerance; there the lane of
-    source goes to target. It becomes −1 where the lane is given up; the residual replaces the one
-    `before` (TILE,).
+    source goes to target. It becomes OPEN where the residual falls too slowly, or evaluations are
+    at their limit. The residual replaces the one `before` (TILE,).
     """
     open_lanes = 0
     for k in range(TILE):
-        if iterations[k] == 0:
+        if iterations[k] == UNDER_WAY:
             if residual[0, k] <= stop.tolerance:
                 iterations[k] = count
                 keep_lane(source, k, target)
             elif not residual[0, k] < stop.contraction * before[k] or count == stop.limit:
-                iterations[k] = -1
+                iterations[k] = OPEN
             else:
                 open_lanes += 1
             before[k] = residual[0, k]
@@ -155,7 +164,7 @@ def set_residual(f, step):
 def hold(step, iterations):
     """No step in lanes that are done."""
     for k in range(TILE):
-        if iterations[k] != 0:
+        if iterations[k] != UNDER_WAY:
             step[:, k] = 0.0
 
 
@@ -181,7 +190,8 @@ def move(step, F, z):
     """z += F⁻¹ δx on own particles but the held one."""
     xx, xy, yx, yy = inverse(entries(F))
     for i in range(1, step.shape[0] // 2 + 1):
-        dx, dy = load(step, 2 * i - 2), load(step, 2 * i - 1)
+        dx = load(step, 2 * i - 2)
+        dy = load(step, 2 * i - 1)
         store(load(z, 0, i) + (xx * dx + xy * dy), z, 0, i)
         store(load(z, 1, i) + (yx * dx + yy * dy), z, 1, i)
 
@@ -192,7 +202,8 @@ def set_jacobian(work, drive, topology, c, matrix, columns):
     L = np.empty((2, 2, TILE))
     xx, xy, yx, yy = inverse(entries(drive.F))
     for i in range(2):
-        rx, ry = load(drive.rate, i, 0), load(drive.rate, i, 1)
+        rx = load(drive.rate, i, 0)
+        ry = load(drive.rate, i, 1)
         store(rx * xx + ry * yx, L, i, 0)
         store(rx * xy + ry * yy, L, i, 1)
     force_jacobian(work, L, topology, c, matrix, columns)
@@ -212,13 +223,14 @@ def give_up(z, start, astray, count, residual, bound, iterations):
         if count <= 1:
             bound[k] = residual[k]
         elif count >= PATIENCE:
-            if iterations[k] == 0 and residual[k] > bound[k]:
+            if iterations[k] == UNDER_WAY and residual[k] > bound[k]:
                 iterations[k] = -count
             bound[k] *= 0.5
-        if iterations[k] == 0:
+        if iterations[k] == UNDER_WAY:
             farthest = 0.0
             for i in range(start.shape[1]):
-                dx, dy = z[0, i, k] - start[0, i, k], z[1, i, k] - start[1, i, k]
+                dx = z[0, i, k] - start[0, i, k]
+                dy = z[1, i, k] - start[1, i, k]
                 farthest = max(farthest, dx * dx + dy * dy)
             if farthest > astray * astray:
                 iterations[k] = -count
@@ -230,10 +242,14 @@ def newton_loop(work, matrices, drive, is_affine, topology, c, stop, answer):
 
     Velocities are rate z if `is_affine`, else what work.v holds; then the rate is 0.
     """
-    sigma, residual, before = np.empty((2, 2, TILE)), np.empty((1, TILE)), np.full(TILE, np.inf)
-    iterations, bound, matrix = answer.iterations, np.empty(TILE), matrices.matrix
+    sigma = np.empty((2, 2, TILE))
+    residual = np.empty((1, TILE))
+    before = np.full(TILE, np.inf)
+    iterations = answer.iterations
+    bound = np.empty(TILE)
+    matrix = matrices.matrix
     for k in range(TILE):
-        iterations[k] = max(iterations[k], 0)
+        iterations[k] = max(iterations[k], UNDER_WAY)  # what is below it begins again
     for count in range(1, stop.limit + 1):
         evaluate(work, drive, is_affine, topology, c, sigma, residual)
         if settle(residual, before, stop, count, sigma, answer.stress, iterations) == 0:
@@ -252,9 +268,12 @@ def newton_loop(work, matrices, drive, is_affine, topology, c, stop, answer):
 
 @kernel
 def chord_loop(work, drive, is_affine, lu, topology, c, stop, answer):
-    """As `newton_loop` with kept factors, in lanes where iterations are 0."""
-    sigma, residual, before = np.empty((2, 2, TILE)), np.empty((1, TILE)), np.full(TILE, np.inf)
-    iterations, step = answer.iterations, np.empty((2 * topology.particles - 2, TILE))
+    """As `newton_loop` with kept factors, in lanes under way."""
+    sigma = np.empty((2, 2, TILE))
+    residual = np.empty((1, TILE))
+    before = np.full(TILE, np.inf)
+    iterations = answer.iterations
+    step = np.empty((2 * topology.particles - 2, TILE))
     for count in range(1, stop.limit + 1):
         evaluate(work, drive, is_affine, topology, c, sigma, residual)
         if settle(residual, before, stop, count, sigma, answer.stress, iterations) == 0:
@@ -272,19 +291,20 @@ def prediction(z, topology):
 
 @kernel
 def give_up_aside(z, predicted, aside, iterations):
-    """iterations −1 where a particle is farther than `aside`, µm, from where it should be."""
+    """Open lanes in which a particle is farther than `aside`, µm, from where it should be."""
     for k in range(TILE):
         farthest = 0.0
         for i in range(predicted.shape[1]):
-            dx, dy = z[0, i, k] - predicted[0, i, k], z[1, i, k] - predicted[1, i, k]
+            dx = z[0, i, k] - predicted[0, i, k]
+            dy = z[1, i, k] - predicted[1, i, k]
             farthest = max(farthest, dx * dx + dy * dy)
         if farthest > aside * aside:
-            iterations[k] = -1
+            iterations[k] = OPEN
 
 
 @parallel_kernel
 def chord(drive, z, before, factors, topology, c, tolerance, answer):
-    """Solve in place from z (tiles, 2, n, TILE), known at `before`, where iterations are 0.
+    """Solve in place from z (tiles, 2, n, TILE), known at `before`, in lanes under way.
 
     factors (tiles,): addresses of the kept factors, which are read only.
     """
@@ -313,7 +333,7 @@ def _chord_tile(drive, z, at, factors, topology, c, tolerance, answer):
 
 @parallel_kernel
 def newton(drive, z, factors, task, topology, c, tolerance, answer):
-    """What `task` (tiles,) says of each tile, in place; the rest of a skipped tile stays.
+    """Do what `task` (tiles,) says of each tile, in place; a tile that is skipped stays as it is.
 
     - SOLVE: Newton with limited steps from z in the lanes with iterations ≤ 0.
     - SEEK: the same near z with dashpots off, as long as it promises to come to something, and
@@ -332,7 +352,8 @@ def newton(drive, z, factors, task, topology, c, tolerance, answer):
 def _newton_tile(drive, z, factors, task, topology, c, tolerance, answer):
     if task == SKIP:
         return
-    work, matrices = make_workspace(topology), make_matrices(topology)
+    work = make_workspace(topology)
+    matrices = make_matrices(topology)
     copy_particles(z, work.z)
     if task >= SOLVE:
         limit = SEEK_LIMIT if task == SEEK else NEWTON_LIMIT
@@ -373,7 +394,8 @@ def keep_slopes(steps, F, slopes, first):
     xx, xy, yx, yy = inverse(entries(F))
     for m in range(COLUMNS):
         for i in range(0, steps.shape[1], 2):
-            dx, dy = load(steps, m, i), load(steps, m, i + 1)
+            dx = load(steps, m, i)
+            dy = load(steps, m, i + 1)
             store(xx * dx + xy * dy, slopes, i, first + m)
             store(yx * dx + yy * dy, slopes, i + 1, first + m)
 

@@ -30,7 +30,8 @@ PARAMETERS = (
 """Those that enter the stress smoothly."""
 OF_UNIFORM_FLUID = ("sap_bulk_modulus",)
 """More of them where the fluid is uniform."""
-_STEP, _DASHPOT_STEP = 1e-5, 2e-3
+_STEP = 1e-5
+_DASHPOT_STEP = 2e-3
 """Relative; dashpots act little and almost linearly."""
 
 
@@ -72,10 +73,10 @@ def parameter_gradients(
         raise InputError("law: voronoi; gradients by parameters need squares or hexagons")
     F, F_dot = check_deformation(F, F_dot)
     answer = law.respond(F, F_dot, tangents=True)
-    found = {name: _difference(law, F, F_dot, name) for name in names}
-    for slopes in found.values():
+    gradients = {name: _difference(law, F, F_dot, name) for name in names}
+    for slopes in gradients.values():
         slopes[answer.status != 0] = np.nan
-    return StressGradients(answer, found)
+    return StressGradients(answer, gradients)
 
 
 def _difference(law: RveLaw, F: Array, F_dot: Array, name: str) -> Array:
@@ -107,26 +108,29 @@ def path_gradients(
     Raises:
         SimulationError: a point of the path has no stress where it is computed again.
     """
-    found = parameter_gradients(law, path.F, path.F_dot, names)
-    failed = np.flatnonzero(found.answer.status)
+    gradients = parameter_gradients(law, path.F, path.F_dot, names)
+    failed = np.flatnonzero(gradients.answer.status)
     if failed.size:
-        why = describe(found.answer.status[failed[0]])
+        why = describe(gradients.answer.status[failed[0]])
         raise SimulationError(f"t = {path.t[failed[0]]:.6g} µs: {why}")
-    tangents = found.answer.tangents
+    tangents = gradients.answer.tangents
     assert tangents is not None
-    total = {name: values.copy() for name, values in found.P_by.items()}
+    total = {name: values.copy() for name, values in gradients.P_by.items()}
     if not len(free):
         return total
     entries = tuple(np.array(free, dtype=np.int64).reshape(-1, 2).T)
     columns: Any = (slice(None), slice(None), slice(None), *entries)  # P by the free entries
-    by_F, by_rate = tangents.P_by_F[columns], tangents.P_by_F_dot[columns]
+    by_F = tangents.P_by_F[columns]
+    by_rate = tangents.P_by_F_dot[columns]
     h = path.t[1] - path.t[0]
     for values in total.values():
         dF = np.zeros((len(path.t), len(free)))
         for n in range(1, len(path.t)):
-            base, weight = dF[n - 1], h
+            base = dF[n - 1]
+            weight = h
             if n > 1:
-                base, weight = (4.0 * dF[n - 1] - dF[n - 2]) / 3.0, 2.0 * h / 3.0
+                base = (4.0 * dF[n - 1] - dF[n - 2]) / 3.0
+                weight = 2.0 * h / 3.0
             # P = 0 in the free entries, whose rate is (F − base)/weight
             whole = (by_F[n] + by_rate[n] / weight)[entries]
             change = -values[n][entries] + by_rate[n][entries] @ base / weight

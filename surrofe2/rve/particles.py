@@ -99,9 +99,12 @@ def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Arr
         F, F_dot: (n, 2, 2).
         z: (n, p, 2) µm. fluctuation: (n, p, 2) µm/µs.
     """
-    cell, topology, lattice = unit.cell, unit.topology, unit.reference.lattice
+    cell = unit.cell
+    topology = unit.topology
+    lattice = unit.reference.lattice
     arrangement = make_arrangement(cell)
-    x, v = np.einsum("nij,npj->npi", F, z), np.einsum("nij,npj->npi", F_dot, z) + fluctuation
+    x = np.einsum("nij,npj->npi", F, z)
+    v = np.einsum("nij,npj->npi", F_dot, z) + fluctuation
     force = np.zeros_like(x)
     area = (np.linalg.det(F) * topology.area)[:, None, None]
 
@@ -179,7 +182,8 @@ def _pairs(
 
 def _contact_tension(unit: UnitCell, pairs: _Pairs) -> Array:
     """(n, k) tension of eq. (2), µN; repulsion is negative."""
-    c, r = unit.constants, pairs.length
+    c = unit.constants
+    r = pairs.length
     fade = (r / c.cutoff) ** 6
     spring = c.repulsion * (r**-6 - c.cutoff**-6)
     dashpot = c.contact_damping * r**-3.5 * (1.0 - fade) * pairs.rate
@@ -193,13 +197,16 @@ def _uniform_fluid(
 
     Adds to `force` (n, p, 2).
     """
-    topology, lattice = unit.topology, unit.reference.lattice
-    cell, rims = unit.cell, make_arrangement(unit.cell).rims
+    topology = unit.topology
+    lattice = unit.reference.lattice
+    cell = unit.cell
+    rims = make_arrangement(unit.cell).rims
     area = rim_areas(rims, x, F @ lattice)
     modulus = cell.sap_bulk_modulus * cell.tissue_thickness
     density = topology.fluid_mass / area
     pressure = cell.sound_speed**2 * density + modulus * (topology.rest_area / area - 1.0)
-    virial, pushed = np.zeros_like(F), np.zeros(force.shape[:2])
+    virial = np.zeros_like(F)
+    pushed = np.zeros(force.shape[:2])
     for k, rim in enumerate(rims):
         offset = rim[:, 1:] @ lattice.T
         corner = x[:, rim[:, 0]] + offset @ F.transpose(0, 2, 1)
@@ -220,16 +227,22 @@ def _uniform_fluid(
 
 def _sph_fluid(unit: UnitCell, pairs: _Pairs) -> tuple[Array, Array]:
     """(n, f) densities, eq. (7), and (n, k, 2) forces on i, eq. (8)."""
-    cell, h = unit.cell, unit.constants.smoothing_length
+    cell = unit.cell
+    h = unit.constants.smoothing_length
     s = pairs.length / h
     scale = 10.0 / (7.0 * np.pi) / h**2
-    outer, inner = np.maximum(2.0 - s, 0.0), np.maximum(1.0 - s, 0.0)
+    outer = np.maximum(2.0 - s, 0.0)
+    inner = np.maximum(1.0 - s, 0.0)
     kernel = scale * (0.25 * outer**3 - inner**3)
     slope = scale / h * (3.0 * inner**2 - 0.75 * outer**2) / pairs.length
-    walls, mass = unit.topology.walls, unit.constants.fluid_mass
-    i, j, n_fluid = pairs.i - walls, pairs.j - walls, unit.topology.particles - walls
+    walls = unit.topology.walls
+    mass = unit.constants.fluid_mass
+    i = pairs.i - walls
+    j = pairs.j - walls
+    n_fluid = unit.topology.particles - walls
     density = mass * (scale + _summed(i, kernel, n_fluid) + _summed(j, kernel, n_fluid))
-    a, b = 1.0 / density[:, i], 1.0 / density[:, j]
+    a = 1.0 / density[:, i]
+    b = 1.0 / density[:, j]
     along = mass**2 * slope * cell.sound_speed**2 * (a + b)
     against = -2.0 * mass**2 * slope * unit.constants.viscosity * a * b
     return density, along[:, :, None] * pairs.r + against[:, :, None] * pairs.w
@@ -240,7 +253,8 @@ def _push_on_walls(topology: Topology, pairs: _Pairs, pushes: Array, fluid_cell:
 
     A plant cell and its image, which lie on both sides of a wall, count as two.
     """
-    first, second = pairs.i < topology.walls, pairs.j < topology.walls
+    first = pairs.i < topology.walls
+    second = pairs.j < topology.walls
     mixed = np.flatnonzero(first != second)
     wall_first = first[mixed]
     wall = np.where(wall_first, pairs.i[mixed], pairs.j[mixed])

@@ -28,7 +28,8 @@ from surrofe2.rve.slow_manifold import renew_slow
 from surrofe2.rve.solve import dashpot_rate, solve_rves
 from surrofe2.rve.unit_cell import make_unit_cell
 
-_RENEW_AFTER, _RENEW_SLOW_AFTER = 4, 9
+_RENEW_AFTER = 4
+_RENEW_SLOW_AFTER = 9
 """Force evaluations of a warm solve above which `accept` refactorises."""
 _SAME = 1e-4
 """Material distance of particles, µm, below which two solutions are the same."""
@@ -78,7 +79,7 @@ class RveLaw(Viewed):
         self._name = f"{cell.fingerprint} {self.settings.initialisation} {self.settings.solver}"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """What another process makes the same law of; the reference is not settled again."""
+        """Return what another process makes the same law of; the reference is not settled again."""
         return partial(RveLaw, reference=self.reference), (self.cell, self.settings)
 
     def facts(self) -> Facts:
@@ -93,10 +94,11 @@ class RveLaw(Viewed):
         }
 
     def _shape(self) -> Facts:
-        """What Voronoi cells are like at rest, by the wall particles around each."""
+        """Return what Voronoi cells are like at rest, by the wall particles around each."""
         if self.cell.arrangement != "voronoi":
             return {}
-        position, lattice = self.reference.position, self.reference.lattice
+        position = self.reference.position
+        lattice = self.reference.lattice
         rims = make_arrangement(self.cell).rims
         areas = rim_areas(rims, position, lattice)
         polygons = [position[rim[:, 0]] + rim[:, 1:] @ lattice.T for rim in rims]
@@ -147,11 +149,11 @@ class RveLaw(Viewed):
         failed = np.flatnonzero(answer.status)
         if failed.size:
             raise InputError(f"point {failed[0]}: {describe(answer.status[failed[0]])}")
-        found: RveState = answer.state
+        solved: RveState = answer.state
         F, F_dot = check_deformation(F, F_dot)
         z, fluctuation = (
-            unpack(tiles, found.points).transpose(0, 2, 1)
-            for tiles in (found.z, found.beyond_affine)
+            unpack(tiles, solved.points).transpose(0, 2, 1)
+            for tiles in (solved.z, solved.beyond_affine)
         )
         return look_into(self.unit_cell, F, F_dot, z, fluctuation)
 
@@ -207,14 +209,14 @@ class RveLaw(Viewed):
         if status.any():
             stress[status != Status.OK] = np.nan
         slopes = solved.tangents() if tangents else None
-        left = solved.state.left_points
+        left_points = solved.state.left_points
         return StressResponse(
             stress,
             status,
             solved.state,
             solved.effort(),
             slopes,
-            left_bifurcation=left if left.any() else None,
+            left_bifurcation=left_points if left_points.any() else None,
         )
 
     def accept(self, F: Any, F_dot: Any, response: StressResponse) -> StressResponse:
@@ -264,15 +266,18 @@ class RveLaw(Viewed):
         """
         part = response.state.take(index)
         drive = Drive(part.F, part.F_dot)
-        found = solve_rves(self.unit_cell, self.settings, drive, part, cold=True)
+        solved = solve_rves(self.unit_cell, self.settings, drive, part, cold=True)
         count = len(index)
-        way = np.abs(unpack(found.state.z, count) - unpack(part.z, count)).max(axis=(1, 2))
-        status, stress = response.status.copy(), response.stress.copy()
-        status[index] = unpack(found.status, count)
-        stress[index] = unpack(found.answer.stress, count)
-        left = np.zeros(len(status), dtype=np.bool_)
-        left[index] = (status[index] == Status.OK) & (way > _SAME)
-        state = response.state.put(index, found.state)
-        if not left.any():
+        way = np.abs(unpack(solved.state.z, count) - unpack(part.z, count)).max(axis=(1, 2))
+        status = response.status.copy()
+        stress = response.stress.copy()
+        status[index] = unpack(solved.status, count)
+        stress[index] = unpack(solved.answer.stress, count)
+        has_left = np.zeros(len(status), dtype=np.bool_)
+        has_left[index] = (status[index] == Status.OK) & (way > _SAME)
+        state = response.state.put(index, solved.state)
+        if not has_left.any():
             return replace(response, status=status, state=state)
-        return replace(response, status=status, state=state, stress=stress, left_bifurcation=left)
+        return replace(
+            response, status=status, state=state, stress=stress, left_bifurcation=has_left
+        )

@@ -15,6 +15,22 @@ for as long as any state refers to it.
 
 What is stored of a state are the positions at which its factors were made, not the factors: made
 again there they have the same bits, whichever lane, tile or list of contacts a point has then.
+
+While RVEs are solved, `Answer.iterations` (tiles, TILE) says how each lane stands. Solvers work on
+a whole tile, and a lane that is done must stay as it is while the others go on::
+
+    state         number   what it means                        what changes it
+    UNDER_WAY     0        a solver works on it, or will        `settle`: solved, or OPEN;
+                                                                `give_up`: given up
+    solved        n > 0    n evaluations of forces solved it    nothing within this solve
+    OPEN          −1       a solver missed it, or it is too     `newton_loop`: UNDER_WAY
+                           far off for kept factors
+    given up      −n       a search left it after n             `newton_loop`: UNDER_WAY
+    PASSED_OVER   1        the next solver must not touch it    `solve`: OPEN, after that solver
+
+A call begins with all lanes UNDER_WAY. `chord` takes those, `newton` also those below 0; a path
+(`continuation`) brings what is then still OPEN closer, for `newton` to end. A lane below 0 after
+that is not converged.
 """
 
 from __future__ import annotations
@@ -50,6 +66,10 @@ from surrofe2.plant_cell.neighbours import Near, Neighbours, Topology
 from surrofe2.plant_cell.pair_laws import Constants
 from surrofe2.plant_cell.pair_sums import make_workspace
 
+UNDER_WAY = 0
+OPEN = -1
+PASSED_OVER = 1
+"""How a lane stands that is not solved, see above."""
 SLOPES = 8
 _BYTES = 4
 _TILES = ("z", "F", "F_dot", "iterations", "left")
@@ -113,7 +133,8 @@ class Factors:
 
         Whoever fills them says where: see `made_at`.
         """
-        blocks, address = list(self.blocks), self.address.copy()
+        blocks = list(self.blocks)
+        address = self.address.copy()
         for tile in wanted.nonzero()[0].tolist():
             blocks[tile] = np.empty_like(blocks[tile])
             address[tile] = blocks[tile].__array_interface__["data"][0]
@@ -123,10 +144,10 @@ class Factors:
         """These, of which those of the tiles that `wanted` (tiles,) marks were made at z."""
         if not wanted.any():
             return self
-        own = *self.drive, self.z
+        former = *self.drive, self.z
         F, rate, at = (
             np.where(wanted.reshape(-1, *[1] * (here.ndim - 1)), there, here)
-            for here, there in zip(own, (*drive, z), strict=True)
+            for here, there in zip(former, (*drive, z), strict=True)
         )
         return replace(self, drive=Drive(F, rate), z=at)
 
@@ -236,7 +257,8 @@ class RveState:
         Of the factors, which are large, there is what they are made of again, to the bit; of the
         list of contacts a bit for each, and where there is no list, NaN as z.
         """
-        near, every = self.near, neighbours.topology.contacts
+        near = self.near
+        every = neighbours.topology.contacts
         listed = np.zeros(len(every), dtype=np.bool_) if near is None else near.listed
         tiles = {
             **self._tiles(self),
@@ -258,11 +280,12 @@ class RveState:
 
         Points of several states become one state, which lists the contacts of all.
         """
-        own = (*_TILES, "fluctuation", "elastic")
-        tiles: dict[str, Any] = {name: pack(arrays[name]) for name in own if name in arrays}
+        names = (*_TILES, "fluctuation", "elastic")
+        tiles: dict[str, Any] = {name: pack(arrays[name]) for name in names if name in arrays}
         drive = Drive(pack(arrays["factors.F"]), pack(arrays["factors.rate"]))
         factors = Factors.empty(drive, pack(arrays["factors.z"]), neighbours.topology)
-        near, near_z = None, pack(arrays["near.z"])
+        near = None
+        near_z = pack(arrays["near.z"])
         if not np.isnan(near_z).any():
             bits = np.bitwise_or.reduce(arrays["near.listed"], axis=0)
             listed = np.unpackbits(bits, count=len(neighbours.topology.contacts)).astype(np.bool_)
@@ -275,7 +298,8 @@ class RveState:
             return self
         tiles = self._tiles(self).items()
         taken: dict[str, Any] = {name: take_points(values, index) for name, values in tiles}
-        near, factors = self.near and self.near.take(index), self.factors.take(index)
+        near = self.near and self.near.take(index)
+        factors = self.factors.take(index)
         return replace(self, points=len(index), factors=factors, near=near, **taken)
 
     def put(self, index: Index, part: RveState) -> RveState:
@@ -317,7 +341,7 @@ class Answer(NamedTuple):
     """What a solver says of all tiles.
 
     stress: (tiles, 2, 2, TILE) µN/µm. residual: (tiles, 1, TILE) mean force, µN.
-    iterations: (tiles, TILE) evaluations of forces used; 0: to be solved, −1: not converged.
+    iterations: (tiles, TILE) how lanes stand, or evaluations of forces used; see above.
     stable: (tiles, TILE) whether the elastic Hessian is positive definite.
     """
 
@@ -332,7 +356,7 @@ def empty_answer(tiles: int) -> Answer:
     return Answer(
         stress=np.full((tiles, 2, 2, TILE), np.nan),
         residual=np.empty((tiles, 1, TILE)),
-        iterations=np.zeros((tiles, TILE), dtype=np.int32),
+        iterations=np.full((tiles, TILE), UNDER_WAY, dtype=np.int32),
         stable=np.ones((tiles, TILE), dtype=np.bool_),
     )
 
@@ -368,11 +392,11 @@ def keep_lane(source, k, target):
 @kernel
 def set_images(z, topology):
     """Fill the image part of local material positions from its own part."""
-    own = topology.particles
+    particles = topology.particles
     for k in range(topology.owner.shape[0]):
         i = topology.owner[k]
         for axis in range(2):
-            store(load(z, axis, i) + topology.image_offset[k, axis], z, axis, own + k)
+            store(load(z, axis, i) + topology.image_offset[k, axis], z, axis, particles + k)
 
 
 @pair_law
@@ -394,7 +418,8 @@ def map_affine(F, z, x):
     """x = F z; F (2, 2, TILE), z and x (2, local, TILE)."""
     xx, xy, yx, yy = entries(F)
     for i in range(z.shape[1]):
-        zx, zy = load(z, 0, i), load(z, 1, i)
+        zx = load(z, 0, i)
+        zy = load(z, 1, i)
         store(xx * zx + xy * zy, x, 0, i)
         store(yx * zx + yy * zy, x, 1, i)
 
@@ -420,10 +445,15 @@ def cauchy_stress(x, f, F, area, stress):
     Every pair adds f and −f to its two local particles, so the sum over pairs of f ⊗ r is minus
     the sum over local particles of force ⊗ position. V = det F times the reference area.
     """
-    xx, xy, yx, yy = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    xx = spread(0.0)
+    xy = spread(0.0)
+    yx = spread(0.0)
+    yy = spread(0.0)
     for k in range(x.shape[1]):
-        px, py = load(x, 0, k), load(x, 1, k)
-        fx, fy = load(f, 0, k), load(f, 1, k)
+        px = load(x, 0, k)
+        py = load(x, 1, k)
+        fx = load(f, 0, k)
+        fy = load(f, 1, k)
         xx -= fx * px
         xy -= fx * py
         yx -= fy * px
@@ -437,13 +467,14 @@ def cauchy_stress(x, f, F, area, stress):
 
 
 @kernel
-def mean_force(f, own, residual):
+def mean_force(f, particles, residual):
     """residual (1, TILE): mean over own particles of the folded force's magnitude, µN."""
     total = spread(0.0)
-    for i in range(own):
-        fx, fy = load(f, 0, i), load(f, 1, i)
+    for i in range(particles):
+        fx = load(f, 0, i)
+        fy = load(f, 1, i)
         total += root(fx * fx + fy * fy)
-    store(total * (1.0 / own), residual, 0)
+    store(total * (1.0 / particles), residual, 0)
 
 
 @kernel

@@ -55,6 +55,7 @@ from surrofe2.rve.newton import (
     settle,
 )
 from surrofe2.rve.rve_state import (
+    OPEN,
     Answer,
     Drive,
     answer_of,
@@ -91,7 +92,7 @@ def moving_of(moving, t):
 
 @parallel_kernel
 def follow(drive, moving, before, factors, topology, c, tolerance, answer):
-    """Solve z_el, v and z in place from those at `before`; iterations become −1 where it fails.
+    """Solve z_el, v and z in place from those at `before`; lanes in which it fails become open.
 
     factors (tiles,): addresses of the kept factors, which are read only.
     """
@@ -104,9 +105,12 @@ def follow(drive, moving, before, factors, topology, c, tolerance, answer):
 
 @kernel
 def _follow_tile(drive, moving, at, factors, topology, c, tolerance, answer):
-    z, elastic, work = moving.z, moving.elastic, make_workspace(topology)
+    z = moving.z
+    elastic = moving.elastic
+    work = make_workspace(topology)
     lu, slopes = kept_factors(factors, topology)
-    y, relaxed = np.zeros_like(z), np.empty_like(z)
+    y = np.zeros_like(z)
+    relaxed = np.empty_like(z)
     still = np.zeros((2, 2, TILE))
     count = np.zeros(TILE, dtype=np.int32)
     predict(elastic, Drive(drive.F, still), Drive(at.F, still), slopes, work.z)
@@ -121,12 +125,12 @@ def _follow_tile(drive, moving, at, factors, topology, c, tolerance, answer):
             offset = load(z, axis, i) - load(elastic, axis, i)
             store(load(relaxed, axis, i) + offset, work.z, axis, i)
     add_slopes(slopes, 4, change(drive.rate, at.rate), work.z)
-    found = np.minimum(count, 0)
-    positions = Answer(answer.stress, answer.residual, found, answer.stable)
+    counts = np.minimum(count, 0)
+    positions = Answer(answer.stress, answer.residual, counts, answer.stable)
     chord_loop(work, drive, False, lu, topology, c, stop, positions)
     for k in range(TILE):
-        answer.iterations[k] = count[k] + found[k] if found[k] > 0 else -1
-        if found[k] > 0:
+        answer.iterations[k] = count[k] + counts[k] if counts[k] > 0 else OPEN
+        if counts[k] > 0:
             keep_lane(work.z, k, z)
             keep_lane(relaxed, k, elastic)
     set_fluctuation(work.v, z, drive.rate, moving.fluctuation)
@@ -143,20 +147,24 @@ def set_fluctuation(v, z, rate, fluctuation):
 
 @kernel
 def _find_velocities(work, y, drive, lu, topology, c, stop, relaxed, count):
-    """z_el into work.z and relaxed, v into work.v; count (TILE,) of evaluations, −1: failed."""
-    own, F = topology.particles, drive.F
-    f_rate, volume_rate = np.empty_like(work.f), np.empty_like(work.volume)
-    residual, residual_rate = np.empty((1, TILE)), np.empty((1, TILE))
-    before, settled = np.full(TILE, np.inf), np.zeros(TILE, dtype=np.int32)
-    step = np.empty((2 * own - 2, TILE))
+    """z_el into work.z and relaxed, v into work.v; count (TILE,) as `Answer.iterations`."""
+    particles = topology.particles
+    F = drive.F
+    f_rate = np.empty_like(work.f)
+    volume_rate = np.empty_like(work.volume)
+    residual = np.empty((1, TILE))
+    residual_rate = np.empty((1, TILE))
+    before = np.full(TILE, np.inf)
+    settled = np.zeros(TILE, dtype=np.int32)
+    step = np.empty((2 * particles - 2, TILE))
     for evaluation in range(1, stop.limit + 1):
         place_images(work, F, topology)
         set_velocities(work.z, y, F, drive.rate, topology, work.v)
         elastic_forces_and_rates(work, f_rate, volume_rate, topology, c)
         fold_images(work.f, topology)
         fold_images(f_rate, topology)
-        mean_force(work.f, own, residual)
-        mean_force(f_rate, own, residual_rate)
+        mean_force(work.f, particles, residual)
+        mean_force(f_rate, particles, residual_rate)
         for k in range(TILE):
             # where z_el is found it stays: a pair at the cut-off must not flicker
             settled[k] = max(settled[k], np.int32(residual[0, k] <= stop.tolerance), abs(count[k]))
@@ -178,8 +186,10 @@ def newton_slow(drive, moving, topology, c, tolerance, answer):
 
 @kernel
 def _newton_tile(drive, moving, topology, c, tolerance, answer):
-    work, matrices = make_workspace(topology), make_matrices(topology)
-    still, beyond = np.zeros((2, 2, TILE)), np.empty_like(moving.fluctuation)
+    work = make_workspace(topology)
+    matrices = make_matrices(topology)
+    still = np.zeros((2, 2, TILE))
+    beyond = np.empty_like(moving.fluctuation)
     wanted = answer.iterations <= 0
     place(work, moving.elastic, drive.F, topology)
     y = along(equilibrium_modes(work, drive.F, topology, c, matrices), drive.rate)
@@ -205,7 +215,8 @@ def renew_slow(F, elastic, factors, wanted, topology, c, stable):
 
 @kernel
 def _renew_tile(F, elastic, factors, wanted, topology, c, stable):
-    work, matrices = make_workspace(topology), make_matrices(topology)
+    work = make_workspace(topology)
+    matrices = make_matrices(topology)
     place(work, elastic, F, topology)
     if not wanted:
         check_stable(work, matrices, F, topology, c, stable)
@@ -215,7 +226,8 @@ def _renew_tile(F, elastic, factors, wanted, topology, c, stable):
     lu, slopes = kept_factors(factors, topology)
     keep_factors(matrices.matrix, lu)
     local_forces(work, topology, c)
-    at_rest, velocities = work.f.copy(), unit_velocities(work.z, modes, F, topology)
+    at_rest = work.f.copy()
+    velocities = unit_velocities(work.z, modes, F, topology)
     steps = np.empty((COLUMNS, *matrices.step.shape))
     for m in range(COLUMNS):
         for i in range(1, topology.particles):

@@ -18,6 +18,9 @@ from surrofe2.rve.constrained_runs import Stepping, iterate
 from surrofe2.rve.continuation import Continuation, seek
 from surrofe2.rve.newton import SKIP, SOLVE, chord, newton
 from surrofe2.rve.rve_state import (
+    OPEN,
+    PASSED_OVER,
+    UNDER_WAY,
     Answer,
     Drive,
     Factors,
@@ -36,8 +39,6 @@ NEAR = 0.01
 FAR = 0.15
 """Largest entry of |U − I| up to which a cold solve may go from F = I in one step."""
 _OK = int(Status.OK)  # a member of an enumeration takes a microsecond to look up
-OPEN, PASSED_OVER = -1, 1
-"""Counts of iterations: solvers take up a lane that has 0 or OPEN, and pass over one above 0."""
 
 
 def dashpot_rate(initialisation: str, F_dot: Array) -> Array:
@@ -88,8 +89,8 @@ class Solved:
         )
 
     @property
-    def law(self) -> tuple[Topology, Constants]:
-        """What kernels need to compute forces."""
+    def kernel_arguments(self) -> tuple[Topology, Constants]:
+        """The pairs of particles and the constants, which all kernels take."""
         return self.near.topology, self.unit.constants
 
     @property
@@ -100,7 +101,8 @@ class Solved:
     def at(self, index: Index, *, cold: bool = False) -> Solved:
         """The points `index` alone, unsolved."""
         drive = Drive(*(take_points(tensor, index) for tensor in self.drive))
-        start, near = self.start.take(index), self.near.take(index)
+        start = self.start.take(index)
+        near = self.near.take(index)
         return Solved(self.unit, self.settings, drive, start, cold, near)
 
     def put(self, index: Index, part: Solved) -> None:
@@ -125,15 +127,16 @@ class Solved:
 
     def tangents(self) -> Tangents:
         """∂P/∂F and ∂P/∂Ḟ at the solution; NaN where there is none."""
-        points, state = self.start.points, self.state
+        points = self.start.points
+        state = self.state
         slow = self.settings.initialisation == "slow-manifold"
         values = np.empty((len(self.status), 2, 2, 8, TILE))
         if not slow or state.left.any():
             kind = KINDS.index("constrained-runs" if slow else self.settings.initialisation)
-            affine_tangents(self.drive, state.z, kind, *self.law, values)
+            affine_tangents(self.drive, state.z, kind, *self.kernel_arguments, values)
         if slow:
             moving = np.empty_like(values)
-            slow_tangents(self.drive, state.z, state.relaxed, *self.law, moving)
+            slow_tangents(self.drive, state.z, state.relaxed, *self.kernel_arguments, moving)
             np.copyto(values, moving, where=~state.left[:, None, None, None, :])
         tangents = unpack(values, points).reshape(points, 2, 2, 2, 2, 2)
         tangents[unpack(self.status, points) != _OK] = np.nan
@@ -141,7 +144,8 @@ class Solved:
 
     def effort(self) -> dict[str, int]:
         """Summable counts of what the answer cost."""
-        points, newly_left = self.start.points, self.state.left & ~self.start.left
+        points = self.start.points
+        newly_left = self.state.left & ~self.start.left
         return {
             "rve_solves": points,
             "force_evaluations": int(np.abs(unpack(self.answer.iterations, points)).sum()),
@@ -178,7 +182,8 @@ def solve_rves(
 
 
 def _initialise(solved: Solved) -> None:
-    initialisation, solver = solved.settings.initialisation, solved.settings.solver
+    initialisation = solved.settings.initialisation
+    solver = solved.settings.solver
     if initialisation == "slow-manifold":
         _solve_slow(solved)
     elif initialisation != "cauchy-born" and solver == "iterated":
@@ -186,17 +191,19 @@ def _initialise(solved: Solved) -> None:
     elif initialisation != "cauchy-born":
         _solve(solved)
     if initialisation in ("cauchy-born", "elastic"):  # at z, with velocities L x (eqs. 64, 67)
-        stress_at(solved.drive, solved.state.z, *solved.law, solved.answer)
+        stress_at(solved.drive, solved.state.z, *solved.kernel_arguments, solved.answer)
 
 
 def _iterate(solved: Solved) -> None:
     """The paper's iteration from the last state, carried along by the incremental F."""
-    start, settings, (F, rate) = solved.start, solved.settings, solved.felt
+    start = solved.start
+    settings = solved.settings
+    F, rate = solved.felt
     x = np.einsum("tabl,tbpl->tapl", F, start.z)
     v = np.einsum("tabl,tbpl->tapl", rate, start.z) + start.beyond_affine
     stepping = Stepping(settings.micro_step, settings.stop, settings.max_iterations)
     mass = solved.unit.neighbours.mass
-    iterate(Drive(F, rate), x, v, mass, *solved.law, stepping, solved.answer)
+    iterate(Drive(F, rate), x, v, mass, *solved.kernel_arguments, stepping, solved.answer)
     solved.status[solved.answer.iterations < 0] = Status.NOT_CONVERGED
     lanes = np.moveaxis(F, -1, 1)
     z = np.moveaxis(np.linalg.solve(lanes, np.moveaxis(x, -1, 1)), 1, -1)
@@ -209,19 +216,24 @@ def _iterate(solved: Solved) -> None:
 
 def _solve(solved: Solved) -> None:
     """With kept factors where they serve, else by Newton's method, else along a path."""
-    start, iterations, settings = solved.start, solved.answer.iterations, solved.settings
+    start = solved.start
+    iterations = solved.answer.iterations
+    settings = solved.settings
     if solved.cold:
         iterations[np.abs(solved.drive.F - start.F).max(axis=(1, 2)) > NEAR] = OPEN
     at = Drive(start.F, dashpot_rate(settings.initialisation, start.F_dot))
-    z, address, tolerance = solved.state.z, start.factors.address, settings.tolerance
-    chord(solved.felt, z, at, address, *solved.law, tolerance, solved.answer)
+    z = solved.state.z
+    address = start.factors.address
+    tolerance = settings.tolerance
+    chord(solved.felt, z, at, address, *solved.kernel_arguments, tolerance, solved.answer)
     if solved.cold or (iterations < 0).any():
         _solve_open(solved)
 
 
 def _solve_open(solved: Solved) -> None:
     """Newton's method in lanes that are open, from z; where it fails or may jump, along a path."""
-    iterations, led = solved.answer.iterations, _are_led(solved)
+    iterations = solved.answer.iterations
+    led = _are_led(solved)
     iterations[led] = PASSED_OVER
     _newton(solved, renewed=np.logical_and(~led.all(axis=1), solved.cold))
     iterations[led] = OPEN  # the path has to lead there
@@ -262,8 +274,11 @@ def _newton(solved: Solved, renewed: Flags | bool = False) -> None:
     factors = solved.state.factors.renewed(tiles)
     task = np.where(tiles, SOLVE, SKIP).astype(np.int8)
     solved.answer.stable[:] = True
-    z, tolerance = solved.state.z, solved.settings.tolerance
-    newton(solved.felt, z, factors.address, task, *solved.law, tolerance, solved.answer)
+    z = solved.state.z
+    tolerance = solved.settings.tolerance
+    newton(
+        solved.felt, z, factors.address, task, *solved.kernel_arguments, tolerance, solved.answer
+    )
     solved.status[(failed | renewed[..., None]) & ~solved.answer.stable] = Status.UNSTABLE
     solved.state = replace(solved.state, factors=factors.made_at(tiles, solved.felt, z))
 
@@ -276,9 +291,11 @@ def _follow_path(solved: Solved, index: Index) -> None:
     path = Continuation(part.unit, part.settings.tolerance, start, end, begin)
     with one_blas_thread():
         path.follow()
-    z, arrived, left = pack(path.z), pack(path.arrived), part.start.left | pack(path.left)
+    z = pack(path.z)
+    arrived = pack(path.arrived)
+    has_left = part.start.left | pack(path.left)
     part.near = part.unit.neighbours.near(part.drive.F, z)
-    part.state = replace(part.state, z=z, left=left, elastic=None, fluctuation=None)
+    part.state = replace(part.state, z=z, left=has_left, elastic=None, fluctuation=None)
     part.answer.iterations[:] = np.where(arrived, OPEN, PASSED_OVER)
     _newton(part)
     part.answer.iterations[~arrived] = OPEN
@@ -312,14 +329,18 @@ def _solve_slow(solved: Solved) -> None:
     At a bifurcation the slopes of that equilibrium have no bound, and neither have the velocities.
     From there on, where the state's `left` says so, they are affine as in constrained runs.
     """
-    start, points = solved.start, solved.start.points
+    start = solved.start
+    points = solved.start.points
     if solved.cold:
         _start_slow(solved)
     else:
         moving = Moving(solved.state.z, start.relaxed.copy(), start.beyond_affine.copy())
-        at, tolerance = Drive(start.F, start.F_dot), solved.settings.tolerance
+        at = Drive(start.F, start.F_dot)
+        tolerance = solved.settings.tolerance
         address = start.factors.address
-        follow(solved.drive, moving, at, address, *solved.law, tolerance, solved.answer)
+        follow(
+            solved.drive, moving, at, address, *solved.kernel_arguments, tolerance, solved.answer
+        )
         solved.state = replace(solved.state, **moving._asdict())
         if solved.answer.iterations.min() < 0:
             index = np.flatnonzero(unpack(solved.answer.iterations < 0, points))
@@ -337,34 +358,46 @@ def _start_slow(solved: Solved) -> None:
     solved.state = replace(solved.state, z=z, elastic=None, fluctuation=None)
     solved.answer.iterations[:] = OPEN
     _solve_open(solved)
-    answer, drive, elastic = solved.answer, solved.drive, solved.state.z
-    found, tolerance = solved.status == _OK, solved.settings.tolerance
+    answer = solved.answer
+    drive = solved.drive
+    elastic = solved.state.z
+    is_elastic = solved.status == _OK
+    tolerance = solved.settings.tolerance
     tiles = np.ones(len(elastic), dtype=np.bool_)
     factors = solved.state.factors.made_at(tiles, solved.felt, elastic)
     address = factors.address  # of blocks that Newton's method has made just now
-    renew_slow(drive.F, elastic, address, tiles, *solved.law, np.empty_like(found))
+    renew_slow(
+        drive.F, elastic, address, tiles, *solved.kernel_arguments, np.empty_like(is_elastic)
+    )
     moving = Moving(elastic.copy(), elastic, np.zeros_like(elastic))
-    answer.iterations[:] = 0
-    follow(drive, moving, solved.felt, address, *solved.law, tolerance, answer)
-    soft = found & (answer.iterations < 0)
+    answer.iterations[:] = UNDER_WAY
+    follow(drive, moving, solved.felt, address, *solved.kernel_arguments, tolerance, answer)
+    soft = is_elastic & (answer.iterations < 0)
     if soft.any():  # z_el is stable but so soft that `follow` misses z
-        counts = np.where(soft, 0, PASSED_OVER).astype(np.int32)
-        newton_slow(drive, moving, *solved.law, tolerance, answer._replace(iterations=counts))
+        counts = np.where(soft, UNDER_WAY, PASSED_OVER).astype(np.int32)
+        newton_slow(
+            drive, moving, *solved.kernel_arguments, tolerance, answer._replace(iterations=counts)
+        )
         answer.iterations[soft] = counts[soft]
-    left = solved.state.left | (found & (answer.iterations < 0))
-    solved.state = replace(solved.state, left=left, factors=factors, **moving._asdict())
+    has_left = solved.state.left | (is_elastic & (answer.iterations < 0))
+    solved.state = replace(solved.state, left=has_left, factors=factors, **moving._asdict())
 
 
 def _hold_back(solved: Solved, index: Index) -> None:
     """Positions with affine velocities at the points `index`, where a bifurcation was met."""
-    part, state = solved.at(index), solved.state.take(index)
+    part = solved.at(index)
+    state = solved.state.take(index)
     part.covered = take_points(solved.covered, index)
-    z, answer = state.relaxed.copy(), part.answer
-    task, unused = np.full(len(z), SOLVE, dtype=np.int8), Factors.empty(part.drive, z, part.law[0])
-    newton(part.drive, z, unused.address, task, *part.law, part.settings.tolerance, answer)
-    found = answer.iterations > 0
-    answer.iterations[:] = np.where(found, answer.iterations + np.abs(state.iterations), OPEN)
-    part.status[~found] = Status.NOT_CONVERGED
+    z = state.relaxed.copy()
+    answer = part.answer
+    task = np.full(len(z), SOLVE, dtype=np.int8)
+    unused = Factors.empty(part.drive, z, part.kernel_arguments[0])
+    newton(
+        part.drive, z, unused.address, task, *part.kernel_arguments, part.settings.tolerance, answer
+    )
+    is_solved = answer.iterations > 0
+    answer.iterations[:] = np.where(is_solved, answer.iterations + np.abs(state.iterations), OPEN)
+    part.status[~is_solved] = Status.NOT_CONVERGED
     part.state = replace(state, z=z, fluctuation=np.zeros_like(z), iterations=answer.iterations)
     part.newton_solves = len(index)
     solved.put(index, part)

@@ -35,10 +35,12 @@ from surrofe2.rve.newton import move, set_elastic_jacobian, set_jacobian
 from surrofe2.rve.rve_state import Drive, drive_of, entries, inverse, map_affine, place
 
 KINDS = ("constrained-runs", "elastic", "cauchy-born")
-_ELASTIC, _CAUCHY_BORN = 1, 2
+_ELASTIC = 1
+_CAUCHY_BORN = 2
 REFINEMENTS = 30
 """Of a solution, at most; each adds three digits or more but where tissue is crushed."""
-REFINED, GOOD_ENOUGH = 1e-12, 1e-8
+REFINED = 1e-12
+GOOD_ENOUGH = 1e-8
 """Residual over the right-hand side that ends refinement, and above which there is no solution."""
 
 
@@ -54,7 +56,9 @@ def affine_tangents(drive, z, kind, topology, c, tangents):
 
 @kernel
 def _affine_tile(drive, z, kind, topology, c, tangents):
-    F, F_dot, work = drive.F, drive.rate, make_workspace(topology)
+    F = drive.F
+    F_dot = drive.rate
+    work = make_workspace(topology)
     place(work, z, F, topology)
     map_affine(F_dot, work.z, work.v)
     tangents[:] = 0.0
@@ -89,8 +93,10 @@ def slow_tangents(drive, z, relaxed, topology, c, tangents):
 
 @kernel
 def _slow_tile(drive, z, relaxed, topology, c, tangents):
-    F, F_dot = drive.F, drive.rate
-    work, matrices = make_workspace(topology), make_matrices(topology)
+    F = drive.F
+    F_dot = drive.rate
+    work = make_workspace(topology)
+    matrices = make_matrices(topology)
     place(work, relaxed, F, topology)
     modes = equilibrium_modes(work, F, topology, c, matrices)
     units = unit_velocities(work.z, modes, F, topology)
@@ -126,7 +132,8 @@ def affine_fields(z):
 @kernel
 def stress_gradients(work, weights, topology, c):
     """(by_x, by_v) of the four sums of forces with these weights."""
-    by_x, by_v = np.zeros_like(weights), np.zeros_like(weights)
+    by_x = np.zeros_like(weights)
+    by_v = np.zeros_like(weights)
     add_force_gradients(work, weights, by_x, by_v, topology, c)
     return by_x, by_v
 
@@ -145,14 +152,18 @@ def adjoint_load(work, by_x, by_v, drive, topology, c):
 @kernel
 def _pulled_back(by_x, by_v, f, drive, topology):
     """(4, 2n − 2, TILE): F⁻ᵀ times slopes by z, f_a more in those of component (a, b) by z_b."""
-    F, rate, free = drive.F, drive.rate, 2 * topology.particles - 2
-    load_x, load_v = np.empty((COLUMNS, free, TILE)), np.empty((COLUMNS, free, TILE))
+    F = drive.F
+    rate = drive.rate
+    free = 2 * topology.particles - 2
+    load_x = np.empty((COLUMNS, free, TILE))
+    load_v = np.empty((COLUMNS, free, TILE))
     fold_columns(by_x, topology, load_x)
     fold_columns(by_v, topology, load_v)
     xx, xy, yx, yy = inverse(entries(F))
     for n in range(COLUMNS):
         for i in range(0, free, 2):
-            vx, vy = load(load_v, n, i), load(load_v, n, i + 1)
+            vx = load(load_v, n, i)
+            vy = load(load_v, n, i + 1)
             gx = load(rate, 0, 0) * vx + load(rate, 1, 0) * vy
             gy = load(rate, 0, 1) * vx + load(rate, 1, 1) * vy
             force = load(f, n // 2, i // 2 + 1)
@@ -183,8 +194,10 @@ def refine(lu, right, solution, work, drive, topology, c):
     """
     if topology.pressures == 0:
         return
-    no_force, size = np.zeros_like(work.f), np.empty(TILE)
-    whole, before = np.empty(TILE), np.full(TILE, np.inf)
+    no_force = np.zeros_like(work.f)
+    size = np.empty(TILE)
+    whole = np.empty(TILE)
+    before = np.full(TILE, np.inf)
     largest_of(right, whole)
     for _ in range(REFINEMENTS):
         weights = np.zeros((COLUMNS, *work.x.shape))
@@ -272,12 +285,13 @@ def along(fields, tensor):
 @kernel
 def set_velocities(z, y, F, rate, topology, v):
     """v = Ḟ z + F y for local particles; an image has the y of its owner."""
-    own = topology.particles
+    particles = topology.particles
     map_affine(rate, z, v)
     xx, xy, yx, yy = entries(F)
     for i in range(v.shape[1]):
-        k = i if i < own else topology.owner[i - own]
-        yi, yj = load(y, 0, k), load(y, 1, k)
+        k = i if i < particles else topology.owner[i - particles]
+        yi = load(y, 0, k)
+        yj = load(y, 1, k)
         store(load(v, 0, i) + xx * yi + xy * yj, v, 0, i)
         store(load(v, 1, i) + yx * yi + yy * yj, v, 1, i)
 
@@ -296,7 +310,8 @@ def unit_velocities(z, modes, F, topology):
 @kernel
 def velocity_slopes(work, units, F, topology, c, lu):
     """(4, 2, local, TILE) = ∂v/∂F_m at work.x of v = Σ Ḟ_n V_n in work.v; lu of K."""
-    slopes, rates = np.zeros_like(units), np.zeros_like(units)
+    slopes = np.zeros_like(units)
+    rates = np.zeros_like(units)
     add_stiffness_rates(work, units, rates, topology, c)
     right = np.empty((COLUMNS, 2 * topology.particles - 2, TILE))
     fold_columns(rates, topology, right)
@@ -314,26 +329,26 @@ def velocity_slopes(work, units, F, topology, c, lu):
 @kernel
 def fold_columns(fields, topology, columns):
     """columns (4, 2n − 2, TILE): fields (4, 2, local, TILE) with what images feel, unless held."""
-    own = topology.particles
+    particles = topology.particles
     for m in range(COLUMNS):
         for axis in range(2):
-            for i in range(1, own):
+            for i in range(1, particles):
                 store(load(fields, m, axis, i), columns, m, 2 * i - 2 + axis)
             for k in range(topology.owner.shape[0]):
                 i = topology.owner[k]
                 if i > 0:
                     row = 2 * i - 2 + axis
-                    value = load(columns, m, row) + load(fields, m, axis, own + k)
+                    value = load(columns, m, row) + load(fields, m, axis, particles + k)
                     store(value, columns, m, row)
 
 
 @kernel
 def subtract_columns(columns, topology, fields):
     """fields −= columns of own particles, and for images those of their owners."""
-    own = topology.particles
+    particles = topology.particles
     for m in range(COLUMNS):
         for k in range(fields.shape[2]):
-            i = k if k < own else topology.owner[k - own]
+            i = k if k < particles else topology.owner[k - particles]
             if i > 0:
                 for axis in range(2):
                     value = load(fields, m, axis, k) - load(columns, m, 2 * i - 2 + axis)

@@ -49,8 +49,11 @@ SAME_ENERGY = 1e-7
 """Equilibria whose energies differ relatively by less are the same or images of each other."""
 _FIRST_GUESS = 0.5
 """l₀ of one square cell over the length of a spring."""
-_TRIALS, _DIFFERENCE, _SETTLED_STRESS = 200, 1e-5, 1e-14
-_SETTLING_STEP, _SETTLING_LIMIT = 1e-3, 300_000
+_TRIALS = 200
+_DIFFERENCE = 1e-5
+_SETTLED_STRESS = 1e-14
+_SETTLING_STEP = 1e-3
+_SETTLING_LIMIT = 300_000
 _SETTLED = {"square": 1.0, "hexagon": 1.0, "voronoi": 1e-4}
 """Mean force, µN, low enough that Newton stays in the basin: irregular cells have many."""
 _CHECK = (
@@ -131,7 +134,8 @@ def unit_around(
 ) -> UnitCell:
     """Particles at rest in `reference`, with their neighbours; refused where it is not stable."""
     constants = make_constants(cell, reference.rest_length)
-    z, identity = pack(reference.position.T[None]), pack(np.eye(2)[None])
+    z = pack(reference.position.T[None])
+    identity = pack(np.eye(2)[None])
     near = neighbours.near(identity, z)
     drive = Drive(identity, np.zeros_like(identity))
     factors = Factors.empty(drive, z, near.topology)
@@ -167,15 +171,15 @@ def settle_reference(cell: CellParameters) -> ReferenceState:
     lattice = make_arrangement(cell).tessellation.lattice
     several = irregular and not cell.has_uniform_fluid
     starts = [start_positions(cell, k) for k in range(STARTS if several else 1)]
-    found = equilibria_in(cell, lattice, guess, np.array(starts))
-    best = lowest(found) if several else 0
-    return _free_of_stress(cell, found.z[best], guess, irregular)
+    equilibria = equilibria_in(cell, lattice, guess, np.array(starts))
+    best = lowest(equilibria) if several else 0
+    return _free_of_stress(cell, equilibria.z[best], guess, irregular)
 
 
 def resettled(cell: CellParameters, near: ReferenceState) -> ReferenceState:
     """The reference state of a cell of squares or hexagons, from that of almost the same cell."""
-    own = make_arrangement(cell).tessellation.lattice
-    z = np.ascontiguousarray((near.position @ np.linalg.solve(near.lattice.T, own.T)).T)
+    lattice_of_cell = make_arrangement(cell).tessellation.lattice
+    z = np.ascontiguousarray((near.position @ np.linalg.solve(near.lattice.T, lattice_of_cell.T)).T)
     return _free_of_stress(cell, z, near.rest_length, irregular=False)
 
 
@@ -195,7 +199,7 @@ class Equilibria(NamedTuple):
     stable: Flags
 
     def take(self, index: Index) -> Equilibria:
-        """Those of the points `index`."""
+        """Return those of the points `index`."""
         return Equilibria._make(values[index] for values in self)
 
 
@@ -213,8 +217,8 @@ def equilibria_in(
         arrangement: instead of the cell's own.
     """
     arrangement = arrangement or make_arrangement(cell)
-    own = arrangement.tessellation.lattice
-    moved = starts @ np.linalg.solve(own.T, lattice.T)
+    lattice_of_cell = arrangement.tessellation.lattice
+    moved = starts @ np.linalg.solve(lattice_of_cell.T, lattice.T)
     drained = replace(cell, sap_bulk_modulus=0.0)  # at rest the sap has the area of that state
     constants = make_constants(drained, rest_length)
     unit = np.broadcast_to(np.eye(2), (len(moved), 2, 2))
@@ -246,17 +250,21 @@ def relax(
     Args:
         task: `SOLVE`, or `SEEK` near the starts; see `newton`.
     """
-    points, z, tensors = len(starts), pack(starts), pack(F)
-    drive, answer = Drive(tensors, np.zeros_like(tensors)), empty_answer(len(z))
+    points = len(starts)
+    z = pack(starts)
+    tensors = pack(F)
+    drive = Drive(tensors, np.zeros_like(tensors))
+    answer = empty_answer(len(z))
     factors = Factors.empty(drive, z, topology)
     tasks = np.full(len(z), task, dtype=np.int8)
     newton(drive, z, factors.address, tasks, topology, constants, tolerance, answer)
-    z, iterations = unpack(z, points), unpack(answer.iterations, points)
-    found = iterations > 0
-    energy = np.where(found, stored_energy(F, z, topology, constants), np.nan)
-    stable = found & unpack(answer.stable, points)
+    z = unpack(z, points)
+    iterations = unpack(answer.iterations, points)
+    is_solved = iterations > 0
+    energy = np.where(is_solved, stored_energy(F, z, topology, constants), np.nan)
+    stable = is_solved & unpack(answer.stable, points)
     stress = unpack(answer.stress, points)
-    return Equilibria(z, stress, energy, iterations, found, stable)
+    return Equilibria(z, stress, energy, iterations, is_solved, stable)
 
 
 def lowest(equilibria: Equilibria) -> int:
@@ -274,14 +282,16 @@ def _settled(
     starts: Array,
     arrangement: Arrangement,
 ) -> Array:
-    """Where particles come to rest at F = I from `starts` (k, n, 2), of those that do."""
+    """Return where particles come to rest at F = I from `starts` (k, n, 2), of those that do."""
     neighbours = make_neighbours(cell, starts[0], lattice, arrangement=arrangement)
     mass = neighbours.mass.copy()
     walls = mass[: arrangement.walls]
     np.maximum(walls, cell.wall_particle_mass, out=walls)  # outer walls may be light
     x = np.ascontiguousarray(np.moveaxis(pack(starts), 2, 1))
     unit = pack(np.broadcast_to(np.eye(2), (len(starts), 2, 2)))
-    drive, v, answer = Drive(unit, np.zeros_like(unit)), np.zeros_like(x), empty_answer(len(x))
+    drive = Drive(unit, np.zeros_like(unit))
+    v = np.zeros_like(x)
+    answer = empty_answer(len(x))
     stepping = Stepping(_SETTLING_STEP, _SETTLED[cell.arrangement], _SETTLING_LIMIT)
     iterate(drive, x, v, mass, neighbours.topology, constants, stepping, answer)
     rested = unpack(answer.iterations, len(starts)) >= 0
@@ -310,11 +320,11 @@ def _free_of_stress(
 
     def stress(u: Array) -> Array:
         constants = make_constants(cell, u[0] * cell.spring_length)
-        found = relax(topology, constants, at, shape(u)[None])
-        if not found.found[0]:
+        equilibrium = relax(topology, constants, at, shape(u)[None])
+        if not equilibrium.found[0]:
             raise InputError(_NOT_FREE)
-        at[:] = found.z
-        s = found.stress[0]
+        at[:] = equilibrium.z
+        s = equilibrium.stress[0]
         return np.array([s[0, 0] + s[1, 1], s[0, 0] - s[1, 1], s[0, 1] + s[1, 0]])[: len(u)]
 
     u = np.zeros(3 if irregular else 1)
@@ -328,8 +338,10 @@ def _free_of_stress(
         )
     if not np.abs(stress(u)).max() <= tolerance:
         raise InputError(_NOT_FREE)
-    F, l0 = shape(u), float(u[0] * cell.spring_length)
-    relaxed, box = at[0].T @ F.T, F @ lattice
+    F = shape(u)
+    l0 = float(u[0] * cell.spring_length)
+    relaxed = at[0].T @ F.T
+    box = F @ lattice
     topology = make_neighbours(cell, relaxed, box).topology
     final = relax(topology, make_constants(cell, l0), relaxed.T[None], np.eye(2)[None])
     lowest(final)

@@ -364,7 +364,8 @@ def _lookup_blocks(  # type: ignore[no-untyped-def]
             is_plain = _is_plain(frame, trust.y, limit, stress is not None, t)
             for lane in range(count):
                 point = np.uint64(first) + lane
-                risk[point], status[point] = trust.y[_BOUND, t, lane], _OK
+                risk[point] = trust.y[_BOUND, t, lane]
+                status[point] = _OK
                 if stress is not None:
                     stress[point, 0, 0] = frame[_S11, t, lane]
                     stress[point, 0, 1] = frame[_S12, t, lane]
@@ -372,7 +373,8 @@ def _lookup_blocks(  # type: ignore[no-untyped-def]
                     stress[point, 1, 1] = frame[_S22, t, lane]
                 if not is_plain:
                     value, code = _judged(frame, trust.y, limit, stress is not None, t, lane)
-                    risk[point], status[point] = value, code
+                    risk[point] = value
+                    status[point] = code
                     if stress is not None and code != _OK:
                         stress[point] = np.nan
 
@@ -392,8 +394,9 @@ def _is_plain(frame, y, limit, has_stress, t):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _judged(frame, y, limit, has_stress, t, lane):  # type: ignore[no-untyped-def]
-    """Risk and status of one point; of several faults that of the network counts first."""
-    value, inside = y[_BOUND, t, lane], frame[_INSIDE, t, lane] > 0.0
+    """Return risk and status of one point; of several faults that of the network counts first."""
+    value = y[_BOUND, t, lane]
+    inside = frame[_INSIDE, t, lane] > 0.0
     if has_stress and inside:
         for i in range(4):
             if not np.isfinite(frame[_S11 + i, t, lane]):
@@ -415,7 +418,8 @@ def _slopes(F, F_dot, network, P, slopes):  # type: ignore[no-untyped-def]
         _set_inputs(frame, network, room)
         _evaluate_network(network, room, units)
         for p in range(min(BLOCK, F.shape[0] - start)):
-            t, lane = p // TILE, p % TILE
+            t = p // TILE
+            lane = p % TILE
             for c in range(COMPONENTS):
                 P[start + p, c] = room.y[c, t, lane]
                 for k in range(INPUTS):
@@ -428,7 +432,8 @@ def _read_points(start, F, F_dot, frame):  # type: ignore[no-untyped-def]
     """Set the rows of F and Ḟ; the last point fills the rest of the last block."""
     for p in range(BLOCK):
         point = min(start + p, F.shape[0] - 1)
-        t, lane = p // TILE, p % TILE
+        t = p // TILE
+        lane = p % TILE
         for i in range(4):
             frame[_F11 + i, t, lane] = F[point, i // 2, i % 2]
             frame[_V11 + i, t, lane] = F_dot[point, i // 2, i % 2]
@@ -438,18 +443,24 @@ def _read_points(start, F, F_dot, frame):  # type: ignore[no-untyped-def]
 def _take_rotation_out(frame):  # type: ignore[no-untyped-def]
     """Set the rows of R, U and A from those of F and Ḟ."""
     for t in range(TILES):
-        xx, xy = load(frame, _F11, t), load(frame, _F12, t)
-        yx, yy = load(frame, _F21, t), load(frame, _F22, t)
-        along, across = xx + yy, yx - xy
+        xx = load(frame, _F11, t)
+        xy = load(frame, _F12, t)
+        yx = load(frame, _F21, t)
+        yy = load(frame, _F22, t)
+        along = xx + yy
+        across = yx - xy
         length = 1.0 / root(along * along + across * across)
-        c, s = along * length, across * length
+        c = along * length
+        s = across * length
         store(c, frame, _COS, t)
         store(s, frame, _SIN, t)
         store(c * xx + s * yx, frame, _U11, t)
         store(c * xy + s * yy, frame, _U12, t)
         store(c * yy - s * xy, frame, _U22, t)
-        xx, xy = load(frame, _V11, t), load(frame, _V12, t)
-        yx, yy = load(frame, _V21, t), load(frame, _V22, t)
+        xx = load(frame, _V11, t)
+        xy = load(frame, _V12, t)
+        yx = load(frame, _V21, t)
+        yy = load(frame, _V22, t)
         store(c * xx + s * yx, frame, _A11, t)
         store(c * xy + s * yy, frame, _A12, t)
         store(c * yx - s * xx, frame, _A21, t)
@@ -472,9 +483,12 @@ def _set_inside(frame, limits):  # type: ignore[no-untyped-def]
 def _scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
     """Set the scaled inputs of `tensors`, (7, TILES, TILE), and a row of ones."""
     for t in range(TILES):
-        u11, u22 = load(frame, _U11, t), load(frame, _U22, t)
-        a11, a12 = load(frame, _A11, t), load(frame, _A12, t)
-        a21, a22 = load(frame, _A21, t), load(frame, _A22, t)
+        u11 = load(frame, _U11, t)
+        u22 = load(frame, _U22, t)
+        a11 = load(frame, _A11, t)
+        a12 = load(frame, _A12, t)
+        a21 = load(frame, _A21, t)
+        a22 = load(frame, _A22, t)
         store(((u11 - 1.0) + (u22 - 1.0)) * factor[0], x, 0, t)
         store((u11 - u22) * factor[1], x, 1, t)
         store(load(frame, _U12, t) * (2.0 * factor[2]), x, 2, t)
@@ -488,7 +502,8 @@ def _scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
 @bare_kernel
 def _set_inputs(frame, network, room):  # type: ignore[no-untyped-def]
     """Set the inputs of a network, see `features`, with the slopes of those that bend."""
-    x, slopes = room.rows, room.slopes
+    x = room.rows
+    slopes = room.slopes
     _scale_inputs(frame, network.input_factor, x)
     for k in range(STRETCH):
         for t in range(TILES):
@@ -505,11 +520,14 @@ def _evaluate_network(arrays, room, units):  # type: ignore[no-untyped-def]
 
     Each is the baseline plus, for each of its terms, (factor − factor at rest) × product.
     """
-    first, y = _evaluate_factors(arrays, room, units), room.y
+    first = _evaluate_factors(arrays, room, units)
+    y = room.y
     y_slopes = room.y_slopes
     for term in range(arrays.components.shape[0]):
-        component, row = arrays.components[term], arrays.kept[term]
-        scale, at_rest = arrays.output_factor[component], arrays.at_rest[term]
+        component = arrays.components[term]
+        row = arrays.kept[term]
+        scale = arrays.output_factor[component]
+        at_rest = arrays.at_rest[term]
         for t in range(TILES):
             factor = (load(units.values, first + term, t) - at_rest) * scale
             product = load(room.rows, row, t)
@@ -532,7 +550,9 @@ def _make_units(arrays, along):  # type: ignore[no-untyped-def]
 @bare_kernel
 def _evaluate_factors(arrays, room, units):  # type: ignore[no-untyped-def]
     """Set y to the baseline, fill the units, all with slopes; return the first factor's row."""
-    kept, values, slopes = arrays.kept, units.values, units.slopes
+    kept = arrays.kept
+    values = units.values
+    slopes = units.slopes
     evaluate(arrays, room)
     terms = arrays.components.shape[0]
     invariants = kept.shape[0] - terms
@@ -556,11 +576,17 @@ def _forward(arrays, units):  # type: ignore[no-untyped-def]
 
     The last layer has no tanh. Return the first row of the last layer.
     """
-    sizes, weights, biases = arrays.sizes, arrays.weights, arrays.biases
-    values, slopes = units.values, units.slopes
-    begin, first_weight, first_bias = 0, 0, 0
+    sizes = arrays.sizes
+    weights = arrays.weights
+    biases = arrays.biases
+    values = units.values
+    slopes = units.slopes
+    begin = 0
+    first_weight = 0
+    first_bias = 0
     for layer in range(1, sizes.shape[0]):
-        rows, columns = sizes[layer], sizes[layer - 1]
+        rows = sizes[layer]
+        columns = sizes[layer - 1]
         end = first_weight + rows * columns
         matrix = weights[first_weight:end]
         middle = begin + columns
@@ -573,7 +599,8 @@ def _forward(arrays, units):  # type: ignore[no-untyped-def]
             _apply_layer(matrix, units.zeros[:rows], slopes[k, begin:middle], slopes[k, middle:])
             if not is_last:
                 _times_tanh_slope(values[middle:], slopes[k, middle:], rows)
-        begin, first_weight = middle, end
+        begin = middle
+        first_weight = end
         first_bias += rows
     return begin
 
@@ -596,15 +623,25 @@ def _apply_layer(matrix, bias, source, target):  # type: ignore[no-untyped-def]
     columns = source.shape[0]
     for t in range(0, TILES, 2):
         for j in range(0, bias.shape[0], 4):
-            one_row, next_row = np.uint64(j * columns), np.uint64((j + 1) * columns)
-            third_row, last_row = np.uint64((j + 2) * columns), np.uint64((j + 3) * columns)
-            a, b = spread(bias[j]), spread(bias[j + 1])
-            c, d = spread(bias[j + 2]), spread(bias[j + 3])
-            e, f, g, h = a, b, c, d
+            one_row = np.uint64(j * columns)
+            next_row = np.uint64((j + 1) * columns)
+            third_row = np.uint64((j + 2) * columns)
+            last_row = np.uint64((j + 3) * columns)
+            a = spread(bias[j])
+            b = spread(bias[j + 1])
+            c = spread(bias[j + 2])
+            d = spread(bias[j + 3])
+            e = a
+            f = b
+            g = c
+            h = d
             for k in range(np.uint64(columns)):
-                one, two = load(source, k, t), load(source, k, t + 1)
-                first, second = spread(matrix[one_row + k]), spread(matrix[next_row + k])
-                third, fourth = spread(matrix[third_row + k]), spread(matrix[last_row + k])
+                one = load(source, k, t)
+                two = load(source, k, t + 1)
+                first = spread(matrix[one_row + k])
+                second = spread(matrix[next_row + k])
+                third = spread(matrix[third_row + k])
+                fourth = spread(matrix[last_row + k])
                 a += first * one
                 b += second * one
                 c += third * one
@@ -630,17 +667,26 @@ def _set_stress(y, frame):  # type: ignore[no-untyped-def]
     S = P̂ U/det U, and R turns the difference and shear of S by twice its own angle.
     """
     for t in range(TILES):
-        u11, u22 = load(frame, _U11, t), load(frame, _U22, t)
-        n, d, g = u11 + u22, u11 - u22, 2.0 * load(frame, _U12, t)
-        total, difference, shear, spin = load(y, 0, t), load(y, 1, t), load(y, 2, t), load(y, 3, t)
+        u11 = load(frame, _U11, t)
+        u22 = load(frame, _U22, t)
+        n = u11 + u22
+        d = u11 - u22
+        g = 2.0 * load(frame, _U12, t)
+        total = load(y, 0, t)
+        difference = load(y, 1, t)
+        shear = load(y, 2, t)
+        spin = load(y, 3, t)
         factor = 1.0 / (n * n - d * d - g * g)
         s = factor * (n * total + d * difference + g * shear)
         by_d = factor * (d * total + n * difference - g * spin)
         by_g = factor * (g * total + n * shear + d * spin)
         w = factor * (n * spin - g * difference + d * shear)
-        cos, sin = load(frame, _COS, t), load(frame, _SIN, t)
-        c2, s2 = cos * cos - sin * sin, 2.0 * cos * sin
-        turned_d, turned_g = c2 * by_d - s2 * by_g, s2 * by_d + c2 * by_g
+        cos = load(frame, _COS, t)
+        sin = load(frame, _SIN, t)
+        c2 = cos * cos - sin * sin
+        s2 = 2.0 * cos * sin
+        turned_d = c2 * by_d - s2 * by_g
+        turned_g = s2 * by_d + c2 * by_g
         store(s + turned_d, frame, _S11, t)
         store(turned_g - w, frame, _S12, t)
         store(turned_g + w, frame, _S21, t)
@@ -653,7 +699,8 @@ def _set_even_inputs(near, x):  # type: ignore[no-untyped-def]
     for t in range(TILES):
         low = where_less(load(x, 0, t), 0.0, load(x, 0, t), 0.0)
         store(low * low, x, COMPRESSION, t)
-        total, size = spread(0.0), spread(0.0)
+        total = spread(0.0)
+        size = spread(0.0)
         for k in range(INPUTS):
             square = load(x, k, t) * load(x, k, t)
             store(square, x, SQUARES + k, t)

@@ -182,7 +182,8 @@ def make_room(polynomials, inputs, along):  # type: ignore[no-untyped-def]
 
     The slopes of inputs are set here once: 1 by the input itself, else 0.
     """
-    rows, outputs = inputs + polynomials.products.shape[0], polynomials.begins.shape[0] - 1
+    rows = inputs + polynomials.products.shape[0]
+    outputs = polynomials.begins.shape[0] - 1
     slopes = np.zeros((along, rows, TILES, TILE))
     for k in range(along):
         slopes[k, k] = 1.0
@@ -201,25 +202,42 @@ def evaluate(polynomials, room):  # type: ignore[no-untyped-def]
     Where there are slopes, an input that depends on others is the first of its products. Written
     out where it is used: a call with all these arrays takes as long as a small polynomial.
     """
-    products, begins, heads = polynomials.products, polynomials.begins, polynomials.heads
-    group_begins, numbers = polynomials.group_begins, polynomials.rows
+    products = polynomials.products
+    begins = polynomials.begins
+    heads = polynomials.heads
+    group_begins = polynomials.group_begins
+    numbers = polynomials.rows
     rows, y, slopes, y_slopes = room
-    coefficients, inputs = polynomials.coefficients, rows.shape[0] - products.shape[0]
+    coefficients = polynomials.coefficients
+    inputs = rows.shape[0] - products.shape[0]
     # numba tests signed indices for counting from the end
     for k in range(np.uint64(products.shape[0])):
-        i, j, row = products[k, 0], products[k, 1], np.uint64(inputs) + k
+        i = products[k, 0]
+        j = products[k, 1]
+        row = np.uint64(inputs) + k
         for t in range(TILES):
             store(load(rows, i, t) * load(rows, j, t), rows, row, t)
     for output in range(begins.shape[0] - 1):
         # a sum for each of the six tiles: additions to one sum wait for each other
-        one, two, three = spread(0.0), spread(0.0), spread(0.0)
-        four, five, six = spread(0.0), spread(0.0), spread(0.0)
+        one = spread(0.0)
+        two = spread(0.0)
+        three = spread(0.0)
+        four = spread(0.0)
+        five = spread(0.0)
+        six = spread(0.0)
         for group in range(begins[output], begins[output + 1]):
-            head, first, last = heads[group], group_begins[group], group_begins[group + 1]
-            a, b, c = spread(0.0), spread(0.0), spread(0.0)
-            d, e, f = spread(0.0), spread(0.0), spread(0.0)
+            head = heads[group]
+            first = group_begins[group]
+            last = group_begins[group + 1]
+            a = spread(0.0)
+            b = spread(0.0)
+            c = spread(0.0)
+            d = spread(0.0)
+            e = spread(0.0)
+            f = spread(0.0)
             for k in range(np.uint64(first), np.uint64(last)):
-                coefficient, row = spread(coefficients[k]), numbers[k]
+                coefficient = spread(coefficients[k])
+                row = numbers[k]
                 a += coefficient * load(rows, row, 0)
                 b += coefficient * load(rows, row, 1)
                 c += coefficient * load(rows, row, 2)
@@ -239,10 +257,13 @@ def evaluate(polynomials, room):  # type: ignore[no-untyped-def]
         store(five, y, output, 4)
         store(six, y, output, 5)
     for along in range(slopes.shape[0]):
-        inner, result = slopes[along], y_slopes[along]
+        inner = slopes[along]
+        result = y_slopes[along]
         for t in range(0, TILES, 2):
             for k in range(products.shape[0]):
-                i, j, row = products[k, 0], products[k, 1], inputs + k
+                i = products[k, 0]
+                j = products[k, 1]
+                row = inputs + k
                 a = load(inner, i, t) * load(rows, j, t)
                 b = load(inner, i, t + 1) * load(rows, j, t + 1)
                 if j == along:
@@ -251,12 +272,17 @@ def evaluate(polynomials, room):  # type: ignore[no-untyped-def]
                 store(a, inner, row, t)
                 store(b, inner, row, t + 1)
             for output in range(begins.shape[0] - 1):
-                one, two = spread(0.0), spread(0.0)
+                one = spread(0.0)
+                two = spread(0.0)
                 for group in range(begins[output], begins[output + 1]):
-                    head, a, b = heads[group], spread(0.0), spread(0.0)
-                    first, last = group_begins[group], group_begins[group + 1]
+                    head = heads[group]
+                    a = spread(0.0)
+                    b = spread(0.0)
+                    first = group_begins[group]
+                    last = group_begins[group + 1]
                     for k in range(first, last):
-                        coefficient, row = spread(coefficients[k]), numbers[k]
+                        coefficient = spread(coefficients[k])
+                        row = numbers[k]
                         a += coefficient * load(inner, row, t)
                         b += coefficient * load(inner, row, t + 1)
                     one += a * load(rows, head, t)

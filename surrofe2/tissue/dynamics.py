@@ -115,7 +115,8 @@ class TissueDynamics:
             velocity: (particles, 2) of those that move freely, µm/µs.
             rates: (motions,) of prescribed motion, 1/µs. An impulse acts at the mean velocity.
         """
-        driven, bodies = self.driven, self.bodies
+        driven = self.driven
+        bodies = self.bodies
         self._particles.v[:-1, :, : self.tissue.own] = self.tissue.to_tiles(velocity)
         led = rates[driven.motion] * driven.largest
         self._particles.v[tuple(driven.at.T)] = led
@@ -167,7 +168,8 @@ class TissueDynamics:
                 self.counts["force_evaluations"] += taken
                 if renewed and taken == 0:
                     raise SimulationError("tissue: particles fly apart within a step")
-                steps, renewed = tuple(each[taken:] for each in steps), True
+                steps = tuple(each[taken:] for each in steps)
+                renewed = True
         finally:
             numba.set_num_threads(allowed)
 
@@ -199,7 +201,8 @@ class TissueDynamics:
         """
         self.forces(amplitudes=amplitudes)
         energy = np.empty((self.tissue.tiles, TILE))
-        constants, cells = self._constants[WHOLE], self._lister.cells
+        constants = self._constants[WHOLE]
+        cells = self._lister.cells
         elastic_energy(self._particles.x, self._lists, constants, cells, energy)
         return float(energy.sum())
 
@@ -212,7 +215,9 @@ class TissueDynamics:
 
     def _put(self, x: Array, v: Array, listed: Array | None = None) -> None:
         """Put particles with the lists made at `listed` (tiles, 2, own, TILE), or new ones."""
-        tissue, tiles, own = self.tissue, self.tissue.tiles, self.tissue.own
+        tissue = self.tissue
+        tiles = self.tissue.tiles
+        particles = self.tissue.own
         own_x = tissue.to_tiles(x, tissue.start)
         if listed is None:
             listed = own_x
@@ -221,8 +226,11 @@ class TissueDynamics:
             self._constants = {factors: constants.times(factors) for factors in every}
             self.counts["list_builds"] += 1
         shape = (tiles + 1, 2, self._lists.local, TILE)
-        there, rate = np.full(shape, NOWHERE), np.zeros(shape)
-        there[:-1, :, :own], rate[:-1, :, :own] = own_x, tissue.to_tiles(v)
+        there = np.full(shape, NOWHERE)
+        rate = np.zeros(shape)
+        there[:-1, :, :particles] = own_x
+        rate[:-1, :, :particles] = tissue.to_tiles(v)
         self._particles = self._particles._replace(x=there, v=rate, f=np.zeros(shape))
-        mean, nothing = np.zeros((tiles, 2, TILE)), np.zeros((tiles, TILE))
+        mean = np.zeros((tiles, 2, TILE))
+        nothing = np.zeros((tiles, TILE))
         self._watch = Watch(listed, mean, nothing, nothing.copy())

@@ -105,7 +105,9 @@ class BodyContacts(NamedTuple):
     lost: Array
 
 
-_NO, _NONE, _PAIRS = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 2))
+_NO = np.zeros(0, np.int64)
+_NONE = np.zeros(0)
+_PAIRS = np.zeros((0, 2))
 NO_DRIVEN = DrivenParticles(np.zeros((0, 4), np.int64), _NO, _NONE, _NONE, _NONE, np.zeros(1))
 NO_OUTLINE = OutlineForces(
     np.zeros((0, 3), np.int64), _NO, _NONE, _PAIRS, _PAIRS, _PAIRS, _PAIRS, _PAIRS, _PAIRS,
@@ -132,7 +134,8 @@ def add_driving_work(particles, drive, kick, amplitude):
     """Add the work of a step's drive: of the force that it takes besides all others."""
     for k in range(drive.motion.shape[0]):
         t, axis, i, lane = drive.at[k]
-        before, now = drive.before[k], particles.v[t, axis, i, lane]
+        before = drive.before[k]
+        now = particles.v[t, axis, i, lane]
         force = particles.f[t, axis, i, lane]
         for n in range(particles.loads.shape[0]):
             force += amplitude[n] * particles.loads[n, t, axis, i, lane]
@@ -143,12 +146,16 @@ def add_driving_work(particles, drive, kick, amplitude):
 @kernel
 def add_outline_forces(particles, outline, amplitude):
     """Add forces on the outline to f of own particles; set force, before and total."""
-    x, v, f, at = particles.x, particles.v, particles.f, outline.at
+    x = particles.x
+    v = particles.v
+    f = particles.f
+    at = outline.at
     outline.total[:] = 0.0
     bonds = outline.pressure.shape[0]
     for k in range(bonds):
         size = 0.5 * amplitude[outline.load[2 * k]] * outline.pressure[k]
-        (t, i, lane), (tile, j, other) = at[2 * k], at[2 * k + 1]
+        t, i, lane = at[2 * k]
+        tile, j, other = at[2 * k + 1]
         for axis in range(2):
             along = outline.offset[2 * k + 1, axis] - outline.offset[2 * k, axis]
             along += x[tile, axis, j, other] - x[t, axis, i, lane]
@@ -182,7 +189,9 @@ def add_outline_work(particles, outline, kick):
 @kernel
 def add_normal_contact(particles, bodies):
     """Add forces of springs and dashpots to f of own particles; set what the last step has."""
-    x, v, f = particles.x, particles.v, particles.f
+    x = particles.x
+    v = particles.v
+    f = particles.f
     bodies.force[:] = 0.0
     bodies.stored[:] = 0.0
     bodies.depth[:] = 0.0
@@ -196,8 +205,10 @@ def add_normal_contact(particles, bodies):
             bodies.pressed[k, 0] = 0.0
             if not distance < 0.0:
                 continue
-            vx, vy = v[t, 0, i, lane] - bodies.v[b, 0], v[t, 1, i, lane] - bodies.v[b, 1]
-            length, closing = bodies.length[k], -(vx * nx + vy * ny)
+            vx = v[t, 0, i, lane] - bodies.v[b, 0]
+            vy = v[t, 1, i, lane] - bodies.v[b, 1]
+            length = bodies.length[k]
+            closing = -(vx * nx + vy * ny)
             size = length * pressure(-distance, closing, (k_contact, onset, damping))[0]
             spring = length * pressure(-distance, 0.0, (k_contact, onset, 0.0))[0]
             dashpot = size - spring if damping > 0.0 else 0.0
@@ -214,19 +225,25 @@ def add_normal_contact(particles, bodies):
 @kernel
 def add_friction(particles, bodies, kick, amplitude, speed):
     """Add friction to f of own particles, which has all other forces, and to that of the bodies."""
-    v, f, loads = particles.v, particles.f, particles.loads
+    v = particles.v
+    f = particles.f
+    loads = particles.loads
     for b in range(bodies.x.shape[0]):
         law = bodies.law[b, 3], bodies.law[b, 4]
         if not law[0] > 0.0:
             continue
-        begin, end, moved = bodies.starts[b], bodies.starts[b + 1], bodies.motion[b]
+        begin = bodies.starts[b]
+        end = bodies.starts[b + 1]
+        moved = bodies.motion[b]
         of_body = (end - begin) * bodies.per_mass[b]
         for k in range(begin, end):
             size, nx, ny = bodies.pressed[k]
             if not size > 0.0:
                 continue
             t, i, lane = bodies.at[k]
-            sliding, mobility, tangent = 0.0, of_body, (-ny, nx)
+            sliding = 0.0
+            mobility = of_body
+            tangent = (-ny, nx)
             for axis in range(2):
                 share = particles.per_mass[t, axis, i, lane]
                 force = f[t, axis, i, lane]
@@ -267,7 +284,8 @@ def move_bodies(bodies, length, speed):
     kick, drift = length
     for b in range(bodies.x.shape[0]):
         for axis in range(2):
-            before, force = bodies.v[b, axis], bodies.force[b, axis]
+            before = bodies.v[b, axis]
+            force = bodies.force[b, axis]
             if bodies.per_mass[b] > 0.0:
                 pull = bodies.pull[b, axis]
                 now = before + kick * (pull - force * bodies.per_mass[b])
@@ -285,7 +303,8 @@ def move_bodies(bodies, length, speed):
 @kernel
 def add_contact_loss(particles, bodies, kick):
     """Add what dashpots and friction took in a step."""
-    v, lost = particles.v, bodies.lost
+    v = particles.v
+    lost = bodies.lost
     for b in range(bodies.x.shape[0]):
         for k in range(bodies.starts[b], bodies.starts[b + 1]):
             if bodies.pressed[k, 0] > 0.0:

@@ -107,7 +107,9 @@ def leap(particles, lists, constants, cells, driven, bodies, outline, watch, ste
             _measure_apart(cells.order[k], cells, watch)
         if not _largest_motion(watch) <= cells.skin:
             return n
-        kick, amplitude, speed = lengths[n, 0], amplitudes[n], speeds[n]
+        kick = lengths[n, 0]
+        amplitude = amplitudes[n]
+        speed = speeds[n]
         add_normal_contact(particles, bodies)
         add_outline_forces(particles, outline, amplitude)
         if kick != 0.0:
@@ -131,28 +133,34 @@ def leap(particles, lists, constants, cells, driven, bodies, outline, watch, ste
 @kernel
 def _sum_forces(t, particles, lists, constants, cells):
     """Images of tile t and the forces on its local particles, not folded."""
-    own = cells.particles
-    here, end = lists.starts[t], lists.starts[t + 1]
-    _gather_images(particles.x, t, own, here[0], end[0], lists.source)
-    _gather_images(particles.v, t, own, here[0], end[0], lists.source)
-    x, v, f = particles.x[t], particles.v[t], particles.f[t]
-    for i in range(own + end[0] - here[0]):
+    own_particles = cells.particles
+    here = lists.starts[t]
+    end = lists.starts[t + 1]
+    _gather_images(particles.x, t, own_particles, here[0], end[0], lists.source)
+    _gather_images(particles.v, t, own_particles, here[0], end[0], lists.source)
+    x = particles.x[t]
+    v = particles.v[t]
+    f = particles.f[t]
+    for i in range(own_particles + end[0] - here[0]):
         store(0.0, f, 0, i)
         store(0.0, f, 1, i)
     for k in range(here[1], end[1]):
-        i, j = lists.bonds[k, 0], lists.bonds[k, 1]
+        i = lists.bonds[k, 0]
+        j = lists.bonds[k, 1]
         pair = pair_at(x, v, i, j)
         a = tension(wall(pair.length, bond_at(constants.bonds, k)), pair.rate) * pair.inverse
         add_pair(f, i, j, a * pair.rx, a * pair.ry)
     for k in range(here[2], end[2]):
-        i, j = lists.contacts[k, 0], lists.contacts[k, 1]
-        pair, c = pair_at(x, v, i, j), contact_at(constants, k)
+        i = lists.contacts[k, 0]
+        j = lists.contacts[k, 1]
+        pair = pair_at(x, v, i, j)
+        c = contact_at(constants, k)
         law = contact(pair.length, pair.inverse, c)
         a = tension(law, pair.rate) * within(pair.length, pair.inverse, c)
         add_pair(f, i, j, a * pair.rx, a * pair.ry)
     if t < cells.fluid_tiles:
         slope = np.empty((cells.fluid_pairs.shape[0], TILE))
-        volume = np.empty((own - cells.walls, TILE))
+        volume = np.empty((own_particles - cells.walls, TILE))
         row = min(np.int64(t), constants.fluid.shape[0] - 1)
         add_sph_forces(x, v, f, cells, fluid_at(constants.fluid, row), slope, volume)
         for k in range(cells.rim_start.shape[0] - 1):
@@ -175,19 +183,20 @@ def _add_sap_forces(x, v, f, rim, sap):
     xx, xy, yx, yy = rim_product(v, x, rim)
     L = (xx * per_area, xy * per_area, yx * per_area, yy * per_area)
     txx, txy, tyy = twice_deviator(L, sap.viscosity)
-    sxx, syy = pressure - txx, pressure - tyy
+    sxx = pressure - txx
+    syy = pressure - tyy
     for k in range(rim.shape[0]):
         gx, gy = normal_at(x, rim, k)
         add_vector(f, rim[k], sxx * gx - txy * gy, syy * gy - txy * gx)
 
 
 @kernel
-def _gather_images(x, t, own, start, end, source):
+def _gather_images(x, t, particles, start, end, source):
     """Copy the owners of tile t's images."""
     flat = x.reshape(-1)
     y = x.shape[2] * TILE
     for k in range(start, end):
-        local = own + k - start
+        local = particles + k - start
         for lane in range(TILE):
             s = source[k, lane]
             x[t, 0, local, lane] = flat[s]
@@ -213,17 +222,23 @@ def _kick_and_drift(t, particles, lists, cells, watch, amplitude, step):
 
     step: kick, drift, the part of v that is retained, whether f is folded.
     """
-    x, v, f, loads = particles.x, particles.v, particles.f, particles.loads
+    x = particles.x
+    v = particles.v
+    f = particles.f
+    loads = particles.loads
     kick, drift, retained, folded = step
     if not folded:
         _fold(t, f, lists)
-    mean_x, mean_y = spread(0.0), spread(0.0)
+    mean_x = spread(0.0)
+    mean_y = spread(0.0)
     for i in range(cells.particles):
-        pull_x, pull_y = load(f, t, 0, i), load(f, t, 1, i)
+        pull_x = load(f, t, 0, i)
+        pull_y = load(f, t, 1, i)
         for n in range(loads.shape[0]):
             pull_x += amplitude[n] * load(loads, n, t, 0, i)
             pull_y += amplitude[n] * load(loads, n, t, 1, i)
-        old_x, old_y = load(v, t, 0, i), load(v, t, 1, i)
+        old_x = load(v, t, 0, i)
+        old_y = load(v, t, 1, i)
         speed_x = retained * old_x + kick * load(particles.per_mass, t, 0, i) * pull_x
         speed_y = retained * old_y + kick * load(particles.per_mass, t, 1, i) * pull_y
         store(speed_x, v, t, 0, i)
@@ -233,13 +248,15 @@ def _kick_and_drift(t, particles, lists, cells, watch, amplitude, step):
             power += load(loads, n, t, 1, i) * (old_y + speed_y)
             done = load(particles.work, n, t) + 0.5 * kick * amplitude[n] * power
             store(done, particles.work, n, t)
-        new_x, new_y = load(x, t, 0, i) + drift * speed_x, load(x, t, 1, i) + drift * speed_y
+        new_x = load(x, t, 0, i) + drift * speed_x
+        new_y = load(x, t, 1, i) + drift * speed_y
         store(new_x, x, t, 0, i)
         store(new_y, x, t, 1, i)
         mean_x += new_x - load(watch.listed, t, 0, i)
         mean_y += new_y - load(watch.listed, t, 1, i)
     share = load(cells.per_count, t)
-    mean_x, mean_y = mean_x * share, mean_y * share
+    mean_x = mean_x * share
+    mean_y = mean_y * share
     store(mean_x, watch.mean, t, 0)
     store(mean_y, watch.mean, t, 1)
     largest = spread(0.0)
@@ -259,7 +276,8 @@ def _measure_apart(t, cells, watch):
         for s in cells.next_shifts:
             there = cells.place[t, s, lane]
             if there >= 0:
-                tile, other = there // TILE, there % TILE
+                tile = there // TILE
+                other = there % TILE
                 dx = watch.mean[tile, 0, other] - watch.mean[t, 0, lane]
                 dy = watch.mean[tile, 1, other] - watch.mean[t, 1, lane]
                 largest = max(largest, dx * dx + dy * dy)
@@ -269,7 +287,8 @@ def _measure_apart(t, cells, watch):
 @kernel
 def _largest_motion(watch):
     """2 d + |ū_B − ū_A|, the largest anywhere, µm."""
-    within, apart = 0.0, 0.0
+    within = 0.0
+    apart = 0.0
     for t in range(watch.spread.shape[0]):
         for lane in range(TILE):
             if not watch.spread[t, lane] < np.inf:
@@ -287,7 +306,9 @@ def elastic_energy(x, lists, constants, cells, energy):
     x: (tiles + 1, 2, local, TILE) with images set.
     """
     for t in numba.prange(energy.shape[0]):
-        here, end, there = lists.starts[t], lists.starts[t + 1], x[t]
+        here = lists.starts[t]
+        end = lists.starts[t + 1]
+        there = x[t]
         total = spread(0.0)
         for k in range(here[1], end[1]):
             rx, ry = difference(there, lists.bonds[k, 0], lists.bonds[k, 1])
@@ -323,7 +344,10 @@ def _add_sap_energy(x, rim, sap, energy):
     store(sap.sap_modulus, sums, 3)
     store(sap.rest_area, sums, 4)
     for lane in range(TILE):
-        area, mass, osmotic = sums[0, lane], sums[1, lane], sums[2, lane]
-        modulus, rest = sums[3, lane], sums[4, lane]
+        area = sums[0, lane]
+        mass = sums[1, lane]
+        osmotic = sums[2, lane]
+        modulus = sums[3, lane]
+        rest = sums[4, lane]
         energy[lane] += osmotic * np.log(mass / area)
         energy[lane] += modulus * (area - rest - rest * np.log(area / rest))

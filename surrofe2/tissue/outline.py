@@ -85,8 +85,8 @@ def on_outline(walls: Array, rings: list[Array]) -> Array:
     place = np.mod(unrolled, around)
     side = np.clip(np.searchsorted(starts, place, side="right") - 1, 0, len(ring) - 1)
     along = ((place - starts[side]) / lengths[side])[:, None]
-    found = ring[side] + along * (np.roll(ring, -1, axis=0) - ring)[side]
-    return np.where(exact[:, None], walls, found)
+    corners = ring[side] + along * (np.roll(ring, -1, axis=0) - ring)[side]
+    return np.where(exact[:, None], walls, corners)
 
 
 def _nearest(points: Array, ring: Array) -> tuple[Array, Array]:
@@ -132,7 +132,8 @@ def _with_one_at(corner: float, way: Array, around: float) -> Array:
 
 def _corners(ring: Array) -> list[int]:
     """Vertices at which an outline turns sharply."""
-    before, after = ring - np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0) - ring
+    before = ring - np.roll(ring, 1, axis=0)
+    after = np.roll(ring, -1, axis=0) - ring
     sizes = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
     return np.flatnonzero(abs(_cross(before, after)) > _CORNER * sizes).tolist()
 

@@ -153,7 +153,8 @@ def sample_stress(
     """
     if count < 1:
         raise InputError(f"count: {count}; it must be at least 1")
-    parts, done = list[dict[str, Array]](), 0
+    parts = list[dict[str, Array]]()
+    done = 0
     work = partial(_sampled, law, range, seed, tangents)
     for F, F_dot, answer in in_pieces(work, builtins.range(count), CHUNK, executor):
         parts.append(rows_of(F, F_dot, answer))
@@ -175,20 +176,21 @@ def _joined(parts: Sequence[dict[str, Array]]) -> dict[str, Any]:
 
 
 def data_summary(generated: Generated) -> str:
-    """How many samples there are and of what use; each is counted once."""
+    """Return how many samples there are and of what use; each is counted once."""
     samples = generated.samples
-    count, usable = len(samples.F), len(samples.valid.F)
+    count = len(samples.F)
+    usable = len(samples.valid.F)
     failed = Counter(map(describe, np.sort(samples.status[samples.status != 0]).tolist()))
-    left = count - usable - failed.total()
+    unstable = count - usable - failed.total()
     text = f"{count} samples" + ("" if generated.added else " (already finished)")
     text = f"{text}, {'all' if usable == count else usable} usable"
     if failed:
         reasons = "; ".join(f"{n}: {reason}" for reason, n in failed.most_common())
         text = f"{text}, {failed.total()} failed ({reasons})"
-    if left:
+    if unstable:
         text += (
-            f", {left} left a bifurcation and are not trained on: in {left / count:.1%} of the "
-            "recipe's range the stress has more than one value; narrow it where that matters"
+            f", {unstable} left a bifurcation and are not trained on: in {unstable / count:.1%} of "
+            "the recipe's range the stress has more than one value; narrow it where that matters"
         )
     return text
 
@@ -244,7 +246,8 @@ def with_harvests(
     Raises:
         MismatchError: a harvest is of other cell parameters or initialisation.
     """
-    parts, omitted = [_arrays_of(samples)], 0
+    parts = [_arrays_of(samples)]
+    omitted = 0
     for path in paths:
         harvest = read_harvest(path)
         check_harvest(path, harvest, samples.cell, samples.initialisation)
@@ -259,9 +262,9 @@ def with_harvests(
     if omitted:
         log.warning("%d harvested states left out: RVEs from rest differ there", omitted)
     arrays = _joined(parts)
-    left = samples.left_bifurcation
-    if left is not None:  # harvests have no answers from beyond a bifurcation
-        arrays["left_bifurcation"] = np.pad(left, (0, len(arrays["F"]) - len(left)))
+    has_left = samples.left_bifurcation
+    if has_left is not None:  # harvests have no answers from beyond a bifurcation
+        arrays["left_bifurcation"] = np.pad(has_left, (0, len(arrays["F"]) - len(has_left)))
     return replace(samples, **arrays)
 
 
@@ -275,7 +278,8 @@ def _with_tangents(law: StressLaw, harvest: dict[str, Any], same: float) -> dict
         answer: Any = law.respond(harvest["F"][rows], harvest["F_dot"][rows], tangents=True)
         error = stress_error(answer.stress, harvest["stress"][rows])
         kept[rows] = (answer.status == 0) & (error <= same)
-        by_F[rows], by_F_dot[rows] = answer.tangents.P_by_F, answer.tangents.P_by_F_dot
+        by_F[rows] = answer.tangents.P_by_F
+        by_F_dot[rows] = answer.tangents.P_by_F_dot
     arrays = harvest | {"P_by_F": by_F, "P_by_F_dot": by_F_dot}
     return {name: values[kept] for name, values in arrays.items()}
 

@@ -53,7 +53,9 @@ from surrofe2.surrogate.piola import QuadraticLaw
 
 SURFACE_RANGE = 0.94, 1.04, 0.01
 """Lowest and highest stretch and rate (1/µs) of a surface table where the recipe has no range."""
-_MARGIN, _FASTER = 0.01, 1.5  # beyond the range of samples
+# beyond the range of samples
+_MARGIN = 0.01
+_FASTER = 1.5
 
 
 def true_law(study: CellStudy) -> RveLaw:
@@ -137,13 +139,14 @@ def make_table(study: CellStudy, law: Fallback, files: Sequence[Path] = ()) -> S
     recipe = study.recipe
     wanted = study.sampling_range()
     meter = Meter()
-    found = [read_table(path) for path in files]
-    for path, stored in zip(files, found, strict=True):
+    tables = [read_table(path) for path in files]
+    for path, stored in zip(files, tables, strict=True):
         check_table(path, stored, study.cell.parameters, recipe.rve.initialisation)
-    spread = found[0].stress_spread if found else sampled_spread(law, wanted)
-    tolerance, most = recipe.table.tolerance * spread, recipe.table.most_records
+    spread = tables[0].stress_spread if tables else sampled_spread(law, wanted)
+    tolerance = recipe.table.tolerance * spread
+    most = recipe.table.most_records
     table = StressTable(law, tolerance, wanted, spread, most_records=most)
-    for stored in found:
+    for stored in tables:
         table.restore(merged(table.records, stored.records, tolerance, table.images))
     if not table.size:
         table.learn_rest()
@@ -154,10 +157,11 @@ def make_table(study: CellStudy, law: Fallback, files: Sequence[Path] = ()) -> S
 def _record_of(tables: Sequence[Path]) -> dict[str, Any] | None:
     if not tables:
         return None
-    names, prints = [path.name for path in tables], [digest(path)[:16] for path in tables]
+    names = [path.name for path in tables]
+    prints = [digest(path)[:16] for path in tables]
     seconds = {str(path): read_seconds(path) for path in tables}
-    made = {"seconds": {} if None in seconds.values() else seconds}
-    return {"file": ", ".join(names), "fingerprint": " ".join(prints), "errors": {}, **made}
+    seconds_of = {"seconds": {} if None in seconds.values() else seconds}
+    return {"file": ", ".join(names), "fingerprint": " ".join(prints), "errors": {}, **seconds_of}
 
 
 def surrogates_by_cell(recipe: Recipe, files: Sequence[Path]) -> dict[CellName, Path]:
@@ -202,10 +206,10 @@ def cell_of_elements(law: StressLaw, elements: int) -> Array | None:
     """(elements,) number of the law that each element asks; None where there is one for all."""
     if not isinstance(law, RegionalLaw):
         return None
-    found = np.empty(elements)
+    numbers = np.empty(elements)
     for k, points in enumerate(law.points.values()):
-        found[points * elements // law.density.size] = k
-    return found
+        numbers[points * elements // law.density.size] = k
+    return numbers
 
 
 def law_by_region(
@@ -254,7 +258,7 @@ def with_surface(recipe: Recipe, problem: Problem) -> Problem:
     laws = {name: law_of(CellStudy(recipe, name)) for name in points}
     share = problem.mesh.nelements
     n_q = sum(map(len, points.values())) // share
-    elements = {name: np.unique(own // n_q) for name, own in points.items()}
+    elements = {name: np.unique(points_of_cell // n_q) for name, points_of_cell in points.items()}
     return replace(problem, surface=Surface(law=laws, on=recipe.surface.on, regions=elements))
 
 
@@ -290,7 +294,8 @@ def cell_surface(study: CellStudy, across: float) -> TabulatedSurface:
 def surface_record(problem: Problem) -> dict[str, Any]:
     """The free sides of a problem with a surface law, and whose law they have."""
     assert problem.surface is not None
-    sides, law = free_sides(problem), problem.surface.law
+    sides = free_sides(problem)
+    law = problem.surface.law
     laws = law if isinstance(law, Mapping) else {"": law}  # JSON has no other key for no name
     return {
         "on": problem.surface.on,
@@ -338,15 +343,18 @@ def recipe_notes(recipe: Recipe) -> Iterator[tuple[str, bool]]:
 
 def surface_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
     """Sentences on the free sides of a run, each with whether it is a warning."""
-    found = record.problem.get("surface")
-    if not found:
+    surface = record.problem.get("surface")
+    if not surface:
         return
-    on = found["on"] if isinstance(found["on"], str) else ", ".join(found["on"])
-    yield f"surface: {found['sides']} sides ({on}); at rest moved by {found['rest']:.2g} µm", False
-    if found["oblique"]:
+    on = surface["on"] if isinstance(surface["on"], str) else ", ".join(surface["on"])
+    yield (
+        f"surface: {surface['sides']} sides ({on}); at rest moved by {surface['rest']:.2g} µm",
+        False,
+    )
+    if surface["oblique"]:
         yield (
-            f"surface: {found['oblique']} sides are oblique to the rows of plant cells, by up to "
-            f"{found['largest_angle']:.3g}°; they take the law of the nearer direction",
+            f"surface: {surface['oblique']} sides are oblique to the rows of plant cells, by up to "
+            f"{surface['largest_angle']:.3g}°; they take the law of the nearer direction",
             True,
         )
 

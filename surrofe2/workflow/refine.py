@@ -40,9 +40,13 @@ from surrofe2.workflow.generate import CHUNK
 from surrofe2.workflow.run import origin_of, run_study
 from surrofe2.workflow.train import STRESSES, Trained, learn, train_surrogate
 
-ROUNDS, SURROGATE = "refine.json", "surrogate.h5"
+ROUNDS = "refine.json"
+SURROGATE = "surrogate.h5"
 _NEW = "new.h5"
-FALLBACK, AUDIT, NEIGHBOUR, WIDENED = 0, 1, 2, 3
+FALLBACK = 0
+AUDIT = 1
+NEIGHBOUR = 2
+WIDENED = 3
 AUDIT_QUANTILE = 0.99
 MOST_NEIGHBOURS = 20_000
 """Largest number of neighbours sampled in a round; as many as unknown states below it."""
@@ -241,7 +245,8 @@ def _row(
     harvest = read_harvest(source) if source.exists() else None  # None: the surrogate knew it all
     held = surrogate.with_tolerance(tolerance, cache.relative)
     unknown, audit = unknown_states(harvest, held, tolerance * spread)
-    added, wider = 0, surrogate.range
+    added = 0
+    wider = surrogate.range
     if len(unknown) and harvest is not None:
         states = (harvest.F[unknown], harvest.F_dot[unknown])
         seed = study.cell.samples.seed + k + 1  # of its own in each round

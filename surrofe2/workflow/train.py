@@ -70,7 +70,9 @@ FACTOR = (0.25, 1.5)
 """Of an amplitude or a velocity of a run that makes paths, uniform between."""
 PACE = (0.5, 2.0)
 """Of all its amplitudes, the logarithm uniform between."""
-LOAD_FACTOR, LOAD_TIMES, LONGEST_RUN = (0.25, 3.0), 4, 25.0
+LOAD_FACTOR = (0.25, 3.0)
+LOAD_TIMES = 4
+LONGEST_RUN = 25.0
 """Of a bar: factor of its body force, corners of its amplitude, µs (half a period of the paper's
 bar)."""
 Runs = Callable[[int, int], Iterator[list[State]]]
@@ -132,14 +134,17 @@ def train_surrogate(
         samples = training_samples(study, count, add, stage=stage)
         return samples if range is None else replace(samples, range=range)
 
-    surrogate, begun, fingerprint = None, _Begun(), ""
+    surrogate = None
+    begun = _Begun()
+    fingerprint = ""
     if unfinished.exists() and not fresh:
         begun = _read_unfinished(unfinished)
         fingerprint = begun.state.identity.get("data_fingerprint", "") if begun.state else ""
     elif path.exists() and not fresh:
         surrogate = read_surrogate(path)
         fingerprint = surrogate.data_fingerprint
-    number, samples = 0, take(counts[0])
+    number = 0
+    samples = take(counts[0])
     if len(counts) > 1 and fingerprint:  # it may be of more
         there = stored_count(study.data_path()).rows
         known = (k for k, count in enumerate(counts) if count <= there)
@@ -315,8 +320,8 @@ def training_summary(trained: Trained) -> str:
     errors = trained.surrogate.errors
     rms, worst = (max(errors[figure][name] for name in STRESSES) for figure in ("rms", "worst"))
     kept = " (already trained)" if trained.kept else ""
-    found = f"{100 * rms:.2g} % RMS, {100 * worst:.2g} % worst"
-    return f"held-out errors up to {found}, from {len(trained.samples.F)} samples{kept}"
+    errors_text = f"{100 * rms:.2g} % RMS, {100 * worst:.2g} % worst"
+    return f"held-out errors up to {errors_text}, from {len(trained.samples.F)} samples{kept}"
 
 
 # The bound.
@@ -374,7 +379,8 @@ def calibrate(
         return run_paths(met, -(-settings.length // 3))
 
     shaping = [*(shaping or shaping_truths(samples, law, settings))]
-    shapes, tests = [], []
+    shapes = []
+    tests = []
     if settings.walks:
         tests.append(random_walks(samples.range, settings.walks, settings.length, walk_seed))
     if settings.runs:
@@ -513,12 +519,13 @@ def _edge(surrogate: SurrogateLaw, samples: StressSamples) -> float:
 
 
 def bound_summary(surrogate: SurrogateLaw, samples: StressSamples, tolerance: float) -> str:
-    """What the calibration found, in two lines.
+    """Return what the calibration found, in two lines.
 
     Args:
         tolerance: of the cache, a fraction of the spread of stress.
     """
-    why, calibration = _unbounded(surrogate), surrogate.calibration
+    why = _unbounded(surrogate)
+    calibration = surrogate.calibration
     if why or calibration is None:
         return f"Error bound: none, because {why}"
     centre, edge = (
@@ -550,7 +557,8 @@ def random_loads(problem: Problem, count: int, seed: int) -> Iterator[Problem]:
     duration = min(problem.duration, LONGEST_RUN)
     times = np.linspace(0.0, duration, LOAD_TIMES)
     for _ in np.arange(count):
-        angle, factor = rng.uniform(-np.pi, np.pi), rng.uniform(*LOAD_FACTOR)
+        angle = rng.uniform(-np.pi, np.pi)
+        factor = rng.uniform(*LOAD_FACTOR)
         force = modulus * factor * np.array([np.cos(angle), np.sin(angle)])
         course = Table(points=tuple((t, rng.uniform(-1.0, 1.0)) for t in times.tolist()))
         varied = replace(load, acceleration=tuple(force.tolist()), amplitude=course)
@@ -568,7 +576,8 @@ class Varied(Amplitude):
     pace: float
 
     def at(self, t: float, within: float) -> Value:
-        factor, pace = self.factor, self.pace
+        factor = self.factor
+        pace = self.pace
         value, rate, bend = self.amplitude.at(pace * t, pace * within)
         return factor * value, factor * pace * rate, factor * pace**2 * bend
 

@@ -62,8 +62,10 @@ class Processes(ThreadPoolExecutor):
             # parent reports it; an error here would be printed by every worker.
             os._exit(_NO_GUARD)
         super().__init__(workers)
-        self.workers, self._is_closed = workers, False
-        self._of_thread, self._all = local(), list[Any]()
+        self.workers = workers
+        self._is_closed = False
+        self._of_thread = local()
+        self._all = list[Any]()
 
     def submit(self, work: Callable[..., Any], /, *arguments: Any) -> Future[Any]:  # type: ignore[override]
         """Have `work(*arguments)` done by one of the processes."""
@@ -221,14 +223,17 @@ def in_pieces(work: Work, items: range, unit: int, executor: Any = None) -> Iter
         SimulationError: they were lost.
     """
     prepare(executor)
-    at, seconds = items.start, 0.0
+    at = items.start
+    seconds = 0.0
     while at < items.stop and (executor is None or at < items.start + 2 * unit):
-        count, begin = min(unit, items.stop - at), time.perf_counter()
+        count = min(unit, items.stop - at)
+        begin = time.perf_counter()
         result = work(at, count)
         seconds = time.perf_counter() - begin
         yield result
         at += count
-    size, sent = unit * max(1, round(PIECE / max(seconds, 1e-6))), deque[Future[Any]]()
+    size = unit * max(1, round(PIECE / max(seconds, 1e-6)))
+    sent = deque[Future[Any]]()
     for first in range(at, items.stop, size):
         sent.append(executor.submit(work, first, min(size, items.stop - first)))
         if len(sent) == MANY:
@@ -264,7 +269,7 @@ def prepare(executor: Any) -> None:
 
 
 def _has_threads() -> bool:
-    """Whether kernels have run here on threads of OpenMP."""
+    """Return whether kernels have run here on threads of OpenMP."""
     try:
         return numba.threading_layer() == "omp"
     except ValueError:  # none have run

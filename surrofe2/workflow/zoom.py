@@ -85,7 +85,7 @@ def zoom_into(folder: str | Path, point: tuple[float, float]) -> Zoom:
     return Zoom(point, element, motion, seen, "rest" in record.recipe, name)
 
 
-def write_zoom(found: Zoom, out: str | Path, report: Report = no_report) -> None:
+def write_zoom(zoom: Zoom, out: str | Path, report: Report = no_report) -> None:
     """Write zoom.png, zoom.csv and fields.xdmf for ParaView.
 
     Args:
@@ -94,19 +94,17 @@ def write_zoom(found: Zoom, out: str | Path, report: Report = no_report) -> None
     from surrofe2.report.figures import cell_figure  # here, since runs need no matplotlib
 
     out = Path(out)
-    x, y = found.point
-    of = "" if found.cell is None else f" “{found.cell}”"
-    title = f"Plant cells{of} at ({x:.4g}, {y:.4g}) µm, element {found.element}"
-    columns = {"factor" if found.is_rest else "t_us": found.t, **found.seen.extremes()}
+    x, y = zoom.point
+    of = "" if zoom.cell is None else f" “{zoom.cell}”"
+    title = f"Plant cells{of} at ({x:.4g}, {y:.4g}) µm, element {zoom.element}"
+    columns = {"factor" if zoom.is_rest else "t_us": zoom.t, **zoom.seen.extremes()}
     with locked_folder(out):
         report(0.1, "picture")
-        figure = cell_figure(
-            title, found.seen, found.motion, found.element, found.point, found.is_rest
-        )
+        figure = cell_figure(title, zoom.seen, zoom.motion, zoom.element, zoom.point, zoom.is_rest)
         write_bytes(out / "zoom.png", encoded(figure, "png"))
         report(0.5, "tables and fields")
         write_columns(out / "zoom.csv", columns)
-        write_rve_fields(out, found.seen, found.t)
+        write_rve_fields(out, zoom.seen, zoom.t)
 
 
 def recipes_of(record: RunRecord) -> dict[CellName, Recipe]:
@@ -146,22 +144,24 @@ def add_cell_fields(folder: Path) -> int:
     recipes = recipes_of(read_record(folder))
     with locked_folder(folder):
         motion = read_fields(folder, FIELDS_OF_MOTION, (CELL,))
-        F, F_dot = motion.values[F_NAME], motion.values[F_DOT_NAME]
+        F = motion.values[F_NAME]
+        F_dot = motion.values[F_DOT_NAME]
         numbers = cell_numbers(motion, recipes)
         values: dict[str, Array] = {}
         for k, recipe in enumerate(recipes.values()):
-            own = numbers == k
-            found = extremes_of(true_law(recipe.study()), F[:, own], F_dot[:, own])
-            for name, of_cell in found.items():
-                values.setdefault(name, np.full(F.shape[:2], np.nan))[:, own] = of_cell
+            elements = numbers == k
+            extremes = extremes_of(true_law(recipe.study()), F[:, elements], F_dot[:, elements])
+            for name, of_cell in extremes.items():
+                values.setdefault(name, np.full(F.shape[:2], np.nan))[:, elements] = of_cell
         add_to_elements(folder, values)
     return F.size // 4
 
 
 def extremes_of(law: RveLaw, F_of: Array, F_dot_of: Array) -> dict[str, Array]:
     """`Particles.extremes` at F, Ḟ (m, e, 2, 2), by name; (m, e), NaN where there is no stress."""
-    F, F_dot = F_of.reshape(-1, 2, 2), F_dot_of.reshape(-1, 2, 2)
-    found: dict[str, Array] = {}
+    F = F_of.reshape(-1, 2, 2)
+    F_dot = F_dot_of.reshape(-1, 2, 2)
+    extremes: dict[str, Array] = {}
     for begin in range(0, len(F), _AT_ONCE):
         part = slice(begin, begin + _AT_ONCE)
         answer = law.respond(F[part], F_dot[part])
@@ -170,5 +170,5 @@ def extremes_of(law: RveLaw, F_of: Array, F_dot_of: Array) -> dict[str, Array]:
             continue
         seen = law.particles(F[part][good], F_dot[part][good], answer.state.take(good))
         for name, values in seen.extremes().items():
-            found.setdefault(name, np.full(len(F), np.nan))[begin + good] = values
-    return {name: values.reshape(F_of.shape[:2]) for name, values in found.items()}
+            extremes.setdefault(name, np.full(len(F), np.nan))[begin + good] = values
+    return {name: values.reshape(F_of.shape[:2]) for name, values in extremes.items()}

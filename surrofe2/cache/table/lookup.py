@@ -44,14 +44,18 @@ _SUM, _DIFFERENCE, _SHEAR, _SPIN = _ENDS
 
 MANY = 1000  # points from which on more than one core pays
 
-_OK, _OUT_OF_RANGE, _NOT_FINITE = int(Status.OK), int(Status.OUT_OF_RANGE), int(Status.NOT_FINITE)
+_OK = int(Status.OK)
+_OUT_OF_RANGE = int(Status.OUT_OF_RANGE)
+_NOT_FINITE = int(Status.NOT_FINITE)
 _NOT_TRUSTED = int(Status.NOT_TRUSTED)
 _AT_ONCE = 16 * TILE  # points a core answers at once
 _NEAREST = 1e-9  # of the tolerance: a bound that is as good as none
 _SLACK = 1.0 + 1e-6  # for the rounding of screened bounds
 
 # rows of what eight points are worked out in: inputs and a 1, distances from a centre, components
-_ONE, _AWAY, _S = INPUTS, INPUTS + 1, 2 * INPUTS + 1
+_ONE = INPUTS
+_AWAY = INPUTS + 1
+_S = 2 * INPUTS + 1
 _TOTAL, _RADIUS, _LEAST, _COS, _SIN = range(_S + OUTPUTS, _S + OUTPUTS + 5)
 _ROWS = _SIN + 1
 
@@ -83,12 +87,15 @@ def _all_parallel(first, last, asked, tolerances, images, records, screen, answe
 
 @kernel
 def _some(first, last, asked, tolerances, images, records, screen, answer):  # type: ignore[no-untyped-def]
-    (F, F_dot), (tolerance, own) = asked, tolerances
-    room, x = np.zeros((_ROWS, TILE)), np.empty(INPUTS)
+    F, F_dot = asked
+    tolerance, size = tolerances
+    room = np.zeros((_ROWS, TILE))
+    x = np.empty(INPUTS)
     inputs = room[: _ONE + 1]
-    bounds, products = np.empty((len(INPUT_SIGNS), TILE)), np.empty((PRODUCTS, TILE))
+    bounds = np.empty((len(INPUT_SIGNS), TILE))
+    products = np.empty((PRODUCTS, TILE))
     candidates = np.empty(images * screen.shape[0], dtype=np.int64)
-    limit = min(own, tolerance * abs(tolerance) / own)
+    limit = min(size, tolerance * abs(tolerance) / size)
     store(1.0, room, _ONE)
     for start in range(first, last, TILE):
         for lane in range(TILE):
@@ -105,35 +112,36 @@ def _some(first, last, asked, tolerances, images, records, screen, answer):  # t
         for k in range(screen.shape[0]):
             fill_bounds(screen, k, products, bounds)
             for flips in range(images):
-                if any_less(load(bounds, flips), _SLACK * own):
+                if any_less(load(bounds, flips), _SLACK * size):
                     candidates[count] = images * k + flips
                     count += 1
         for n in range(count):
-            _ask(candidates[n] // images, candidates[n] % images, limit, own, records, room)
+            _ask(candidates[n] // images, candidates[n] % images, limit, size, records, room)
         for lane in range(min(TILE, last - start)):
-            _write(room, lane, own, start + lane, answer)
+            _write(room, lane, size, start + lane, answer)
 
 
 @kernel
-def _ask(k, flips, limit, own, records, room):  # type: ignore[no-untyped-def]
+def _ask(k, flips, limit, size, records, room):  # type: ignore[no-untyped-def]
     """Add record k's model at an image of eight points, turned back, with its weight."""
     for i in range(INPUTS):
         away = load(room, i) * INPUT_SIGNS[flips, i] - records.centre[k, i]
         store(away, room, _AWAY + i)
     bound = spread(0.0)
     for i in range(INPUTS):
-        row, away = spread(0.0), load(room, _AWAY + i)
+        row = spread(0.0)
+        away = load(room, _AWAY + i)
         for j in range(i):
             row += records.curvature[k, i, j] * load(room, _AWAY + j)
         bound += (row + row + records.curvature[k, i, i] * away) * away
     bound = where_less(bound, 0.0, 0.0, bound)
     least = load(room, _LEAST)
     store(where_less(bound, least, bound, least), room, _LEAST)
-    nearest = _NEAREST * own
+    nearest = _NEAREST * size
     root_of_weight = (limit - bound) / where_less(bound, nearest, nearest, bound) + _NEAREST
     weight = where_less(limit, bound, 0.0, root_of_weight * root_of_weight)
     store(load(room, _TOTAL) + weight, room, _TOTAL)
-    store(load(room, _RADIUS) + weight * root(bound * own), room, _RADIUS)
+    store(load(room, _RADIUS) + weight * root(bound * size), room, _RADIUS)
     for c in range(OUTPUTS):
         value = spread(records.stress[k, c])
         for i in range(INPUTS):
@@ -143,16 +151,20 @@ def _ask(k, flips, limit, own, records, room):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _write(room, lane, own, p, answer):  # type: ignore[no-untyped-def]
+def _write(room, lane, size, p, answer):  # type: ignore[no-untyped-def]
     """Stress, status and bound of point p, which is in this lane."""
     stress, status, bound = answer
-    least, total, cosine = room[_LEAST, lane], room[_TOTAL, lane], room[_COS, lane]
+    least = room[_LEAST, lane]
+    total = room[_TOTAL, lane]
+    cosine = room[_COS, lane]
     for i in range(4):
         stress[p, i // 2, i % 2] = np.nan
-    if not (np.isfinite(cosine) and least <= own):
-        status[p], bound[p] = _OUT_OF_RANGE, np.inf
+    if not (np.isfinite(cosine) and least <= size):
+        status[p] = _OUT_OF_RANGE
+        bound[p] = np.inf
     elif total == 0.0:
-        status[p], bound[p] = _NOT_TRUSTED, np.sqrt(least * own)
+        status[p] = _NOT_TRUSTED
+        bound[p] = np.sqrt(least * size)
     else:
         bound[p] = room[_RADIUS, lane] / total
         is_finite = _write_stress(room, lane, total, stress, p)
@@ -162,34 +174,57 @@ def _write(room, lane, own, p, answer):  # type: ignore[no-untyped-def]
 @kernel
 def _read_inputs(F, F_dot, p, x):  # type: ignore[no-untyped-def]
     """Fill x (7,) and return cos and sin of R; NaN where F is no deformation or not finite."""
-    xx, xy, yx, yy = F[p, 0, 0], F[p, 0, 1], F[p, 1, 0], F[p, 1, 1]
-    vxx, vxy, vyx, vyy = F_dot[p, 0, 0], F_dot[p, 0, 1], F_dot[p, 1, 0], F_dot[p, 1, 1]
+    xx = F[p, 0, 0]
+    xy = F[p, 0, 1]
+    yx = F[p, 1, 0]
+    yy = F[p, 1, 1]
+    vxx = F_dot[p, 0, 0]
+    vxy = F_dot[p, 0, 1]
+    vyx = F_dot[p, 1, 0]
+    vyy = F_dot[p, 1, 1]
     total = xx + xy + yx + yy + vxx + vxy + vyx + vyy
     if not (np.isfinite(total) and xx * yy - xy * yx > 0.0):
         x[:] = np.nan  # in no ellipsoid
         return np.nan, np.nan
-    along, across = xx + yy, yx - xy
+    along = xx + yy
+    across = yx - xy
     length = 1.0 / np.sqrt(along * along + across * across)
-    c, s = along * length, across * length
-    uxx, uyy = c * xx + s * yx, c * yy - s * xy
+    c = along * length
+    s = across * length
+    uxx = c * xx + s * yx
+    uyy = c * yy - s * xy
     x[0] = (uxx - 1.0) + (uyy - 1.0)
     x[1] = uxx - uyy
     x[2] = 2.0 * (c * xy + s * yy)
-    axx, axy = c * vxx + s * vyx, c * vxy + s * vyy
-    ayx, ayy = c * vyx - s * vxx, c * vyy - s * vxy
-    x[3], x[4], x[5], x[6] = axx + ayy, axx - ayy, axy + ayx, ayx - axy
+    axx = c * vxx + s * vyx
+    axy = c * vxy + s * vyy
+    ayx = c * vyx - s * vxx
+    ayy = c * vyy - s * vxy
+    x[3] = axx + ayy
+    x[4] = axx - ayy
+    x[5] = axy + ayx
+    x[6] = ayx - axy
     return c, s
 
 
 @kernel
 def _write_stress(room, lane, total, stress, p):  # type: ignore[no-untyped-def]
     """σ = R S Rᵀ from sums that are `total` times the components of S; whether it is finite."""
-    c, sine, half = room[_COS, lane], room[_SIN, lane], 0.5 / total
-    mean, difference = half * room[_S, lane], half * room[_S + 1, lane]
-    shear, spin = half * room[_S + 2, lane], half * room[_S + 3, lane]
-    xx, yy, xy, yx = mean + difference, mean - difference, shear - spin, shear + spin
-    left_xx, left_xy = c * xx - sine * yx, c * xy - sine * yy
-    left_yx, left_yy = sine * xx + c * yx, sine * xy + c * yy
+    c = room[_COS, lane]
+    sine = room[_SIN, lane]
+    half = 0.5 / total
+    mean = half * room[_S, lane]
+    difference = half * room[_S + 1, lane]
+    shear = half * room[_S + 2, lane]
+    spin = half * room[_S + 3, lane]
+    xx = mean + difference
+    yy = mean - difference
+    xy = shear - spin
+    yx = shear + spin
+    left_xx = c * xx - sine * yx
+    left_xy = c * xy - sine * yy
+    left_yx = sine * xx + c * yx
+    left_yy = sine * xy + c * yy
     stress[p, 0, 0] = left_xx * c - left_xy * sine
     stress[p, 0, 1] = left_xx * sine + left_xy * c
     stress[p, 1, 0] = left_yx * c - left_yy * sine
@@ -199,10 +234,12 @@ def _write_stress(room, lane, total, stress, p):  # type: ignore[no-untyped-def]
 
 def make_screen(records: Records) -> Array:
     """(n, `PRODUCTS`) coefficients of the bounds of n records."""
-    centre, curvature = records.centre, records.curvature
+    centre = records.centre
+    curvature = records.curvature
     pull = np.einsum("nij,nj->ni", curvature, centre)
     whole = np.empty((len(centre), INPUTS + 1, INPUTS + 1))
-    whole[:, :INPUTS, :INPUTS], whole[:, :INPUTS, INPUTS] = curvature, -pull
+    whole[:, :INPUTS, :INPUTS] = curvature
+    whole[:, :INPUTS, INPUTS] = -pull
     whole[:, INPUTS, INPUTS] = (centre * pull).sum(axis=1)
     i, j = _PAIRS.T
     return np.ascontiguousarray(whole[:, i, j] * np.where(i == j, 1.0, 2.0))
@@ -218,7 +255,10 @@ def fill_products(x, products):  # type: ignore[no-untyped-def]
 @kernel
 def fill_bounds(screen, k, products, bounds):  # type: ignore[no-untyped-def]
     """The bounds (4, TILE) of record k at the images of eight points."""
-    a, b, c, d = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    a = spread(0.0)
+    b = spread(0.0)
+    c = spread(0.0)
+    d = spread(0.0)
     for m in range(_SUM):
         a += screen[k, m] * load(products, m)
     for m in range(_SUM, _DIFFERENCE):

@@ -114,7 +114,8 @@ class Rule(NamedTuple):
     margin: float = 1.5
 
 
-RULE, NO_GROWTH = Rule(), Rule(reach=1.0, growing=-1.0)
+RULE = Rule()
+NO_GROWTH = Rule(reach=1.0, growing=-1.0)
 SAME = 0.01
 """A record within so small a fraction of the tolerance of another, by its bound, adds nothing."""
 
@@ -123,11 +124,16 @@ SAME = 0.01
 def update_ellipsoids(x, s, images, records, tolerance, rule):  # type: ignore[no-untyped-def]
     """(covered (m,), grown, shrunk) of m RVE answers x (m, 7) and s (m, 4), by which curvatures
     change in place; `images`: 4 with the symmetry D4, 1 without."""
-    covered, grown, shrunk = np.zeros(x.shape[0], dtype=np.bool_), 0, 0
+    covered = np.zeros(x.shape[0], dtype=np.bool_)
+    grown = 0
+    shrunk = 0
     reach = rule.reach * tolerance
-    p, candidate = np.empty(INPUTS), np.empty(INPUTS)
+    p = np.empty(INPUTS)
+    candidate = np.empty(INPUTS)
     for point in range(x.shape[0]):
-        nearest, least, within = -1, reach, False
+        nearest = -1
+        least = reach
+        within = False
         for k in range(records.centre.shape[0]):
             for flips in range(images):
                 for i in range(INPUTS):
@@ -143,7 +149,8 @@ def update_ellipsoids(x, s, images, records, tolerance, rule):  # type: ignore[n
                 elif bound <= rule.grown * tolerance:
                     within = True
                 elif error <= rule.growing * tolerance and bound < least:
-                    nearest, least = k, bound
+                    nearest = k
+                    least = bound
                     candidate[:] = p
                 covered[point] |= bound <= tolerance
         if nearest >= 0 and not within:

@@ -45,25 +45,25 @@ def table_tangents(
         F, F_dot: contiguous float64 (n, 2, 2), det F > 0.
     """
     x, R = to_inputs(F, F_dot)
-    tolerance, own = tolerances
-    limit = min(own, tolerance * abs(tolerance) / own)
+    tolerance, size = tolerances
+    limit = min(size, tolerance * abs(tolerance) / size)
     components = np.empty((len(x), OUTPUTS))
     slopes = np.empty((len(x), OUTPUTS, INPUTS))
-    _all_slopes(x, limit, own, images, records, components, slopes)
+    _all_slopes(x, limit, size, images, records, components, slopes)
     return _of_first_piola(F, F_dot, R, components, slopes)
 
 
 @parallel_kernel
-def _all_slopes(x, limit, own, images, records, components, slopes):  # type: ignore[no-untyped-def]
+def _all_slopes(x, limit, size, images, records, components, slopes):  # type: ignore[no-untyped-def]
     """Fill components (n, 4) and slopes (n, 4, 7) at inputs x (n, 7)."""
     count = x.shape[0]
     for part in prange((count + _AT_ONCE - 1) // _AT_ONCE):
         for p in range(part * _AT_ONCE, min((part + 1) * _AT_ONCE, count)):
-            _slopes_at(x[p], limit, own, images, records, components[p], slopes[p])
+            _slopes_at(x[p], limit, size, images, records, components[p], slopes[p])
 
 
 @kernel
-def _slopes_at(x, limit, own, images, records, components, slopes):  # type: ignore[no-untyped-def]
+def _slopes_at(x, limit, size, images, records, components, slopes):  # type: ignore[no-untyped-def]
     """Fill components (4,) and slopes (4, 7) at one point."""
     total = 0.0
     total_slope = np.zeros(INPUTS)
@@ -84,7 +84,7 @@ def _slopes_at(x, limit, own, images, records, components, slopes):  # type: ign
                 bound += pull[i] * away[i]
             if not bound < limit:
                 continue
-            nearest = _NEAREST * own
+            nearest = _NEAREST * size
             floor = max(bound, nearest)
             root = (limit - bound) / floor + _NEAREST
             weight = root * root

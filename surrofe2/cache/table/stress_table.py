@@ -99,7 +99,8 @@ class StressTable:
         InputError: the law gives no tangents, or the tolerance is not positive.
     """
 
-    has_tangents, is_calibrated = True, True
+    has_tangents = True
+    is_calibrated = True
 
     def __init__(
         self,
@@ -117,7 +118,9 @@ class StressTable:
                 "solver direct"
             )
         self.law = law
-        self.cell, self.initialisation, self.density = law.cell, law.initialisation, law.density
+        self.cell = law.cell
+        self.initialisation = law.initialisation
+        self.density = law.density
         self.images = 4 if law.cell.symmetry == "D4" else 1
         self.tolerance = float(tolerance)
         self.range = range
@@ -201,12 +204,12 @@ class StressTable:
         known.screen = None
         x, R = to_inputs(F, F_dot)
         s = to_components(transpose(R) @ stress @ R)
-        left = np.flatnonzero(~self._cover(x, s, known.records))
-        while len(left) and self.size < self.most_records:
-            chosen = left[self._apart(x[left], self.most_records - self.size)]
+        uncovered = np.flatnonzero(~self._cover(x, s, known.records))
+        while len(uncovered) and self.size < self.most_records:
+            chosen = uncovered[self._apart(x[uncovered], self.most_records - self.size)]
             new = self._solved(x[chosen], R[chosen], state, chosen)
-            left = np.setdiff1d(left, chosen, assume_unique=True)
-            left = left[~self._cover(x[left], s[left], new)]
+            uncovered = np.setdiff1d(uncovered, chosen, assume_unique=True)
+            uncovered = uncovered[~self._cover(x[uncovered], s[uncovered], new)]
             both = zip(known.records, new, strict=True)
             known.records = Records(*(np.concatenate(pair) for pair in both))
             self.counts["added"] += len(new.centre)
@@ -224,7 +227,8 @@ class StressTable:
 
     def learn_rest(self) -> None:
         """Make the undeformed state a record, at which all points of a tissue begin."""
-        F, F_dot = np.eye(2)[None], np.zeros((1, 2, 2))
+        F = np.eye(2)[None]
+        F_dot = np.zeros((1, 2, 2))
         answer = self.law.respond(F, F_dot)
         accepted = self.law.accept(F, F_dot, answer)
         if not accepted.status.any():
@@ -252,7 +256,7 @@ class StressTable:
         return covered
 
     def _apart(self, x: Array, most: int) -> Index:
-        """Which of these points should become records at once, at most so many: none in the
+        """Return which of these points should become records at once, at most so many: none in the
         ellipsoid of another, taken to be like that of the latest record; a first one comes alone.
         """
         if not self.size:
@@ -260,13 +264,13 @@ class StressTable:
         curvature = self._known.records.curvature[-1]
         x = x * INPUT_SIGNS[self._image(x)]
         chosen: list[int] = []
-        left = np.arange(len(x))
-        while len(left) and len(chosen) < most:
-            chosen.append(int(left[0]))
-            d = x[left] - x[left[0]]
+        candidates = np.arange(len(x))
+        while len(candidates) and len(chosen) < most:
+            chosen.append(int(candidates[0]))
+            d = x[candidates] - x[candidates[0]]
             outside = np.einsum("ni,ij,nj->n", d, curvature, d) > self.tolerance
             outside[0] = False
-            left = left[outside]
+            candidates = candidates[outside]
         return np.array(chosen, dtype=np.intp)
 
     def _solved(self, x: Array, R: Array, state: Any, points: Index) -> Records:
@@ -276,7 +280,8 @@ class StressTable:
         tangents, the ellipsoid is that of the stress taken as constant; a point that has none
         itself gets no record. Their warm start is that of the `points` (m,) of the law's state.
         """
-        m, step = len(x), NEIGHBOUR * self._reach
+        m = len(x)
+        step = NEIGHBOUR * self._reach
         nearby = x[:, None] + np.concatenate([np.zeros((1, INPUTS)), np.diag(step)])
         frame = np.repeat(R, _GROUP, axis=0)
         F, F_dot = from_inputs(nearby.reshape(-1, INPUTS), frame)
@@ -288,16 +293,19 @@ class StressTable:
         slopes = input_slopes(frame, *answer.tangents.cauchy(F, stress))
         slopes = slopes.reshape(m, _GROUP, OUTPUTS, INPUTS)
         sound = (answer.status == 0).reshape(m, _GROUP) & np.isfinite(slopes).all(axis=(2, 3))
-        found = np.flatnonzero(sound[:, 0])
-        whole, slopes, x = sound[found].all(axis=1), slopes[found], x[found]
-        s = to_components(transpose(frame) @ stress @ frame).reshape(m, _GROUP, OUTPUTS)[found, 0]
+        sampled = np.flatnonzero(sound[:, 0])
+        whole = sound[sampled].all(axis=1)
+        slopes = slopes[sampled]
+        x = x[sampled]
+        s = to_components(transpose(frame) @ stress @ frame).reshape(m, _GROUP, OUTPUTS)[sampled, 0]
         curvature = curvature_from_constant(slopes[:, 0], self.tolerance)
         curvature[whole] = MARGIN * curvature_from_slopes(
             slopes[whole, 0], slopes[whole, 1:], step, self._reach
         )
         curvature += np.diag(self.tolerance / self._reach**2)  # semi-axes of at most the reach
         image = self._image(x)
-        inner, outer = INPUT_SIGNS[image], COMPONENT_SIGNS[image]
+        inner = INPUT_SIGNS[image]
+        outer = COMPONENT_SIGNS[image]
         return Records(
             x * inner,
             s * outer,
