@@ -22,7 +22,7 @@ def pressed():
     for name in ("apple-press", "apple-press-undrained"):
         recipe = load_recipe(ROOT / f"data/{name}.toml")
         few = replace(recipe, mesh=replace(recipe.mesh, elements=(2, 2)))
-        law = RveLaw(few.cell, few.rve)
+        law = RveLaw(few.study().cell.parameters, few.rve)
         rests[name] = find_rest(few.problem(), law, few.macro, load_steps=4)
     return rests
 
@@ -72,7 +72,10 @@ def test_the_drained_and_the_undrained_press_differ_by_the_sap_alone():
     drained, undrained = (
         load_recipe(ROOT / f"data/{name}.toml") for name in ("apple-press", "apple-press-undrained")
     )
-    assert replace(undrained.cell, sap_bulk_modulus=0.0) == drained.cell
-    assert undrained.cell.sap_bulk_modulus == 2200.0
+    assert (
+        replace(undrained.study().cell.parameters, sap_bulk_modulus=0.0)
+        == drained.study().cell.parameters
+    )
+    assert undrained.study().cell.parameters.sap_bulk_modulus == 2200.0
     assert undrained.problem().conditions == drained.problem().conditions
     np.testing.assert_array_equal(undrained.problem().mesh.p, drained.problem().mesh.p)

@@ -411,7 +411,8 @@ def _judged(frame, y, limit, has_stress, t, lane):  # type: ignore[no-untyped-de
 @kernel
 def _slopes(F, F_dot, network, P, slopes):  # type: ignore[no-untyped-def]
     frame = np.empty((_FRAME_ROWS, TILES, TILE))
-    room, units = make_room(network, NETWORK_INPUTS, INPUTS), _make_units(network, INPUTS)
+    room = make_room(network, NETWORK_INPUTS, INPUTS)
+    units = _make_units(network, INPUTS)
     for start in range(0, F.shape[0], BLOCK):
         _read_points(start, F, F_dot, frame)
         _take_rotation_out(frame)
