@@ -74,7 +74,12 @@ class NoStress(Exception):  # noqa: N818 - of a trial state; whoever tries anoth
     """There is no stress at some point: whoever tried the state must take a shorter step.
 
     Its text says which point, where, when, its F, and why.
+
+    Attributes:
+        status: of the stress law, `Status.OK` where it is not the law that failed.
     """
+
+    status: int = Status.OK
 
 
 class OutOfBalance(NoStress):
@@ -427,7 +432,9 @@ class EquationsOfMotion:
     ) -> NoStress:
         point = int(np.flatnonzero(status)[0])
         details = (reasons or {}).get(point), describe(status[point])
-        return self.no_stress(t, point, F, "; ".join(filter(None, details)))
+        failure = self.no_stress(t, point, F, "; ".join(filter(None, details)))
+        failure.status = int(status[point])
+        return failure
 
 
 def _tangents(response: StressResponse) -> Tangents:

@@ -21,7 +21,7 @@ import skfem
 from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.law.bifurcation import beyond_bifurcation
-from surrofe2.law.stress_law import StressLaw, require_tangents
+from surrofe2.law.stress_law import Status, StressLaw, require_tangents
 from surrofe2.macro.audits import RunAudits
 from surrofe2.macro.elements import Matrix, displacement_basis
 from surrofe2.macro.equations_of_motion import (
@@ -446,6 +446,7 @@ class Loading:
         """What ends the way here: a limit load or point, or what the last trial failed by."""
         reason = str(failure).replace(STEP_ADVICE, ", in load steps however small")
         text = f"no load step succeeds after {MAX_HALVINGS} halvings: {reason}"
+        text += self._who_failed(failure)
         rows = self.rest.journal["rows"]
         if len(rows) < 3 or not isinstance(failure, OutOfBalance):
             return text
@@ -464,6 +465,24 @@ class Loading:
             f"{what} at factor {self.rest.factor:.4g}: displacements grow without bound, and "
             f"beyond it there is no equilibrium nearby; {remedy}; {text}"
         )
+
+    def _who_failed(self, failure: NoStress) -> str:
+        """Whether plant cells have no equilibrium beyond here, or a solver gave up; begins with a
+        semicolon, and is empty where neither is so."""
+        at = f"load factor {self.rest.factor:.4g}"
+        if isinstance(failure, OutOfBalance):
+            return (
+                f"; Newton's method for the tissue gave up beyond {at}: every point has a stress "
+                "there, so this is no limit of the plant cells"
+            )
+        if failure.status == Status.UNSTABLE:
+            return f"; plant cells have no stable equilibrium beyond {at}: no solver gave up"
+        if failure.status == Status.NOT_CONVERGED:
+            return (
+                f"; the solver of RVEs gave up beyond {at}: whether the plant cells have an "
+                "equilibrium there is not known"
+            )
+        return ""
 
 
 def _is_pushed(problem: Problem) -> bool:

@@ -236,6 +236,24 @@ def test_a_limit_load_is_named():
         find_rest(SQUARE, law, SETTINGS)
 
 
+@pytest.mark.parametrize(
+    ("status", "verdict"),
+    [
+        (Status.UNSTABLE, r"plant cells have no stable equilibrium beyond load factor 0\.\d+"),
+        (Status.NOT_CONVERGED, r"the solver of RVEs gave up beyond load factor 0\.\d+"),
+        (Status.OK, r"Newton's method for the tissue gave up beyond load factor \d+"),
+    ],
+)
+def test_the_end_of_a_path_says_who_failed(status, verdict):
+    """Plant cells without an equilibrium, or a solver."""
+    law, factor = Yields(), 40.0
+    if status != Status.OK:
+        law, factor = failing(KelvinVoigt(), fails=lambda F, F_dot: F[:, 1, 0] < -0.015), 1.0
+        law.code = status
+    with pytest.raises(SimulationError, match=verdict):
+        find_rest(SQUARE, law, SETTINGS, factor=factor, load_steps=4)
+
+
 def test_a_motion_past_a_limit_point_is_not_advised_again():
     """The foot yields and what pulls it is soft, so that it snaps while the motion stands still."""
     mesh = rectangle(60.0, 20.0, (6, 2))
