@@ -43,7 +43,7 @@ def main():
     strain = np.abs(frames.F[k] - np.eye(2)).max(axis=(1, 2))
     element = int(np.where(by_rve[k], strain, -1.0).argmax())
     seen = law.particles(frames.F[k, element][None], frames.F_dot[k, element][None])
-    (walls, lines), (fluid, dots) = draw_cells(right, seen, 0, half=26.0)
+    (walls, lines), (fluid, dots) = draw_cells(right, seen, 0, law.cell.tissue_thickness, half=26.0)
     walls.bar(right, lines, "bottom")
     fluid.bar(right, dots)
     corners = (fields.points + fields.displacement[k])[run.elements[element]]

@@ -20,6 +20,7 @@ from surrofe2.questions import stability as stability_of
 from surrofe2.questions import wilting as wilting_of
 from surrofe2.report.study import NamedCell, Study, keep_study
 from surrofe2.run.charts import encoded
+from surrofe2.run.loop import Report
 from surrofe2.rve import INITIALISATIONS
 from surrofe2.store.labelled_image import LINE, Labels, read_labels
 from surrofe2.store.labelled_surface import read_surface
@@ -255,11 +256,21 @@ def _labels(path: Path, pixel: float | None) -> tuple[Labels, float, tuple[str, 
 
 def zoom(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run or a rest.")],
-    point: Annotated[str, typer.Option(metavar="X,Y", help="Position in the unloaded tissue, µm.")],
+    point: Annotated[
+        list[str],
+        typer.Option(
+            metavar="X,Y", help="Position in the unloaded tissue, µm; may be given several times."
+        ),
+    ],
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="The folder to write; default: RUN/zoom-X-Y."),
+        typer.Option(
+            metavar="DIR",
+            help="The folder to write, of several points that of their folders zoom-X-Y; "
+            "default: RUN/zoom-X-Y.",
+        ),
     ] = None,
+    form: console.PictureFormat = "png",
     threads: console.Threads = None,
 ) -> None:
     """Look into the plant cells of a run: the RVE at a point over time.
@@ -267,25 +278,41 @@ def zoom(
     RVEs, of cached runs too, are solved at the mean F and Ḟ of the element at the point, at the
     times of the run's fields. DIR receives zoom.png, zoom.csv (stretch and tension of walls,
     fluid pressure, area, contact pressure over time), fields.xdmf and, with a uniform fluid,
-    plant-cells.xdmf for ParaView.
+    plant-cells.xdmf for ParaView. Pressures are in MPa.
 
-    Example: surrofe2 zoom out/cached --point 200,12.5
+    Example: surrofe2 zoom out/cached --point 200,12.5 --point 400,12.5
     """
     use_threads(threads)
-    try:
-        x, y = (float(part) for part in point.split(","))
-    except ValueError:
-        raise InputError(f"--point: {point!r}; it must be two numbers X,Y in µm") from None
-    folder = run / f"zoom-{x:g}-{y:g}" if out is None else out
-    with console.working("zoom", 1.0, "parts", f"{folder} may lack files") as report:
+    points = [_point_of(text) for text in point]
+    folders = [(run if out is None else out) / f"zoom-{x:g}-{y:g}" for x, y in points]
+    if out is not None and len(points) == 1:
+        folders = [out]
+    into = folders[0] if len(folders) == 1 else folders[0].parent
+    with console.working("zoom", float(len(points)), "parts", f"{into} may lack files") as report:
         report(0.0, "plant cells")
-        look = zoom_into(run, (x, y))
-        write_zoom(look, folder, report)
-    last = {name: values[-1] for name, values in look.seen.extremes().items()}
-    console.done(
-        folder,
-        f"element {look.element} at {len(look.t)} times; at the last wall stretch up "
-        f"to {last['largest_wall_stretch']:.4g}, fluid pressure "
-        f"{last['lowest_fluid_pressure_uN_per_um']:.3g} to "
-        f"{last['highest_fluid_pressure_uN_per_um']:.3g} µN/µm",
-    )
+        looks = zoom_into(run, points)
+        for k, (look, folder) in enumerate(zip(looks, folders, strict=True)):
+            write_zoom(look, folder, _after(report, k), form=form)
+    for look, folder in zip(looks, folders, strict=True):
+        last = {name: values[-1] for name, values in look.extremes().items()}
+        console.done(
+            folder,
+            f"element {look.element} at {len(look.t)} times; at the last wall stretch up "
+            f"to {last['largest_wall_stretch']:.4g}, fluid pressure "
+            f"{last['lowest_fluid_pressure_MPa']:.3g} to "
+            f"{last['highest_fluid_pressure_MPa']:.3g} MPa",
+        )
+
+
+def _point_of(text: str) -> tuple[float, float]:
+    """Read a position, X,Y in µm."""
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"--point: {text!r}; it must be two numbers X,Y in µm") from None
+    return x, y
+
+
+def _after(report: Report, done: int) -> Report:
+    """Return the report of one of several pieces of work, behind so many others."""
+    return lambda share, note: report(done + share, note)

@@ -9,7 +9,7 @@ import typer
 
 from surrofe2.cli import console
 from surrofe2.report.comparison import (
-    COMPARISON_FILES,
+    COMPARISON,
     Comparison,
     audit_sentence,
     closing_sentence,
@@ -26,14 +26,15 @@ def compare(
         Path | None,
         typer.Option(metavar="DIR", help="The folder to write; default: comparison beside them."),
     ] = None,
+    form: console.PictureFormat = "png",
     fresh: console.Fresh = False,
 ) -> None:
     """Compare displacement curves, forces and costs of runs of one load case.
 
     The reference is the first full tissue, else the first run by RVEs, else the first one.
-    Writes comparison.json and comparison.png: difference relative to the largest displacement, at
-    any time and of the largest ones; the same of every force on the tissue; speed-up of wall time
-    and of RVE solves.
+    Writes comparison.json and comparison.png (with --format pdf or svg): difference relative to the
+    largest displacement, at any time and of the largest ones; the same of every force on the
+    tissue; speed-up of wall time and of RVE solves.
 
     Also writes report.html, one page that works offline and can be passed on, of one run too: the
     tissue in motion, all curves, where and when the cache fell back, audited errors, the range that
@@ -46,9 +47,11 @@ def compare(
 
     folder = runs[0].parent / "comparison" if out is None else out
     if len(runs) > 1:
-        show_comparison(compare_runs(runs, folder, fresh=fresh))
+        show_comparison(compare_runs(runs, folder, form=form, fresh=fresh))
     page = write_report(runs, folder / REPORT)
-    files = [*COMPARISON_FILES, page.name] if len(runs) > 1 else [page.name]
+    files = [page.name]
+    if len(runs) > 1:
+        files = [COMPARISON, f"comparison.{form}", page.name]
     console.done(folder, ", ".join(files))
 
 

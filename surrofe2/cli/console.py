@@ -66,6 +66,10 @@ AnyInitialisation = Annotated[
     Literal["all", "cauchy-born", "elastic", "constrained-runs", "slow-manifold"],
     typer.Option("--initialisation", metavar="NAME", help=f"How RVEs begin: {INITIALISATIONS}."),
 ]
+PictureFormat = Annotated[
+    Literal["png", "pdf", "svg"],
+    typer.Option("--format", metavar="png|pdf|svg", help="Format of pictures."),
+]
 LawName = Literal["rve", "surrogate", "cached", "table"]
 _LAW: Any = typer.Option(
     metavar="LAW",

@@ -130,10 +130,10 @@ def refine(
 ) -> None:
     """Active learning: retrain on states that the run could not trust.
 
-    Runs through the cache, collects the states that the surrogate did not know well enough, solves
-    RVEs there and around, trains again, and so on until a run has no unknown state and its audit
-    holds. DIR receives refine.json (the table of rounds) and surrogate.h5, of several
-    cells surrogate-NAME.h5.
+    Runs through the cache, in time or at rest as the recipe states, collects the states that the
+    surrogate did not know well enough, solves RVEs there and around, trains again, and so on until
+    a run has no unknown state and its audit holds. DIR receives refine.json (the table of rounds)
+    and surrogate.h5, of several cells surrogate-NAME.h5.
 
     Example: surrofe2 refine data/bending-bar-triple-load.toml
 

@@ -21,7 +21,7 @@ from surrofe2.store.run_folder import RunRecord
 from surrofe2.workflow import check as checking
 from surrofe2.workflow import scale
 from surrofe2.workflow.generate import data_summary
-from surrofe2.workflow.grid import GRID_FILES, run_grid
+from surrofe2.workflow.grid import GRID_TABLES, run_grid
 from surrofe2.workflow.laws import open_study, recipe_notes, use_threads
 from surrofe2.workflow.rest import (
     extent_of,
@@ -279,6 +279,7 @@ def grid(
     out: console.OutFolder = None,
     workers: console.Workers = 0,
     scheduler: console.Scheduler = None,
+    form: console.PictureFormat = "png",
     threads: console.Threads = None,
     fresh: console.Fresh = False,
 ) -> None:
@@ -286,7 +287,8 @@ def grid(
 
     Each combination runs by each law; a new data set and surrogate are made only where a change
     affects the cell or its range. With --law rve,cached the table has the errors and the speed-up
-    of the cache. DIR receives a run folder for each, grid.csv, grid.json and grid.png.
+    of the cache. DIR receives a run folder for each, grid.csv, grid.json and grid.png
+    (with --format pdf or svg).
 
     Example: surrofe2 grid data/bending-bar.toml --set cell.wall_stiffness=3000:5000:8
 
@@ -312,12 +314,13 @@ def grid(
             quantities=quantity or (),
             threads=threads,
             executor=executor,
+            form=form,
             fresh=fresh,
             stage=console.progress,
         )
     title = f"{recipe.name}, {len(result.rows)} runs"
     console.show_table(title, result.table)
-    console.done(folder, f"{len(result.rows)} runs, {', '.join(GRID_FILES)}")
+    console.done(folder, f"{len(result.rows)} runs, {', '.join(GRID_TABLES)}, grid.{form}")
     if result.failed:
         name, message = next(iter(result.failed.items()))
         raise SimulationError(

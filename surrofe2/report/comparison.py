@@ -13,13 +13,13 @@ import numpy as np
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.base.units import number
 from surrofe2.plant_cell.parameters import PRESETS
-from surrofe2.report.tables import Quantity, Table, percent
+from surrofe2.report.tables import Quantity, Table, check_form, percent
 from surrofe2.run.charts import Curve, Panel, draw_panels, encoded, in_words
 from surrofe2.run.displacement_curve import CurveDifference, DisplacementCurve, difference
 from surrofe2.store.run_folder import RunRecord, StoredRun, cells_of, is_rest, read_run
 from surrofe2.store.store import digest, flat, keep, write_bytes
 
-COMPARISON_FILES = ("comparison.json", "comparison.png")
+COMPARISON = "comparison.json"
 
 
 BUCKLED = "beyond_bifurcation"
@@ -199,23 +199,36 @@ def compare(runs: Sequence[StoredRun]) -> Comparison:
 
 
 def compare_runs(
-    folders: Sequence[str | Path], out: str | Path, *, fresh: bool = False
+    folders: Sequence[str | Path], out: str | Path, *, form: str = "png", fresh: bool = False
 ) -> Comparison:
-    """Compare the runs in these folders; comparison.json and comparison.png go into `out`."""
+    """Compare the runs in these folders; comparison.json and comparison.png go into `out`.
+
+    Args:
+        form: format of the picture, of `PICTURE_FORMATS`; comparison.pdf, comparison.svg.
+    """
     out = Path(out)
+    check_form(form)
     stored_runs = [read_run(folder) for folder in folders]
     fingerprints = {run.name: digest(run.folder / "run.json")[:16] for run in stored_runs}
     comparison = compare(stored_runs)
     runs = order_runs(stored_runs)
 
-    def make() -> dict[str, Any]:
-        """Draw the picture, and return the entries of comparison.json."""
+    picture = out / f"comparison.{form}"
+
+    def draw() -> None:
+        """Draw the picture."""
         panels = [*displacement_panels(runs), difference_panel(runs), *audit_panels(runs)]
         figure = draw_panels(panels, title=comparison_title(runs))
-        write_bytes(out / COMPARISON_FILES[1], encoded(figure, "png"))
+        write_bytes(picture, encoded(figure, form))
+
+    def make() -> dict[str, Any]:
+        """Draw the picture, and return the entries of comparison.json."""
+        draw()
         return asdict(comparison)
 
-    keep(out / COMPARISON_FILES[0], {"of": fingerprints}, make, fresh=fresh)
+    keep(out / COMPARISON, {"of": fingerprints}, make, fresh=fresh)
+    if not picture.exists():  # the comparison was kept, and had a picture of another format
+        draw()
     return comparison
 
 

@@ -259,7 +259,7 @@ def write_grid_plot(path: Path, grid: Grid) -> None:
             span = f"{span} … {text_of(values[-1])}"
         spans.append(f"{name} {span}")
     figure = draw_panels(panels, 2, title=f"{grid.recipe}: {', '.join(spans)}")
-    write_bytes(path, encoded(figure, "png"))
+    write_bytes(path, encoded(figure, path.suffix[1:]))
 
 
 def _changing(grid: Grid) -> list[str]:
@@ -350,7 +350,7 @@ def write_grid_map(path: Path, grid: Grid) -> bool:
         axis.set_ticks(range(len(grid.values[name])), [text_of(each) for each in grid.values[name]])
         axis.set_label_text(in_words(_of_entry(name, grid.values).heading))
     figure.colorbar(image, label=in_words(label))
-    write_bytes(path, encoded(figure, "png"))
+    write_bytes(path, encoded(figure, path.suffix[1:]))
     return True
 
 

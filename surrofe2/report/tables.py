@@ -11,6 +11,8 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from surrofe2.base.errors import quoted
+from surrofe2.base.settings import unknown
 from surrofe2.base.units import number
 
 Row = TypeVar("Row")
@@ -142,3 +144,17 @@ def percent(digits: int) -> Callable[[float], str]:
         return f"{number(percents, digits)} %"
 
     return text
+
+
+PICTURE_FORMATS = ("png", "pdf", "svg")
+"""Formats of pictures, by the ends of their names."""
+
+
+def check_form(form: str) -> None:
+    """Reject a format that pictures are not written in.
+
+    Raises:
+        InputError: naming those that there are.
+    """
+    if form not in PICTURE_FORMATS:
+        raise unknown(f"format: {quoted(form)}", form, "format of pictures", PICTURE_FORMATS)

@@ -17,6 +17,7 @@ from surrofe2.recipe.entries import name_of_values
 from surrofe2.recipe.recipe import PROBLEM_SECTIONS, CellName, CellStudy, Recipe, load_recipe
 from surrofe2.report.chosen import Chosen
 from surrofe2.report.grid import Grid, grid_row, write_grid_map, write_grid_plot
+from surrofe2.report.tables import check_form
 from surrofe2.run.loop import Stage, no_stage
 from surrofe2.store.run_folder import read_run
 from surrofe2.store.store import locked_folder, remove, write_json, write_text
@@ -25,9 +26,7 @@ from surrofe2.workflow.rest import extent_of, study_by_method
 from surrofe2.workflow.train import is_trained, learn
 from surrofe2.workflow.workers import Processes, prepare, result_of
 
-GRID_FILES = ("grid.csv", "grid.json", "grid.png")
-GRID_MAP = "grid-map.png"
-"""Of a quantity over two entries, where two change."""
+GRID_TABLES = ("grid.csv", "grid.json")
 LAWS = ("rve", "cached", "table", "surrogate")
 MOST_RUNS = 10_000
 _LEARNT = ("cell", "cells", "rve", "range", "samples", "training", "calibration")
@@ -66,6 +65,7 @@ def run_grid(
     quantities: Sequence[str] = (),
     threads: int | None = None,
     executor: Any = None,
+    form: str = "png",
     fresh: bool = False,
     stage: Stage = no_stage,
 ) -> Grid:
@@ -83,10 +83,13 @@ def run_grid(
         quantities: of each run in the table and the picture, COLUMN or COLUMN:STATISTIC, see
             `report.chosen`; none: the peak of each force over its displacement.
         threads: of each run; None: all, or of `Processes` an equal share.
+        form: format of the pictures, grid.png and, where two entries change, grid-map.png; of
+            `PICTURE_FORMATS`.
 
     Raises:
         InputError: an entry or a law is unknown, or a value not what it must be; nothing was run.
     """
+    check_form(form)
     chosen = [Chosen.read(text) for text in quantities]
     prepare(executor)
     path, out = Path(path).resolve(), Path(out).resolve()
@@ -122,11 +125,13 @@ def run_grid(
             for name, run in runs.items()
         ]
         grid = Grid(path.name, {name: tuple(each) for name, each in values.items()}, tuple(rows))
-        write_text(out / GRID_FILES[0], grid.table.to_csv())
-        write_json(out / GRID_FILES[1], grid.to_dict())
-        write_grid_plot(out / GRID_FILES[2], grid)
-        if not write_grid_map(out / GRID_MAP, grid):
-            remove(out / GRID_MAP)
+        table, record = GRID_TABLES
+        write_text(out / table, grid.table.to_csv())
+        write_json(out / record, grid.to_dict())
+        write_grid_plot(out / f"grid.{form}", grid)
+        grid_map = out / f"grid-map.{form}"
+        if not write_grid_map(grid_map, grid):
+            remove(grid_map)
     return grid
 
 

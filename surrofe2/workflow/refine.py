@@ -1,5 +1,5 @@
-"""Active learning: rounds of cached run, sampling and training, until a surrogate knows what its
-runs meet.
+"""Active learning: rounds of cached run or rest, sampling and training, until a surrogate knows
+what its runs meet.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ from surrofe2.store.store import (
 )
 from surrofe2.workflow import laws
 from surrofe2.workflow.generate import CHUNK
-from surrofe2.workflow.run import origin_of, run_study
+from surrofe2.workflow.rest import extent_of, study_by_method
+from surrofe2.workflow.run import origin_of
 from surrofe2.workflow.train import STRESSES, Trained, learn, train_surrogate
 
 ROUNDS = "refine.json"
@@ -117,6 +118,8 @@ def refine_surrogate(
     tell: Callable[[Round], None] = lambda row: None,
 ) -> list[Round]:
     """Rounds of training, cached run, harvest and sampling in a folder, until one is settled.
+
+    The run is in time, or at rest where the recipe has a [rest].
 
     The first round runs on the recipe's surrogate, which is made where it is missing. Each later
     one is trained on the recipe's data set and everything sampled since; its range is the least
@@ -202,8 +205,9 @@ def _round(
     folder = out / f"round-{k}"
     trained = {name: _train(study, out, done, k, stage) for name, study in studies.items()}
     files = {name: each.path for name, each in trained.items()}
-    with stage(f"round {k}: run", recipe.duration, "µs") as report:
-        record = run_study(recipe, "cached", folder / "run", surrogates=files, report=report)
+    what = "run" if recipe.rest is None else "rest"
+    with stage(f"round {k}: {what}", *extent_of(recipe)) as report:
+        record = study_by_method(recipe, "cached", folder / "run", surrogates=files, report=report)
     rows = []
     for name, study in studies.items():
         counts = caches_of(record.cache)[name]["accepted"]

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any, overload
 
 import numpy as np
 
 from surrofe2.base.arrays import Array, Index
-from surrofe2.base.errors import FileError, InputError
+from surrofe2.base.errors import FileError, InputError, quoted
 from surrofe2.law.stress_law import describe
 from surrofe2.macro.elements import find_element
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe.recipe import CellName, Recipe, make_recipe
+from surrofe2.report.tables import check_form
 from surrofe2.run.charts import encoded
 from surrofe2.run.loop import Report, no_report
+from surrofe2.run.views import Facts, Viewed
 from surrofe2.rve import RveLaw
 from surrofe2.rve.particles import Particles
 from surrofe2.store.fields import (
@@ -36,16 +39,26 @@ _AT_ONCE = 512
 """RVEs whose particles are computed together: 40 MB for one plant cell each."""
 
 
-@dataclass(frozen=True, slots=True)
-class Zoom:
-    """The RVE `seen` at the times of the fields of a run, `motion`, in an element at an unloaded
-    `point`, µm; `cell` is the name of its plant cell."""
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class Zoom(Viewed):
+    """The plant cells of one element of a run at the times of its fields.
+
+    Attributes:
+        point: unloaded position, µm, that the element holds.
+        element: number of the element.
+        motion: fields of the run.
+        seen: the RVE of the element at these times.
+        is_rest: whether they are factors of the load of a rest.
+        thickness: thickness of the tissue, µm.
+        cell: name of the plant cell.
+    """
 
     point: tuple[float, float]
     element: int
     motion: StoredFields
     seen: Particles
     is_rest: bool
+    thickness: float
     cell: CellName = None
 
     @property
@@ -53,18 +66,68 @@ class Zoom:
         """(n,) µs, of a rest the factor of the load."""
         return self.motion.t
 
+    def extremes(self) -> dict[str, Array]:
+        """Compute what bruises a tissue, (n,) each, by name with its unit; pressures in MPa."""
+        return in_megapascals(self.seen.extremes(), self.thickness)
 
-def zoom_into(folder: str | Path, point: tuple[float, float]) -> Zoom:
-    """The RVE of the element at a point, with its mean F and Ḟ at all frames of a run.
+    def facts(self) -> Facts:
+        last = {name: values[-1] for name, values in self.extremes().items()}
+        lowest = last["lowest_fluid_pressure_MPa"]
+        highest = last["highest_fluid_pressure_MPa"]
+        facts = {
+            "point": f"({self.point[0]:.6g}, {self.point[1]:.6g}) µm",
+            "element": self.element,
+            "load factors" if self.is_rest else "times": len(self.t),
+            "wall stretch at the last": f"up to {last['largest_wall_stretch']:.4g}",
+            "fluid pressure": f"{lowest:.3g} to {highest:.3g} MPa",
+        }
+        return facts if self.cell is None else {"plant cell": self.cell, **facts}
+
+
+def in_megapascals(columns: Mapping[str, Array], thickness: float) -> dict[str, Array]:
+    """Return columns of `Particles.extremes` with stresses of the plane as pressures, in MPa.
+
+    Args:
+        thickness: thickness of the tissue, µm, by which a stress of the plane is divided.
+    """
+    ending = "_uN_per_um"
+    return {
+        f"{name.removesuffix(ending)}_MPa" if name.endswith(ending) else name: (
+            values / thickness if name.endswith(ending) else values
+        )
+        for name, values in columns.items()
+    }
+
+
+Point = tuple[float, float]
+
+
+@overload
+def zoom_into(folder: str | Path, point: Point) -> Zoom: ...
+@overload
+def zoom_into(folder: str | Path, point: Sequence[Point] | Array) -> list[Zoom]: ...
+def zoom_into(folder: str | Path, point: Any) -> Zoom | list[Zoom]:
+    """Solve the RVE of the element at a point, with its mean F and Ḟ at all frames of a run.
 
     Args:
         folder: of a run or a rest by any law, finished or not.
-        point: unloaded position, µm.
+        point: unloaded position, µm; or several of them, (k, 2).
+
+    Returns:
+        What is seen there; of several points a list.
 
     Raises:
         FileError: not a run folder, or one without fields of elements.
-        InputError: the point is outside the mesh, or the RVE has no stress at a frame.
+        InputError: a point is no pair of numbers or outside the mesh, or an RVE has no stress at a
+            frame.
     """
+    try:
+        points = np.array(point, dtype=np.float64)
+    except (TypeError, ValueError):
+        points = np.zeros(0)
+    is_one = points.shape == (2,)
+    if not is_one and (points.ndim != 2 or points.shape[1:] != (2,)):
+        raise InputError(f"point: {quoted(point)}; it must be (x, y) in µm, or a list of them")
     folder = Path(folder)
     record = read_record(folder)
     if record.law == "tissue":
@@ -72,39 +135,67 @@ def zoom_into(folder: str | Path, point: tuple[float, float]) -> Zoom:
     if not (folder / "fields.h5").exists():
         raise FileError(f"{folder}: the run is {record.status} and has no fields")
     motion = read_fields(folder, FIELDS_OF_MOTION, (CELL,))
-    element, _ = find_element(motion.points, motion.cells, np.array(point))
     recipes = recipes_of(record)
-    name, recipe = [*recipes.items()][cell_numbers(motion, recipes)[element]]
-    law = true_law(recipe.study())
-    F, F_dot = (motion.values[what][:, element] for what in (F_NAME, F_DOT_NAME))
-    answer = law.respond(F, F_dot)
-    for k in np.flatnonzero(answer.status)[:1]:
-        why = describe(answer.status[k])
-        raise InputError(f"{folder}: the RVE at frame {k}, t = {motion.t[k]:.6g}: {why}")
-    seen = law.particles(F, F_dot, answer.state)
-    return Zoom(point, element, motion, seen, "rest" in record.recipe, name)
+    numbers = cell_numbers(motion, recipes)
+    laws: dict[CellName, RveLaw] = {}
+    looks = []
+    for x, y in points.reshape(-1, 2).tolist():
+        element, _ = find_element(motion.points, motion.cells, np.array([x, y]))
+        name, recipe = [*recipes.items()][numbers[element]]
+        if name not in laws:
+            laws[name] = true_law(recipe.study())
+        law = laws[name]
+        F, F_dot = (motion.values[what][:, element] for what in (F_NAME, F_DOT_NAME))
+        answer = law.respond(F, F_dot)
+        for k in np.flatnonzero(answer.status)[:1]:
+            why = describe(answer.status[k])
+            raise InputError(f"{folder}: the RVE at frame {k}, t = {motion.t[k]:.6g}: {why}")
+        looks.append(
+            Zoom(
+                point=(x, y),
+                element=element,
+                motion=motion,
+                seen=law.particles(F, F_dot, answer.state),
+                is_rest="rest" in record.recipe,
+                thickness=recipe.study().cell.parameters.tissue_thickness,
+                cell=name,
+            )
+        )
+    return looks[0] if is_one else looks
 
 
-def write_zoom(zoom: Zoom, out: str | Path, report: Report = no_report) -> None:
-    """Write zoom.png, zoom.csv and fields.xdmf for ParaView.
+def write_zoom(
+    zoom: Zoom, out: str | Path, report: Report = no_report, *, form: str = "png"
+) -> None:
+    """Write a picture, zoom.csv and fields.xdmf for ParaView.
 
     Args:
         report: called with the share that is done and what is made.
+        form: format of the picture, of `PICTURE_FORMATS`.
     """
     from surrofe2.report.figures import cell_figure  # here, since runs need no matplotlib
 
     out = Path(out)
+    check_form(form)
     x, y = zoom.point
     of = "" if zoom.cell is None else f" “{zoom.cell}”"
     title = f"Plant cells{of} at ({x:.4g}, {y:.4g}) µm, element {zoom.element}"
-    columns = {"factor" if zoom.is_rest else "t_us": zoom.t, **zoom.seen.extremes()}
+    columns = {"factor" if zoom.is_rest else "t_us": zoom.t, **zoom.extremes()}
     with locked_folder(out):
         report(0.1, "picture")
-        figure = cell_figure(title, zoom.seen, zoom.motion, zoom.element, zoom.point, zoom.is_rest)
-        write_bytes(out / "zoom.png", encoded(figure, "png"))
+        figure = cell_figure(
+            title,
+            zoom.seen,
+            zoom.motion,
+            zoom.element,
+            zoom.point,
+            zoom.thickness,
+            zoom.is_rest,
+        )
+        write_bytes(out / f"zoom.{form}", encoded(figure, form))
         report(0.5, "tables and fields")
         write_columns(out / "zoom.csv", columns)
-        write_rve_fields(out, zoom.seen, zoom.t)
+        write_rve_fields(out, zoom.seen, zoom.t, zoom.thickness)
 
 
 def recipes_of(record: RunRecord) -> dict[CellName, Recipe]:
@@ -149,10 +240,11 @@ def add_cell_fields(folder: Path) -> int:
         numbers = cell_numbers(motion, recipes)
         values: dict[str, Array] = {}
         for k, recipe in enumerate(recipes.values()):
-            elements = numbers == k
-            extremes = extremes_of(true_law(recipe.study()), F[:, elements], F_dot[:, elements])
-            for name, of_cell in extremes.items():
-                values.setdefault(name, np.full(F.shape[:2], np.nan))[:, elements] = of_cell
+            own = numbers == k
+            found = extremes_of(true_law(recipe.study()), F[:, own], F_dot[:, own])
+            thickness = recipe.study().cell.parameters.tissue_thickness
+            for name, of_cell in in_megapascals(found, thickness).items():
+                values.setdefault(name, np.full(F.shape[:2], np.nan))[:, own] = of_cell
         add_to_elements(folder, values)
     return F.size // 4
 

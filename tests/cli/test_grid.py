@@ -56,7 +56,9 @@ def test_a_member_that_is_finished_is_not_done_again_and_a_grid_may_grow(grid):
     first = SoftLaw()
     grid("--set", WALLS, law=first)
     law = SoftLaw()
-    again = grid("--set", WALLS, law=law)
+    again = grid("--set", WALLS, "--format", "svg", law=law)
+    assert "<svg" in (grid.out / "grid.svg").read_text(encoding="utf-8")
+    assert "grid.json, grid.svg" in again.stdout
     assert law.calls == 0
     assert "rve,cell.wall_stiffness=4000: finished before" in again.stdout
     law = SoftLaw()

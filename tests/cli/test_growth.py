@@ -179,3 +179,16 @@ def test_without_tangents_every_harvested_state_is_taken(samples, harvest, recip
     assert len(joined.F) == KNOWN + HARVESTED
     assert joined.P_by_F is None
     assert with_harvests(samples, [], recipe.study()) is samples
+
+
+def test_rounds_of_a_recipe_at_rest_are_rests(invoke, changed_recipe, tmp_path):
+    path = changed_recipe("stretch = [0.95, 1.05]", "stretch = [0.999, 1.001]")
+    path.write_text(path.read_text(encoding="utf-8") + "[rest]\nload_steps = 4\n", encoding="utf-8")
+    out = tmp_path / "refined"
+    invoke("refine", path, "--out", out, "--rounds", 1, law=SquareLaw, code=1)
+    (row,) = json.loads((out / "refine.json").read_text(encoding="utf-8"))["rounds"]
+    record = read_record(out / "round-0" / "run")
+    assert (record.law, record.counts["load_steps"]) == ("cached", 4)
+    assert row["unknown"] > 0
+    assert row["wider"]["stretch"][1] > record.met["stretch"][1] - 1e-3 > 1.001
+    assert row["wider"]["rate"] == row["range"]["rate"]  # nothing moves at rest

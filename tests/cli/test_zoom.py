@@ -24,7 +24,9 @@ from surrofe2.workflow.zoom import (
     FIELDS_OF_MOTION,
     cell_numbers,
     extremes_of,
+    in_megapascals,
     recipes_of,
+    write_zoom,
     zoom_into,
 )
 from tests.cli.conftest import FIELDS, call
@@ -65,12 +67,34 @@ def test_the_command_writes_what_it_saw(looked):
         assert np.asarray(picture.convert("L")).std() > 10.0
 
 
+def test_many_points_are_looked_into_at_once(study, looked, tmp_path):
+    points = ("--point", "90,70", "--point", "10,20")
+    done = call("zoom", study[1], *points, "--format", "svg", "--out", tmp_path)
+    for k, name in enumerate(("zoom-90-70", "zoom-10-20")):
+        assert f"{tmp_path / name}: element {3 - 3 * k} at 5 times" in done.stdout
+        picture = (tmp_path / name / "zoom.svg").read_text(encoding="utf-8")
+        assert "fluid pressure (MPa)" in picture
+    alone = (looked[1] / "zoom.csv").read_text(encoding="utf-8")
+    assert (tmp_path / "zoom-90-70" / "zoom.csv").read_text(encoding="utf-8") == alone
+    looks = zoom_into(study[1], [(90.0, 70.0), (10.0, 20.0)])
+    assert [each.element for each in looks] == [3, 0]
+    assert repr(looks[0]).startswith("<Zoom: point (90, 70) µm, element 3, times 5, wall stretch")
+    assert len(repr(looks[0])) < 200
+    with pytest.raises(InputError, match=r"point: \[1.0, 2.0, 3.0\]; it must be \(x, y\) in µm"):
+        zoom_into(study[1], [1.0, 2.0, 3.0])
+    with pytest.raises(InputError, match="format: 'gif': unknown format of pictures"):
+        write_zoom(looks[0], tmp_path / "none", form="gif")
+    assert not (tmp_path / "none").exists()
+
+
 def test_table_of_extremes(looked, seen):
     motion, particles = seen
     table = np.genfromtxt(looked[1] / "zoom.csv", delimiter=",", names=True)
     np.testing.assert_array_equal(table["t_us"], motion.t)
     for name, values in particles.extremes().items():
-        np.testing.assert_allclose(table[name], values, rtol=1e-7)
+        stored = table[name.replace("_uN_per_um", "_MPa")]
+        in_plane = stored * 10.0 if "pressure" in name else stored  # 10 µm thick
+        np.testing.assert_allclose(in_plane, values, rtol=1e-7)
     assert np.ptp(table["largest_wall_stretch"]) > 1e-4
 
 
@@ -92,7 +116,7 @@ def test_springs_for_paraview_have_their_length_across_the_boundary_too(looked, 
 
 def test_cell_fields_are_the_extremes_of_the_particles(study, seen):
     _, particles = seen
-    extremes = particles.extremes()
+    extremes = in_megapascals(particles.extremes(), 10.0)
     stored = read_fields(study[1], extremes)
     for name, values in extremes.items():
         assert stored.values[name].shape == (5, 4)
@@ -206,7 +230,7 @@ def test_a_uniform_fluid_fills_its_plant_cells(tmp_path):
     cell = CellParameters(arrangement="voronoi", cells=4)
     law, F = RveLaw(cell), np.array([np.eye(2), [[1.01, 0.02], [0.0, 0.98]]])
     seen = law.particles(F, 0.0 * F)
-    write_rve_fields(tmp_path, seen, np.array([0.0, 1.0]))
+    write_rve_fields(tmp_path, seen, np.array([0.0, 1.0]), 5.0)
     with meshio.xdmf.TimeSeriesReader(tmp_path / "plant-cells.xdmf") as reader:
         points, (triangles,) = reader.read_points_cells()
         _, at_points, in_cells = reader.read_data(1)
@@ -214,10 +238,10 @@ def test_a_uniform_fluid_fills_its_plant_cells(tmp_path):
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
     assert area.sum() == pytest.approx(2500.0 * np.linalg.det(F[1]), rel=1e-12)
-    pressure = np.ravel(in_cells["fluid_pressure_uN_per_um"])
+    pressure = 5.0 * np.ravel(in_cells["fluid_pressure_MPa"])
     assert np.unique(pressure).size == 4
     assert (pressure * area).sum() == pytest.approx((seen.pressure[1] * areas_of(seen, 1)).sum())
-    bars = draw_cells(Figure().add_subplot(), seen, 1)
+    bars = draw_cells(Figure().add_subplot(), seen, 1, 10.0)
     areas = bars[1][1]
     assert isinstance(areas, PolyCollection)
     assert len(areas.get_paths()) == len(areas.get_array())

@@ -11,6 +11,7 @@ from surrofe2.base.errors import InputError
 from surrofe2.report.comparison import (
     audit_curves,
     compare,
+    compare_runs,
     comparison_title,
     displacement_panels,
 )
@@ -100,6 +101,19 @@ def test_curves_that_coincide_are_one_line_with_both_names(recipe, tmp_path):
     runs[1].curve.displacement[:] *= 1.1
     (panel,) = displacement_panels(runs)
     assert [curve.label for curve in panel.curves] == ["rve", "cached"]
+
+
+def test_pictures_are_written_in_the_format_that_is_asked_for(recipe, tmp_path):
+    folders = [run.folder for run in map(read_run, made_runs(recipe, tmp_path))]
+    out = tmp_path / "compared"
+    compare_runs(folders, out)
+    before = (out / "comparison.json").read_bytes()
+    compare_runs(folders, out, form="pdf")  # the comparison itself is kept
+    assert (out / "comparison.pdf").read_bytes().startswith(b"%PDF")
+    assert (out / "comparison.png").exists()
+    assert (out / "comparison.json").read_bytes() == before
+    with pytest.raises(InputError, match="format: 'gif': unknown format of pictures"):
+        compare_runs(folders, out, form="gif")
 
 
 def test_a_title_has_words_and_numbers_for_people(make_run):

@@ -3,6 +3,7 @@
 import re
 import sys
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from xml.dom import minidom
 
@@ -183,3 +184,32 @@ def test_html_is_whole_and_a_line_says_what_matters(run, stored, surrogate):
     curve, answer = run.curve, StressResponse(np.full((2, 2, 2), np.nan), np.int8([0, 1]))
     assert repr(curve).startswith("<DisplacementCurve: ")
     assert repr(answer) == "<StressResponse: 2 points, 1 without stress>"
+
+
+NOTEBOOK = """
+from surrofe2 import Fixed, Problem, Traction, find_rest, rectangle, simulate
+from tests.laws import KelvinVoigt
+
+pull = Traction(on="right", traction=(0.1, 0.0))
+mesh = rectangle(20.0, 10.0, (2, 1))
+problem = Problem(mesh=mesh, conditions=(Fixed(on="left"), pull), duration=1.0)
+rest = find_rest(problem, KelvinVoigt(), progress=True)
+run = simulate(problem, KelvinVoigt(), progress=True)
+run
+"""
+
+
+@pytest.mark.slow
+def test_a_notebook_shows_progress_and_the_run():
+    """By a kernel of Jupyter, which has no terminal."""
+    nbclient = pytest.importorskip("nbclient")
+    nbformat = pytest.importorskip("nbformat")
+    pytest.importorskip("ipykernel")
+    book = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(NOTEBOOK)])
+    where = {"metadata": {"path": Path(__file__).parents[2]}}
+    nbclient.NotebookClient(book, timeout=120, kernel_name="python3", resources=where).execute()
+    (cell,) = book.cells
+    shown = "".join(each.text for each in cell.outputs if each.output_type == "stream")
+    assert shown.count("100.0 % of 1 in") == 2
+    (result,) = [each for each in cell.outputs if each.output_type == "execute_result"]
+    assert result.data["text/html"].startswith("<div><strong>MacroRun</strong>")
