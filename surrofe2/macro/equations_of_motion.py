@@ -93,7 +93,8 @@ class Switched(Exception):  # noqa: N818 - as above
 
     def __init__(self, y: Array, points: NDArray[np.int8]) -> None:
         super().__init__("points left their branch of the law")
-        self.y, self.points = y, points
+        self.y = y
+        self.points = points
 
 
 @dataclass(slots=True)
@@ -120,7 +121,9 @@ class EquationsOfMotion:
     def __init__(
         self, system: System, law: StressLaw, clock: str = "t = {:.6g} µs", t: float = 0.0
     ) -> None:
-        self.system, self.law, self.clock = system, law, clock
+        self.system = system
+        self.law = law
+        self.clock = clock
         self.discretisation = system.discretisation
         self.corners = system.problem.corners()
         self.go_to(t)
@@ -248,7 +251,8 @@ class EquationsOfMotion:
         """The start of the step under way with these points on another branch of the law. Raises
         `NoStress` where a point has none there.
         """
-        start, law = self._start, cast(SwitchingLaw, self.law)
+        start = self._start
+        law = cast(SwitchingLaw, self.law)
         response = replace(start.response, state=self.law_state)
         started = clock()
         restarted = law.restart_step(start.F, start.F_dot, response, points)
@@ -304,10 +308,12 @@ class EquationsOfMotion:
 
     def slope(self, now: Evaluation, of_u: float, of_v: float) -> Matrix:
         """of_u K + of_v C of `tangents`, at about half the cost of both."""
-        slopes, P = _tangents(now.response), of_u * now.response.first_piola(now.F)
+        slopes = _tangents(now.response)
+        P = of_u * now.response.first_piola(now.F)
         slope = of_u * slopes.P_by_F + of_v * slopes.P_by_F_dot
         blocks = point_tangents(self.discretisation, now.F, P, slope)
-        total, free = summed(self._free_gradients, blocks), self.system.free
+        total = summed(self._free_gradients, blocks)
+        free = self.system.free
         for K, C in self._slopes_of_forces(now):
             total = total + (of_u * K + of_v * C).tocsc()[free][:, free]
         return total
@@ -327,7 +333,8 @@ class EquationsOfMotion:
     ) -> Array:
         """(2 n,) a sum of linear maps of w (n, 2), of all rows: the tangents of all points, whose
         blocks are applied by this rule of `einsum`, and slopes of forces."""
-        S, P = self._gradients, now.response.first_piola(now.F)
+        S = self._gradients
+        P = now.response.first_piola(now.F)
         blocks = point_tangents(self.discretisation, now.F, P, _tangents(now.response).P_by_F)
         at_points = np.einsum(at_each_point, blocks, (S @ w.ravel()).reshape(-1, 4))
         total = S.T @ at_points.ravel()
@@ -392,7 +399,8 @@ class EquationsOfMotion:
         response: StressResponse,
     ) -> Evaluation:
         """The forces and the rate by a stress."""
-        system, (u, v) = self.system, motion
+        system = self.system
+        u, v = motion
         internal = internal_force(self.discretisation, F, response.stress, system.n_rows)
         forces = np.zeros((len(system.forces), *u.shape))
         for k, force in enumerate(system.forces):

@@ -87,7 +87,8 @@ class LinearForce:
     def slopes(self, t: float, within: float, u: Array, v: Array) -> Slopes | None:
         if self.slopes_at_one is None:
             return None
-        factor, (K, C) = self.amplitude.at(t, within)[0], self.slopes_at_one
+        factor = self.amplitude.at(t, within)[0]
+        K, C = self.slopes_at_one
         return factor * K, factor * C
 
 
@@ -122,7 +123,8 @@ def pressure_load(mesh: skfem.Mesh, facets: Index, pressure: float) -> tuple[Arr
 
 def foundation_matrix(mesh: skfem.Mesh, facets: Index, components: str) -> Matrix:
     """(2 n_nodes, 2 n_nodes) ∫ N_a N_b dL over reference facets for the components, µm."""
-    x, y = float("x" in components), float("y" in components)
+    x = float("x" in components)
+    y = float("y" in components)
     form = skfem.BilinearForm(lambda u, v, w: x * u[0] * v[0] + y * u[1] * v[1])
     return form.assemble(facet_basis(mesh, facets))
 
@@ -133,7 +135,8 @@ def make_loads(problem: Problem, mass_of: Callable[[Array], Matrix], n: int) -> 
     Args:
         mass_of: the mass (2 n_nodes, 2 n_nodes) of a share (n_el,) of each element.
     """
-    mesh, loads = problem.mesh, list[Force]()
+    mesh = problem.mesh
+    loads = list[Force]()
     n_nodes = mesh.p.shape[1]
 
     def add(name: str, dead: Array, amplitude: Amplitude, *slopes: Matrix) -> None:
@@ -144,7 +147,8 @@ def make_loads(problem: Problem, mass_of: Callable[[Array], Matrix], n: int) -> 
         loads.append(LinearForce(name, dead, amplitude, (*K_and_C,) if K_and_C else None))
 
     for condition in problem.conditions:
-        name, where = label(condition), f"{condition.kind()}.on"
+        name = label(condition)
+        where = f"{condition.kind()}.on"
         amplitude = condition.amplitude if isinstance(condition, DrivenCondition) else ONE
         match condition:
             case BodyForce():
@@ -177,11 +181,14 @@ def make_loads(problem: Problem, mass_of: Callable[[Array], Matrix], n: int) -> 
     return loads
 
 
-MODULI, ONSET, DAMPING = 200.0, 0.04, 0.5
+MODULI = 200.0
+ONSET = 0.04
+DAMPING = 0.5
 """Defaults: k by modulus over the length h of a side, k δ by modulus, c by the critical damping of
 the mass by which k moves the boundary of a mesh, ρ h/√12 a length."""
 
-FEWEST_POINTS, MOST_POINTS = 3, 40
+FEWEST_POINTS = 3
+MOST_POINTS = 40
 """Contact points of a side."""
 _TOUCHING = 0.01
 """Of a side: the depth or gap at which a body begins in touch."""
@@ -253,7 +260,8 @@ class Contact:
         acting = self._acting(gap)
         if not acting.any():
             return None
-        tangent, relative = _turned(normal), self.relative @ v
+        tangent = _turned(normal)
+        relative = self.relative @ v
         sliding = _dot(relative, tangent)
         pressure, by_depth, by_closing = self._pressure(-gap, -_dot(relative, normal))
         # ∂g/∂x = n; the frame turns with the point: ∂n/∂x = κ τ τᵀ, ∂τ/∂x = −κ n τᵀ.

@@ -79,7 +79,9 @@ def widen_extremes(extremes: Any, F: Any, F_dot: Any) -> None:
     R is the rotation of the polar decomposition, cos θ : sin θ = F₁₁ + F₂₂ : F₂₁ − F₁₂. Eight
     points are taken at once; behind the last one it is repeated.
     """
-    values, low, high = np.empty((16, TILE)), np.empty((16, TILE)), np.empty((16, TILE))
+    values = np.empty((16, TILE))
+    low = np.empty((16, TILE))
+    high = np.empty((16, TILE))
     for k in range(16):
         low[k, :] = extremes[0, k // 4, k // 2 % 2, k % 2]
         high[k, :] = extremes[1, k // 4, k // 2 % 2, k % 2]
@@ -89,16 +91,21 @@ def widen_extremes(extremes: Any, F: Any, F_dot: Any) -> None:
             for k in range(4):
                 values[k, lane] = F[p, k // 2, k % 2]
                 values[4 + k, lane] = F_dot[p, k // 2, k % 2]
-        c, s = load(values, 0) + load(values, 3), load(values, 2) - load(values, 1)
+        c = load(values, 0) + load(values, 3)
+        s = load(values, 2) - load(values, 1)
         norm = root(c * c + s * s)
-        c, s = c / norm, s / norm
+        c = c / norm
+        s = s / norm
         for k in range(0, 8, 4):
             for j in range(2):
-                x, y = load(values, k + j), load(values, k + 2 + j)
+                x = load(values, k + j)
+                y = load(values, k + 2 + j)
                 store(c * x + s * y, values, 8 + k + j)
                 store(c * y - s * x, values, 10 + k + j)
         for k in range(16):
-            value, lowest, highest = load(values, k), load(low, k), load(high, k)
+            value = load(values, k)
+            lowest = load(low, k)
+            highest = load(high, k)
             store(where_less(value, lowest, value, lowest), low, k)
             store(where_less(highest, value, value, highest), high, k)
     for k in range(16):
@@ -151,7 +158,8 @@ class Frames:
         """Each of them alone, with its points where they are kept."""
         point = 0
         for k, t in enumerate(self.t):
-            row, points = slice(k, k + 1), slice(point, point)
+            row = slice(k, k + 1)
+            points = slice(point, point)
             if point < len(self.point_t) and self.point_t[point] == t:
                 points = slice(point, point + 1)
                 point += 1
@@ -176,7 +184,8 @@ class Frames:
     ) -> Frames:
         """Those of one state, with values at the points if asked for, `dissipated` (n_el,), and
         which points (n_points,) are beyond a bifurcation."""
-        n, stress = len(space.nodes), now.response.stress
+        n = len(space.nodes)
+        stress = now.response.stress
         known = np.empty((2, 0))
         if sources is not None:
             known = np.stack([sources.source, sources.risk]).astype(np.float64)
@@ -340,7 +349,8 @@ class Recorder:
         begin: float | None = None,
         keep_frame: KeepFrame | None = None,
     ) -> None:
-        self._equations, self._system = equations, equations.system
+        self._equations = equations
+        self._system = equations.system
         self._keep_frame = keep_frame
         problem = self._system.problem
         self.end = problem.duration
@@ -361,7 +371,8 @@ class Recorder:
 
     def begin(self, stepper: Stepper, work: Array) -> None:
         """Record the start; `work` is that of the jump of prescribed velocities there."""
-        now, system = stepper.now, self._system
+        now = stepper.now
+        system = self._system
         state = MacroState(
             journal=Journal.of({"rows": self._row(now.t, now.y, work, self._forces(now))[None]}),
             dissipated=np.zeros((2, len(system.discretisation.elements))),
@@ -380,13 +391,17 @@ class Recorder:
 
     def record(self, step: StepResult, stepper: Stepper) -> None:
         """Record an accepted step, after which `stepper` stands at its end."""
-        before, end = self._state, step.end
-        journal, begin = before.journal, step.start.t
-        passed, due = journal.lengths["rows"], int(np.searchsorted(self._t, end.t, side="right"))
+        before = self._state
+        end = step.end
+        journal = before.journal
+        begin = step.start.t
+        passed = journal.lengths["rows"]
+        due = int(np.searchsorted(self._t, end.t, side="right"))
         if end.t >= self.end:
             due = self._t.size  # rounding may put the last one beyond the duration
         if due > passed:
-            first, last = self._forces(step.start), self._forces(end)
+            first = self._forces(step.start)
+            last = self._forces(end)
             for t in self._t[passed:due]:
                 within = min(t, end.t)
                 part = (within - begin) / step.length
@@ -432,13 +447,17 @@ class Recorder:
             if rates is not None:
                 samples = journal["samples"]
                 since = now.t - samples[-1, 0] if len(samples) else 0.0
-                energy, before = energy + 0.5 * since * (before + rates), rates
-                surface, regions = self._system.surface, self._system.regions.values()
+                energy = energy + 0.5 * since * (before + rates)
+                before = rates
+                surface = self._system.surface
+                regions = self._system.regions.values()
                 sides = () if surface is None else surface.dissipation_rates(now.u, now.v)
                 row = [now.t, *(rates[elements].sum() for elements in regions), *sides]
                 journal = journal.written({"samples": np.array([row])})
         if is_frame:
-            density, samples, space = NOTHING, journal["samples"], self._system.discretisation
+            density = NOTHING
+            samples = journal["samples"]
+            space = self._system.discretisation
             if len(samples):
                 density = (energy + (now.t - samples[-1, 0]) * before) / space.areas
             sources = None if now.response.sources is None else now.response.sources()
@@ -498,7 +517,8 @@ class Recorder:
     def _go_back(self) -> MacroState:
         """The state at the mark, by the law's state as it is now, with its counts; what has been
         counted since is rolled back."""
-        mark, spent = self._state.mark, self._spent()
+        mark = self._state.mark
+        spent = self._spent()
         assert mark is not None
         rolled_back = Counter(self._state.rolled_back)
         for now, then in ((spent["counts"], mark.counts), (spent["effort"], mark.effort)):
@@ -532,7 +552,8 @@ class Recorder:
         return {"counts": counts, "effort": dict(tally.effort)}
 
     def _seconds(self) -> dict[str, float]:
-        total, law = clock() - self._started, self._equations.tally.law_seconds
+        total = clock() - self._started
+        law = self._equations.tally.law_seconds
         cpu = cpu_clock() - self._cpu_started
         return {"total": total, "law": law, "macro": total - law, "cpu": cpu}
 

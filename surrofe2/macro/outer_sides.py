@@ -37,7 +37,8 @@ class OuterSides:
         Args:
             x: (n_nodes, 2) positions of the nodes, µm.
         """
-        first, last = x[self.nodes[:, 0]], x[self.nodes[:, 1]]
+        first = x[self.nodes[:, 0]]
+        last = x[self.nodes[:, 1]]
         longest = float(np.linalg.norm(last - first, axis=1).max())
         # Pieces that cross have middles no farther apart than the longest of them is long.
         middles = scipy.spatial.cKDTree(0.5 * (first + last))

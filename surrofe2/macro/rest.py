@@ -221,8 +221,10 @@ class Rest(RestState):
         the path, by the trapezoidal rule (second order in the load step), `contact` and `contact
         dissipated`, and `balance`, the other works − internal, zero to Newton's tolerance.
         """
-        system, columns = self.system, self.columns
-        stored, internal = columns["contact"], columns["work internal"]
+        system = self.system
+        columns = self.columns
+        stored = columns["contact"]
+        internal = columns["work internal"]
         works = {force.name: columns[f"work {force.name}"] for force in system.forces}
         if system.moving:
             works["motion"] = columns["work motion"]
@@ -357,7 +359,8 @@ class Loading:
         Raises:
             SimulationError: there is none without load, or ten halvings of a load step find none.
         """
-        newton, equations = self.newton, self.newton.equations
+        newton = self.newton
+        equations = self.newton.equations
         try:
             if resume is None:
                 self.rest = newton.rest_at(0.0, None, self.longest)
@@ -427,7 +430,9 @@ class Loading:
 
     def _step(self, rest: Rest) -> Rest:
         """The equilibrium after `rest`, by a load step that is halved until there is one."""
-        step, longest, failed = rest.next_step, self.longest, False
+        step = rest.next_step
+        longest = self.longest
+        failed = False
         while True:
             remaining = self.factor - rest.factor
             is_last = abs(step) >= abs(remaining) * (1.0 - 1e-9)
@@ -437,7 +442,8 @@ class Loading:
                 return self.newton.rest_at(target, rest, following)
             except NoStress as failure:
                 self.newton.equations.tally.counts["halvings"] += 1
-                step, failed = 0.5 * (target - rest.factor), True
+                step = 0.5 * (target - rest.factor)
+                failed = True
                 # Counted from the first length: near a limit load every second step would succeed.
                 if abs(step) < abs(longest) * 0.5**MAX_HALVINGS:
                     raise SimulationError(self._why_stopped(failure)) from failure
@@ -565,18 +571,22 @@ def begin_at_rest(
     system = system_of(replace(problem.proportional(), bodies=()), equations.law)
     alone = EquationsOfMotion(system, equations.law, clock="before the load")
     alone.tally, newton = equations.tally, Newton(alone, settings)
-    u, share, step = np.zeros((system.n_rows, 2)), 0.0, 1.0
+    u = np.zeros((system.n_rows, 2))
+    share = 0.0
+    step = 1.0
     while share < 1.0:
         acting = partial(replace, share=share + step)
         alone.system = system.with_forces(SurfaceForce, acting)
         try:
-            u, share = newton.balanced(0.0, partial(system.pick, u))[0].u, share + step
+            u = newton.balanced(0.0, partial(system.pick, u))[0].u
+            share = share + step
         except NoStress as failure:
             step *= 0.5
             if step < _SMALLEST_SHARE:
                 raise SimulationError(f"no rest under the surface tension: {failure}") from failure
     rest = np.pad(u, ((0, len(problem.bodies)), (0, 0)))
-    equations.system, equations.law_state = equations.system.from_rest(rest), alone.law_state
+    equations.system = equations.system.from_rest(rest)
+    equations.law_state = alone.law_state
 
 
 @dataclass(slots=True)
@@ -600,7 +610,8 @@ class Newton:
             self._grip(last.u, last.drags)
             now, residuals, slopes = self.balanced(factor, partial(self.predicted, factor, last))
         equations.tally.counts["load_steps"] += factor != 0.0
-        system, reaction = equations.system, equations.reaction(now)
+        system = equations.system
+        reaction = equations.reaction(now)
         acts = np.stack([now.internal, *now.forces, reaction])
         if last is None:
             works = Works(0.0, np.zeros(len(now.forces))).row
@@ -654,7 +665,8 @@ class Newton:
         now = evaluation_at(equations, state)
         K, C = equations.tangents(now)
         tally = equations.tally
-        tally.counts, tally.effort = Counter(state.counts), Counter(state.effort)
+        tally.counts = Counter(state.counts)
+        tally.effort = Counter(state.effort)
         tally.law_seconds = state.law_seconds
         kept = {item.name: getattr(state, item.name) for item in fields(RestState)}
         kept |= {"journal": state.journal.copy(), "law_state": equations.law_state}
@@ -692,7 +704,8 @@ class Newton:
     def predicted(self, factor: float, last: Rest) -> Array:
         """(m,) free displacements to begin with: the last ones, or where supports move those of
         the tangents there; raises as `evaluate`, and `NoStress` where the stiffness is singular."""
-        equations, system = self.equations, self.equations.system
+        equations = self.equations
+        system = self.equations.system
         u = system.pick(last.u)
         moved = system.spread(self._still(u), factor, equations.within)[0] - last.u
         # A body that does not touch yet has no part in the tangents.
@@ -710,7 +723,8 @@ class Newton:
             NoStress: no correction does. Switched: points left their branch of the law."""
         size = np.linalg.norm(now.residual)
         correction = self._still(self._solved(now, K, now.residual))
-        fraction, failure = 1.0, None
+        fraction = 1.0
+        failure = None
         while fraction >= _LEAST_FRACTION:
             try:
                 trial = self.equations.evaluate(now.t, now.y + fraction * correction, tangents=True)
@@ -785,7 +799,8 @@ class Newton:
 
     def _stopped(self, now: Evaluation, K: Matrix, reason: str) -> NoStress:
         """The failure of Newton's method; a tolerance that nothing could reach is refused."""
-        tolerance, smallest = self.settings.newton_tolerance, self.relative_residual(now, K)
+        tolerance = self.settings.newton_tolerance
+        smallest = self.relative_residual(now, K)
         if smallest > _STALLED:
             return self.equations.out_of_balance(now, now.residual, reason)
         raise InputError(

@@ -109,7 +109,8 @@ class MacroRun(ViewedRun):
         }
 
     def fields_over_time(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        frames, found = self.frames, dict[str, Any]()
+        frames = self.frames
+        found = dict[str, Any]()
         for name, at, values, unit in (
             ("displacement", "node", frames.displacement, LENGTH),
             ("velocity", "node", frames.velocity, VELOCITY),
@@ -267,7 +268,9 @@ def _make_stepper(
     resume: MacroState | None,
 ) -> Stepper:
     """A stepper at t = 0, recorded, or where `resume` was taken."""
-    method, tally, end = make_method(equations, settings), equations.tally, recorder.end
+    method = make_method(equations, settings)
+    tally = equations.tally
+    end = recorder.end
     if resume is None:
         y, work = equations.system.start(equations.within)
         try:
@@ -277,7 +280,8 @@ def _make_stepper(
         stepper = Stepper(equations, method, settings, end, start)
         recorder.begin(stepper, work)
         return stepper
-    tally.counts, tally.effort = Counter(resume.counts), Counter(resume.effort)
+    tally.counts = Counter(resume.counts)
+    tally.effort = Counter(resume.effort)
     tally.law_seconds = resume.wall_time["law"]
     where = resume.t, resume.y, resume.stress, resume.law_state
     going_on = equations.resume(*where, resume.drags)
@@ -295,8 +299,11 @@ def _make_run(
     state = recorder.state()
     problem, law, settings = given
     found = named_columns(columns_of(system, in_time=True), state.journal["rows"])
-    t, kinetic, internal = found["t"], found["kinetic"], found["work internal"]
-    curves, samples = curves_of(t, found), state.journal["samples"]
+    t = found["t"]
+    kinetic = found["kinetic"]
+    internal = found["work internal"]
+    curves = curves_of(t, found)
+    samples = state.journal["samples"]
     works = {
         name.removeprefix("work "): column
         for name, column in found.items()

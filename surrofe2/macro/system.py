@@ -124,7 +124,8 @@ class System:
     def under(self, problem: Problem) -> System:
         """The system of a problem that differs in sizes and courses of loads, motions and initial
         velocities alone, and in its times."""
-        supports, n = _supports(problem), self.n_rows
+        supports = _supports(problem)
+        n = self.n_rows
         loads = make_loads(problem, self.mass_of, n)
         others = (each for each in self.forces if isinstance(each, Contact | SurfaceForce))
         return replace(
@@ -173,8 +174,10 @@ class System:
 
     def spread(self, y: Array, t: float, within: float) -> tuple[Array, Array]:
         """Displacement and velocity (n, 2) of all rows from y (2 m,) and the prescribed motion."""
-        (u, v), m = np.zeros((2, 2 * self.n_rows)), self.free.size
-        u[self.free], v[self.free] = y[:m], y[m:]
+        u, v = np.zeros((2, 2 * self.n_rows))
+        m = self.free.size
+        u[self.free] = y[:m]
+        v[self.free] = y[m:]
         for support in self.moving:
             value, rate, _ = support.amplitude.at(t, within)
             u[support.unknowns] = value * support.largest
@@ -193,7 +196,8 @@ class System:
         """(n, 2) of supports that move, zero elsewhere; None if none accelerates."""
         if not self.moving:
             return None
-        a, accelerates = np.zeros(2 * self.n_rows), False
+        a = np.zeros(2 * self.n_rows)
+        accelerates = False
         for support in self.moving:
             second = support.amplitude.at(t, within)[2]
             a[support.unknowns] = second * support.largest
@@ -296,7 +300,9 @@ class System:
 
     def identity(self) -> dict[str, Array]:
         """Digests by name of the parts that decide the motion, but for law and settings."""
-        problem, space, mesh = self.problem, self.discretisation, self.problem.mesh
+        problem = self.problem
+        space = self.discretisation
+        mesh = self.problem.mesh
         held = [each.unknowns for each in self.supports]
         sides = {name: facet_nodes(mesh, each) for name, each in (mesh.boundaries or {}).items()}
         named = sides | {name: region(mesh, name) for name in mesh.subdomains or {}}
@@ -330,7 +336,9 @@ def system_of(problem: Problem, law: StressLaw) -> System:
 
 def _modulus(law: StressLaw, n_points: int) -> float:
     """Largest modulus of uniaxial strain at rest of any point, µN/µm."""
-    strain, found, still = 1e-4, [0.0], np.zeros((n_points, 2, 2))
+    strain = 1e-4
+    found = [0.0]
+    still = np.zeros((n_points, 2, 2))
     for k in (0, 1):
         F = np.tile(np.eye(2), (n_points, 1, 1))
         before = law.respond(F, still).stress[:, k, k]
@@ -355,9 +363,11 @@ def make_system(
     Raises:
         InputError: a condition names what the mesh has not, or two hold the same component.
     """
-    mesh, space = problem.mesh, make_discretisation(problem.mesh)
+    mesh = problem.mesh
+    space = make_discretisation(problem.mesh)
     per_element = np.broadcast_to(density, space.n_points)[:: space.points_per_element]
-    n_nodes, n = len(space.nodes), len(space.nodes) + len(problem.bodies)
+    n_nodes = len(space.nodes)
+    n = len(space.nodes) + len(problem.bodies)
     surface = [] if problem.surface is None else [make_surface(problem, space, n)]
 
     def assembled_mass(share: Array) -> Matrix:
@@ -418,7 +428,8 @@ def _supports(problem: Problem) -> tuple[Support, ...]:
 
 def _probes(problem: Problem, space: Discretisation, n: int) -> dict[str, Array]:
     """By name, the (n,) weights of displacements that are recorded."""
-    found, mesh = dict[str, Array](), problem.mesh
+    found = dict[str, Array]()
+    mesh = problem.mesh
     for name, at in problem.watched.items():
         nodes, weights = space.locate(np.array(at, dtype=np.float64), f"watched.{name}")
         found[f"displacement {name}"] = np.bincount(nodes, weights, n).astype(np.float64)
@@ -434,7 +445,8 @@ def _initial_velocity(problem: Problem, supports: tuple[Support, ...], n: int) -
     """(n, 2) velocities at t = 0; what is held has none. Raises `InputError` where one is given to
     nothing but what supports hold or move.
     """
-    velocity, held = np.zeros((n, 2)), np.zeros(2 * n, dtype=bool)
+    velocity = np.zeros((n, 2))
+    held = np.zeros(2 * n, dtype=bool)
     for support in supports:
         held[support.unknowns] = True
     for condition in problem.conditions:

@@ -25,8 +25,10 @@ from surrofe2.macro.settings import MacroSettings
 
 MAX_HALVINGS = 10
 NO_MEMORY: Array = np.empty(0)
-_SAFETY, _SHRINK = 0.9, 0.2
-_SMALLEST, _ROUNDING = 1e-10, 10.0
+_SAFETY = 0.9
+_SHRINK = 0.2
+_SMALLEST = 1e-10
+_ROUNDING = 10.0
 """Smallest step that an error may ask for, by the duration, and any step, by the spacing of t."""
 
 
@@ -63,7 +65,8 @@ class StepResult:
 
     def interpolate(self, t: float) -> Array:
         """(2 m,) y at a time within the step."""
-        start, end = self.start, self.end
+        start = self.start
+        end = self.end
         mean = (end.y - start.y) / self.length
         return start.y + self._integral(t, mean, start.rate, end.rate, self.bulge)
 
@@ -144,10 +147,12 @@ class Stepper:
         next_length: float | None = None,
         memory: Array = NO_MEMORY,
     ) -> None:
-        self._equations, self._method = equations, method
+        self._equations = equations
+        self._method = method
         self._largest = min(settings.largest_step, equations.system.problem.resolved_by)
         self._t_end = t_end
-        self.now, self.memory = start, memory
+        self.now = start
+        self.memory = memory
         self._work_before: Array | float = 0.0
         self.next_length = next_length or self._first_length("the run cannot start")
 
@@ -159,10 +164,13 @@ class Stepper:
 
         Raises:
             SimulationError: ten halvings in a row, or the error asks for a step below rounding."""
-        counts, control = self._equations.tally.counts, self._method.control
+        counts = self._equations.tally.counts
+        control = self._method.control
         if self.now.t >= self._equations.piece_end:
             self._cross_corner()
-        halvings, rejected, found = 0, False, None
+        halvings = 0
+        rejected = False
+        found = None
         while True:
             t = self._target()
             length = t - self.now.t
@@ -178,13 +186,16 @@ class Stepper:
                     raise SimulationError(
                         f"no time step succeeds after {MAX_HALVINGS} halvings: {failure}"
                     ) from failure
-                halvings, rejected, found = halvings + 1, False, None
+                halvings = halvings + 1
+                rejected = False
+                found = None
                 self.next_length = 0.5 * length
                 continue
             found = None
             if start is None:
                 counts["rejected_steps"] += 1
-                rejected, self.next_length = True, length * control.ratio(trial.error)
+                rejected = True
+                self.next_length = length * control.ratio(trial.error)
                 if self.next_length < _SMALLEST * self._t_end:
                     raise SimulationError(
                         f"time integration stopped at t = {self.now.t:.6g} µs: the error "
@@ -200,7 +211,8 @@ class Stepper:
             self.next_length = min(self._largest, longest)
             self.now = self._equations.grip(start)
             self.memory = trial.memory
-            work, self._work_before = self._work_before, 0.0
+            work = self._work_before
+            self._work_before = 0.0
             return replace(trial, work_before=work)
 
     def _tried(self, t: float, found: Switched | None) -> StepResult:
@@ -214,7 +226,8 @@ class Stepper:
     def _target(self) -> float:
         """Time to step to."""
         t = self.now.t
-        left, h = self._end() - t, min(self.next_length, self._largest)
+        left = self._end() - t
+        h = min(self.next_length, self._largest)
         h = max(h, _ROUNDING * float(np.spacing(t)))
         if h * (1.0 + 1e-9) >= left:
             return self._end()
@@ -342,7 +355,8 @@ class DormandPrince:
     def first_length(self, start: Evaluation, t_end: float) -> float:
         """Hairer, Nørsett and Wanner 1993, Solving Ordinary Differential Equations I, II.4."""
         allowed = self._allowed(abs(start.y))
-        size, speed = _root_mean_square(start.y / allowed), _root_mean_square(start.rate / allowed)
+        size = _root_mean_square(start.y / allowed)
+        speed = _root_mean_square(start.rate / allowed)
         short = 1e-6 if min(size, speed) < 1e-5 else 0.01 * size / speed
         short = min(short, t_end - start.t)
         ahead = self.rhs(start.t + short, start.y + short * start.rate)
@@ -354,7 +368,8 @@ class DormandPrince:
         self, start: Evaluation, end: Evaluation, impulses: Array, rates: Array
     ) -> float:
         """Kinetic energy gained less work of all forces, relative to what is allowed."""
-        before, after = start.y[start.y.size // 2 :], end.y[end.y.size // 2 :]
+        before = start.y[start.y.size // 2 :]
+        after = end.y[end.y.size // 2 :]
         # The gain is the impulse times the mean velocity, M (v₁ − v₀) · (v₀ + v₁)/2.
         gained = 0.5 * (before + after) @ (WEIGHTS[-1] @ impulses[:-1])
         works = np.einsum("sm,sm->s", rates[:-1, : before.size], impulses[:-1])

@@ -40,10 +40,13 @@ FEWEST_PIXELS = 9
 FEWEST_CELLS = 3
 _ALIGNED = 0.5
 """Alignment below which an RVE is not stretched: cells that are laid out at random reach 0.4."""
-_MOST_VARIATION, _MOST_ELONGATION = 0.6, 6.0
-_SEEDS, _ENOUGH = 20, 3
+_MOST_VARIATION = 0.6
+_MOST_ELONGATION = 6.0
+_SEEDS = 20
+_ENOUGH = 3
 """Seeds that are tried at most, and of how many the best is taken."""
-_CORRECTIONS, _NEAR = 3, 0.03
+_CORRECTIONS = 3
+_NEAR = 0.03
 """How often what is laid out is corrected for what is left of it at rest, and the relative
 difference at which it is near enough."""
 _LEAST_SHAPE = 1e-3
@@ -290,7 +293,8 @@ def _corners_of_four(labels: Labels) -> int:
 def _moments(labels: Labels, number: Index) -> tuple[Array, Array, Array]:
     """(n,) aspect ratios and directions in degrees, (n, 2) centres in pixels, of numbered cells."""
     rows, columns = np.nonzero(labels)
-    x, y = columns + 0.5, labels.shape[0] - 0.5 - rows
+    x = columns + 0.5
+    y = labels.shape[0] - 0.5 - rows
     which = labels[rows, columns]
 
     def mean(values: Any) -> Array:
@@ -302,7 +306,8 @@ def _moments(labels: Labels, number: Index) -> tuple[Array, Array, Array]:
     xx = mean(x * x) - centre[:, 0] ** 2 + 1.0 / 12.0
     yy = mean(y * y) - centre[:, 1] ** 2 + 1.0 / 12.0
     xy = mean(x * y) - centre[:, 0] * centre[:, 1]
-    half, deviation = (xx + yy) / 2.0, np.hypot((xx - yy) / 2.0, xy)
+    half = (xx + yy) / 2.0
+    deviation = np.hypot((xx - yy) / 2.0, xy)
     aspect = np.sqrt((half + deviation) / (half - deviation))
     return aspect, np.rad2deg(np.arctan2(2.0 * xy, xx - yy) / 2.0), centre
 
@@ -337,7 +342,8 @@ def polygons_at_rest(cell: CellParameters) -> tuple[list[Array], Array]:
     The periods are the columns of the (2, 2) lattice.
     """
     reference = RveLaw(cell).reference
-    position, lattice = reference.position, reference.lattice
+    position = reference.position
+    lattice = reference.lattice
     rims = make_arrangement(cell).rims
     return [position[rim[:, 0]] + rim[:, 1:] @ lattice.T for rim in rims], lattice
 
@@ -436,7 +442,8 @@ def rve_like(
     }
     aim = replace(wanted, area_variation=variation)
     best: LikeCells | None = None
-    settled, refused = 0, list[InputError]()
+    settled = 0
+    refused = list[InputError]()
     for seed in range(1, 1 + _SEEDS):
         entries["arrangement_seed"] = seed
         try:

@@ -15,7 +15,8 @@ from surrofe2.report.figures import draw_scale_bar
 from surrofe2.run.charts import BLUE, VERMILION
 
 _LEAF = (0.80, 0.90, 0.74)
-_CUT, _HOLE = (0.88, 0.88, 0.88), (1.0, 1.0, 1.0)
+_CUT = (0.88, 0.88, 0.88)
+_HOLE = (1.0, 1.0, 1.0)
 _SHADES = 0.12
 """By how much the colours of neighbours differ."""
 _OF_AXIS = 0.7
@@ -60,11 +61,14 @@ def outlines_figure(
         )
         places[1].add_collection(polygons_of_cells)
         places[1].set_title("RVE at rest (blue), repeated, at the same scale", fontsize=9)
-        low, high = corners.min(axis=0), corners.max(axis=0)
+        low = corners.min(axis=0)
+        high = corners.max(axis=0)
         size = np.maximum(high - low, [width, height])
         middle = (low + high) / 2.0
         _finish(places[1], middle - size / 2.0, middle + size / 2.0)
-    across, up = np.ptp(place.get_xlim()), np.ptp(place.get_ylim())  # with the scale bar
+    # with the scale bar
+    across = np.ptp(place.get_xlim())
+    up = np.ptp(place.get_ylim())
     figure.set_size_inches(len(places) * _HEIGHT * min(max(across / up, 0.6), 1.8), _HEIGHT)
     return figure
 

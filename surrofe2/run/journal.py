@@ -46,12 +46,15 @@ class Journal:
 
     def written(self, rows: Mapping[str, Array]) -> Journal:
         """With (m, …) rows of some series behind those that are there."""
-        room, lengths = dict(self.room), dict(self.lengths)
+        room = dict(self.room)
+        lengths = dict(self.lengths)
         for name, values in rows.items():
             if name not in room:
-                room[name], lengths[name] = np.array(values, dtype=np.float64), len(values)
+                room[name] = np.array(values, dtype=np.float64)
+                lengths[name] = len(values)
                 continue
-            first, last = lengths[name], lengths[name] + len(values)
+            first = lengths[name]
+            last = lengths[name] + len(values)
             if last > len(room[name]):
                 larger = np.empty((2 * last, *room[name].shape[1:]))
                 larger[:first] = room[name][:first]

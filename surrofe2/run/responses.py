@@ -11,7 +11,8 @@ import numpy as np
 from surrofe2.base.arrays import Array
 from surrofe2.base.units import number
 
-STRESS_NAME, STRAIN_NAME = "nominal stress", "nominal strain"
+STRESS_NAME = "nominal stress"
+STRAIN_NAME = "nominal strain"
 """Beginnings of columns: force over unloaded section and thickness in MPa, and displacement over
 the unloaded length of the tissue in its direction."""
 _SEEN = 0.02
@@ -72,12 +73,14 @@ class Response:
         if not some.size:
             return None
         first = max(0, some[0] - 1)  # the last point without force
-        u, force = self.displacement[first:] - self.displacement[first], self.force[first:]
+        u = self.displacement[first:] - self.displacement[first]
+        force = self.force[first:]
         _, places = np.unique(np.round(u / abs(u).max(initial=1e-300), 9), return_index=True)
         places = np.sort(places)[:3]
         if len(places) < 3:
             return None
-        u, force = u[places], force[places]
+        u = u[places]
+        force = force[places]
         near, far = ((force[k] - force[0]) / u[k] for k in (1, 2))
         return float(near + (near - far) * u[1] / (u[2] - u[1]))
 

@@ -36,7 +36,9 @@ from surrofe2.tissue.layout import Tissue
 from surrofe2.tissue.outline import area_within, on_outline, outlines, rings_of
 
 _LOADS = (BodyForce, Traction, Pressure, Foundation)
-STIFFNESS, SMOOTHING, SLIP = 4.0, 0.002, 1e-6
+STIFFNESS = 4.0
+SMOOTHING = 0.002
+SLIP = 1e-6
 """Of contact: by the wall stiffness over a spring's length, eight times what the wall along a
 boundary holds its particles by; of a spring's length, over which contact sets in; of the wave
 speed, the slip speed. There is no dashpot unless stated: a boundary of particles has its mass."""
@@ -57,8 +59,10 @@ class Conditions:
 
     def boundary(self, name: str) -> Index:
         """Numbers of the wall particles of a boundary, increasing."""
-        indices, mesh = np.unique(self._outer[:, 0]), self.problem.mesh
-        points, part = self.outline_places[indices], self.problem.boundaries.get(name)
+        indices = np.unique(self._outer[:, 0])
+        mesh = self.problem.mesh
+        points = self.outline_places[indices]
+        part = self.problem.boundaries.get(name)
         if part is not None:
             indices = indices[part.holds(points)]
         else:  # on a side of the mesh: no detour between its ends
@@ -203,7 +207,8 @@ class Conditions:
         mass = self.tissue.to_particles(self.tissue.mass)
         total = np.zeros((2, self.tissue.particles))
         for body in self.problem.bodies:
-            lengths, (k, _, c, *_) = self.lengths(body.on), self.contact_law(body)
+            lengths = self.lengths(body.on)
+            k, _, c, *_ = self.contact_law(body)
             law = np.array([[k], [c]])
             total[:, self.boundary(body.on)] += law * lengths
             if body.mass is not None:
@@ -232,10 +237,13 @@ class Conditions:
             for n, load in enumerate(self.loads) if isinstance(load, Foundation)
             for i, length in zip(self.boundary(load.on), self.lengths(load.on), strict=True)
         ]  # fmt: skip
-        bonds, feet = np.array(pressed).reshape(-1, 4), np.array(based).reshape(-1, 6)
-        bonded, base = bonds[:, 2:].ravel().astype(np.int64), feet[:, 1].astype(np.int64)
+        bonds = np.array(pressed).reshape(-1, 4)
+        feet = np.array(based).reshape(-1, 6)
+        bonded = bonds[:, 2:].ravel().astype(np.int64)
+        base = feet[:, 1].astype(np.int64)
         owners = np.append(np.repeat(bonds[:, 0], 2), feet[:, 0])
-        everyone, nothing = np.append(bonded, base), np.zeros((len(owners), 2))
+        everyone = np.append(bonded, base)
+        nothing = np.zeros((len(owners), 2))
         pressed_off = offset[bonded]
         if self.tissue.cell.has_uniform_fluid:
             pressed_off = np.zeros_like(pressed_off)
@@ -264,7 +272,8 @@ class Conditions:
 
     def _part_of(self, condition: Condition) -> Array:
         """(particles,) part of each that belongs to plant cells of a region; without one, all."""
-        tissue, name = self.tissue, condition.on
+        tissue = self.tissue
+        name = condition.on
         if name is None:
             return np.ones(tissue.particles)
         is_there = tissue.kind >= 0

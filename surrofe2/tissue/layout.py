@@ -205,14 +205,16 @@ class Tissue:
     def outline(self) -> Index:
         """(k, 2) bonds along the outline, the tissue on their left."""
         i, j, kinds = self._joined()
-        pairs, is_filled = np.stack([i, j], axis=-1), kinds >= 0
+        pairs = np.stack([i, j], axis=-1)
+        is_filled = kinds >= 0
         forth = pairs[is_filled[..., 0] & ~is_filled[..., 1]]
         back = pairs[is_filled[..., 1] & ~is_filled[..., 0]]
         return np.concatenate([forth, back[:, ::-1]])
 
     def _joined(self) -> tuple[Index, Index, Index]:
         """(places, b) particles of each bond, (places, b, 2) types of the cells on both sides."""
-        walls, number = walls_of(self.arrangement), self.number
+        walls = walls_of(self.arrangement)
+        number = self.number
         there = self.places_at(walls.bonds[:, 2:])
         j = np.where(there >= 0, number[there, walls.bonds[:, 1]], -1)
         return number[:, walls.bonds[:, 0]], j, self.kinds_at(walls.cell, walls.shift)
@@ -282,7 +284,8 @@ def make_tissue(
         InputError: a type is not arranged as the first, or not as large or as finely divided.
         MismatchError: a reference is of another cell.
     """
-    cell, kind = types[0], kind.reshape(*kind.shape[:2], -1)
+    cell = types[0]
+    kind = kind.reshape(*kind.shape[:2], -1)
     for each, reference in zip(types, references, strict=True):
         _check_alike(each, cell)
         reference.check_belongs_to(each)
@@ -310,7 +313,8 @@ def make_tissue(
     place = np.full(shape, -1)
     place[tuple(column_row[filled].T)] = filled
 
-    walls, own = arrangement.walls, arrangement.particles
+    walls = arrangement.walls
+    own = arrangement.particles
     mass = _masses(types, arrangement, members, kind, column_row, lowest)
     types_of = _kinds_at(kind, column_row, lowest, members.cell, members.shift)
     of_place = np.zeros((len(column_row), own), dtype=np.int64)
@@ -361,7 +365,8 @@ def rest_areas(cell: CellParameters, reference: ReferenceState, arrangement: Arr
 
 def _check_alike(cell: CellParameters, first: CellParameters) -> None:
     for name in _ALIKE:
-        here, there = cell.to_dict()[name], first.to_dict()[name]
+        here = cell.to_dict()[name]
+        there = first.to_dict()[name]
         if here != there:
             both = f"{here} and {there}" if isinstance(here, str) else f"{here:g} and {there:g}"
             raise InputError(f"cell.{name}: {both}; plant cells of one tissue must share it")

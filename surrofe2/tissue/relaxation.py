@@ -40,7 +40,9 @@ LONGEST = 2e-3
 """µs; accuracy needs no less on the paper's cells."""
 OF_LIMIT = 0.87
 """Of the limit at rest, as deformed cells are stiffer; `LONGEST` takes as much of `printed`'s."""
-_SIZINGS, _SAME_SIZE, _ROUGHLY = 5, 0.005, 1e-4
+_SIZINGS = 5
+_SAME_SIZE = 0.005
+_ROUGHLY = 1e-4
 """How often rest lengths are corrected until the area at rest is that of an image, the relative
 difference that is left, and the force left on a particle then, of a wall's tension."""
 _POWERS = 100
@@ -59,7 +61,8 @@ def relax(dynamics: TissueDynamics, residual: float) -> Array:
     Raises:
         SimulationError: no equilibrium within `LIMIT` steps, or the tissue collapses.
     """
-    tissue, start = dynamics.tissue, dynamics.x
+    tissue = dynamics.tissue
+    start = dynamics.x
     stiffest = max(each.wall_stiffness for each in tissue.types)
     # Of wall particles, which are whole inside; a boundary halves springs and masses alike.
     lightest = min(each.wall_particle_mass for each in tissue.types)
@@ -79,7 +82,8 @@ def relax(dynamics: TissueDynamics, residual: float) -> Array:
 def _settle(dynamics: TissueDynamics, residual: float, step: float, frequency: float) -> Array:
     mass = dynamics.mass[:, None]
     drag = _FIRST_DRAG * frequency
-    x, f = dynamics.x, dynamics.forces(ELASTIC)
+    x = dynamics.x
+    f = dynamics.forces(ELASTIC)
     for _ in range(0, LIMIT, STRETCH):
         implicit = 1.0 + 0.5 * drag * step
         drifts = np.full(STRETCH, step)
@@ -87,7 +91,10 @@ def _settle(dynamics: TissueDynamics, residual: float, step: float, frequency: f
             drifts / implicit, drifts, factors=ELASTIC,
             retained=(1.0 - 0.5 * drag * step) / implicit,
         )  # fmt: skip
-        x_before, f_before, x, f = x, f, dynamics.x, dynamics.forces(ELASTIC)
+        x_before = x
+        f_before = f
+        x = dynamics.x
+        f = dynamics.forces(ELASTIC)
         if np.hypot(*(f * dynamics.free).T).max() <= residual:
             dynamics.place(x)
             return x
@@ -173,7 +180,8 @@ def _without_pressure(stretched: Callable[[float], Tissue]) -> float:
         return float(np.sum(dynamics.x * dynamics.forces(ELASTIC)))
 
     # forces are linear in the rest lengths
-    without, whole = virial(stretched(0.0)), virial(stretched(1.0))
+    without = virial(stretched(0.0))
+    whole = virial(stretched(1.0))
     return without / (without - whole)
 
 
@@ -209,7 +217,8 @@ def stable_step_of(tissue: Tissue, outside: tuple[float, float] = (0.0, 0.0)) ->
 
     mass = dynamics.mass[:, None]
     kappa, c = (_largest(product, mass) for product in (stiffness, damping))
-    kappa, c = kappa + outside[0], c + outside[1]
+    kappa = kappa + outside[0]
+    c = c + outside[1]
     return (sqrt(c * c + 4.0 * kappa) - c) / kappa
 
 

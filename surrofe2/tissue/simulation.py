@@ -193,14 +193,17 @@ class Recorder:
         dynamics: TissueDynamics,
         keep_frame: KeepFrame | None = None,
     ) -> None:
-        self._conditions, self._dynamics = conditions, dynamics
+        self._conditions = conditions
+        self._dynamics = dynamics
         self._keep_frame = keep_frame
         self.identity = identity(conditions, settings)
-        problem, tissue = conditions.problem, conditions.tissue
+        problem = conditions.problem
+        tissue = conditions.tissue
         self._t = problem.output_times()
         frames = np.linspace(0.0, problem.duration, settings.frames)
         self._frame_rows = np.searchsorted(self._t * (1.0 + 1e-12), frames)
-        start, points = tissue.to_particles(tissue.start), problem.watched.values()
+        start = tissue.to_particles(tissue.start)
+        points = problem.watched.values()
         self._watched = [np.hypot(*(start - point).T).argmin() for point in points]
         self._means = [
             (conditions.boundary(name), conditions.lengths(name))
@@ -211,7 +214,8 @@ class Recorder:
 
     def begin(self) -> None:
         """Record the tissue at rest and, with its first velocities, t = 0."""
-        dynamics, conditions = self._dynamics, self._conditions
+        dynamics = self._dynamics
+        conditions = self._conditions
         relaxed = dynamics.x
         self._started = clock()
         dynamics.counts.clear()
@@ -249,10 +253,13 @@ class Recorder:
             works: (loads + 4,) since then, of the loads, of `acceleration` on bodies, of what moves
                 supports and bodies, lost in contact and in the tissue, pJ.
         """
-        dynamics, before = self._dynamics, self.state
+        dynamics = self._dynamics
+        before = self.state
         dynamics.counts["steps"] += steps
-        row, t = before.rows, self._t[before.rows]
-        x, v = dynamics.x, dynamics.v
+        row = before.rows
+        t = self._t[before.rows]
+        x = dynamics.x
+        v = dynamics.v
         u = x - before.relaxed
         works = before.journal["rows"][-1:, -len(works) :].sum(axis=0) + works
         journal = before.journal.written({"rows": self._row(t, u, works)[None]})
@@ -283,9 +290,12 @@ class Recorder:
 
     def _row(self, t: float, u: Array, works: Array) -> Array:
         """What `columns_of` lists at displacements u; stored energy is not counted from t = 0."""
-        dynamics, bodies, conditions = self._dynamics, self._dynamics.bodies, self._conditions
+        dynamics = self._dynamics
+        bodies = self._dynamics.bodies
+        conditions = self._conditions
         factors = np.array([each.at(t, t)[0] for each in conditions.load_amplitudes])
-        kinetic, elastic = dynamics.kinetic_energy(), dynamics.elastic_energy(factors)
+        kinetic = dynamics.kinetic_energy()
+        elastic = dynamics.elastic_energy(factors)
         start = np.array([body.position for body in conditions.problem.bodies])
         vectors = [
             *u[self._watched],
@@ -303,7 +313,8 @@ class Recorder:
         Supports give what their particles need: M a − forces − loads.
         """
         dynamics = self._dynamics
-        needed, pulled = -dynamics.f, dynamics.outline.total.copy()
+        needed = -dynamics.f
+        pulled = dynamics.outline.total.copy()
         for n, factor in enumerate(factors):
             pull = factor * dynamics.loads[n]
             needed -= pull
@@ -318,7 +329,8 @@ class Recorder:
 
     def run(self, finished: bool) -> TissueRun:
         """The results so far."""
-        state, tissue = self.state, self._dynamics.tissue
+        state = self.state
+        tissue = self._dynamics.tissue
         problem = self._conditions.problem
         columns = named_columns(columns_of(self._conditions), state.journal["rows"])
         curves = curves_of(self._t[: state.rows], columns)
@@ -429,8 +441,10 @@ def simulate_tissue(
             progress=progress, checkpoint=checkpoint, interval=checkpoint_interval,
         )  # fmt: skip
     except SimulationError as error:
-        step, limit = settings.micro_step or 0.0, step_at_rest(conditions)
-        remedy, default = "lower the load, or the step", rounded_step(limit)
+        step = settings.micro_step or 0.0
+        limit = step_at_rest(conditions)
+        remedy = "lower the load, or the step"
+        default = rounded_step(limit)
         if step > default:
             remedy = f"the step is too long; leave it out or take {default:g}"
         message = (
@@ -477,7 +491,8 @@ def outlined_conditions(
         raise InputError(f"image: {len(types)} types of cells; the outlines of an image take one")
     if not types[0].has_uniform_fluid:
         raise InputError("image: cell.fluid is sph; the outlines of an image take uniform")
-    tessellation, rings = outlined.arrangement.tessellation, outlines(problem.mesh)
+    tessellation = outlined.arrangement.tessellation
+    rings = outlines(problem.mesh)
     middles = [centroid(tessellation.corners(k)) for k in range(len(tessellation.polygons))]
     within = are_within(np.array(middles), rings)
     inside = outlined.is_cell & within
@@ -508,7 +523,8 @@ def _with_bodies_outside(conditions: Conditions) -> Conditions:
 
 def step_at_rest(conditions: Conditions) -> float:
     """The longest step, µs, that each type of plant cell bears, with what acts on the outline."""
-    tissue, outside = conditions.tissue, conditions.stiffest()
+    tissue = conditions.tissue
+    outside = conditions.stiffest()
     if tissue.arrangement.wall_of_bond is not None:  # its plant cells are all different
         return stable_step_of(tissue, outside)
     types = zip(tissue.types, tissue.references, strict=True)
@@ -521,7 +537,8 @@ def step_note(settings: TissueSettings, conditions: Conditions) -> str:
     Args:
         settings: with their step, as of `with_step`.
     """
-    tissue, outside = conditions.tissue, conditions.stiffest()
+    tissue = conditions.tissue
+    outside = conditions.stiffest()
     modulus = max(cell.sap_bulk_modulus for cell in tissue.types)
     if tissue.arrangement.wall_of_bond is not None:
         constants = tuple(each._replace(sap_modulus=0.0) for each in tissue.constants)
@@ -555,7 +572,9 @@ def with_step(settings: TissueSettings, conditions: Conditions) -> TissueSetting
             any size without an error.
     """
     bears = step_at_rest(conditions)
-    step, longest, default = settings.micro_step, OF_LIMIT * bears, rounded_step(bears)
+    step = settings.micro_step
+    longest = OF_LIMIT * bears
+    default = rounded_step(bears)
     if step is None:
         return replace(settings, micro_step=default)
     if step > longest * (1.0 + 1e-9):
@@ -587,7 +606,8 @@ def plant_cells_within(
             f"conditions: one acts {place}, on a node of the mesh; a tissue of particles takes "
             "boundaries and regions alone"
         )
-    mesh, (low, high) = problem.mesh, extent(problem.mesh)
+    mesh = problem.mesh
+    low, high = extent(problem.mesh)
     rings = outlines(mesh)
     if cell.arrangement == "square" and _is_rectangle(rings, high):
         _check_whole_squares(high, cell, section)
@@ -687,12 +707,14 @@ def advance(
     count = -(-total // samples)
     length = (end - start) / samples
     step = length / count
-    kicks, drifts = np.full(count + 1, step), np.full(count + 1, step)
+    kicks = np.full(count + 1, step)
+    drifts = np.full(count + 1, step)
     kicks[[0, -1]] *= 0.5
     drifts[-1] = 0.0
     motions = conditions.motions
     dynamics.take_works()
-    dissipated, rate = 0.0, dynamics.dissipation_rate()
+    dissipated = 0.0
+    rate = dynamics.dissipation_rate()
     for k in range(samples):
         t = start + k * length + step * np.arange(count + 1)
         amplitudes, values = (
@@ -703,7 +725,8 @@ def advance(
         last = [each.at(t[-1], t[-1])[1] for each in motions]
         speeds = np.concatenate([np.diff(values, axis=0) / step, [last]])
         dynamics.leap(kicks, drifts, amplitudes, speeds)
-        rate_before, rate = rate, dynamics.dissipation_rate()
+        rate_before = rate
+        rate = dynamics.dissipation_rate()
         dissipated += 0.5 * length * (rate_before + rate)
     works = np.append(dynamics.take_works(), dissipated)
     if not np.isfinite(works).all():
@@ -713,7 +736,8 @@ def advance(
 
 def identity(conditions: Conditions, settings: TissueSettings) -> Array:
     """Numbers that two runs share if one may continue where the other stopped."""
-    problem, tissue = conditions.problem, conditions.tissue
+    problem = conditions.problem
+    tissue = conditions.tissue
     outputs = problem.output_interval, *(problem.times or ())
     stated = problem.conditions, problem.bodies, problem.duration, *outputs
     watched = [*problem.watched.items()]

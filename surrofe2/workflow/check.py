@@ -56,7 +56,9 @@ _LEAST_REACHED = 0.01
 """Of the load of a dry rest, from which on its whole cost is extrapolated."""
 _FRAMES = 21
 """Of a dry run, by which its largest displacement is known."""
-_TIMED_STEPS, _TIMED_POINTS, _TIMED_SECONDS = 24, 128, 3.0
+_TIMED_STEPS = 24
+_TIMED_POINTS = 128
+_TIMED_SECONDS = 3.0
 """RVEs are timed along the second half of so many last steps of a dry run, since the first are cold
 and without a prediction; none is begun after so much processor time."""
 _MOST_PARTS = 30
@@ -125,7 +127,8 @@ def parts_of_mesh(recipe: Recipe) -> list[str]:
         f"x from {low[0]:.6g} to {high[0]:.6g} µm, y from {low[1]:.6g} to {high[1]:.6g} µm, "
         f"{area:,.6g} µm²"
     ]
-    boundaries, regions = mesh.boundaries or {}, mesh.subdomains or {}
+    boundaries = mesh.boundaries or {}
+    regions = mesh.subdomains or {}
     for name, facets in [*boundaries.items()][:_MOST_PARTS]:
         inner = np.count_nonzero(mesh.f2t[1, facets] != -1)
         within = f", {inner:,} of them within the tissue" if inner else ""
@@ -234,7 +237,8 @@ class _Recorder(WatchedLaw):
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
     ) -> StressResponse:
-        self.calls, self.points = self.calls + 1, len(F)
+        self.calls = self.calls + 1
+        self.points = len(F)
         return super().respond(F, F_dot, state, tangents=tangents)
 
     def _note(self, F: Array, F_dot: Array) -> None:
@@ -264,7 +268,8 @@ def dry_run(recipe: Recipe, seconds: float = SECONDS, report: Report = no_report
         coarser = _coarser(mesh, max(1, math.ceil(math.log(2.0 * needed / left, 16.0))))
         if coarser is None:
             break
-        mesh, best = coarser, _dry_run(coarser, left, report)
+        mesh = coarser
+        best = _dry_run(coarser, left, report)
     found = replace(best, points=first.points * 4**halvings, calls=first.calls * 4.0**halvings)
     until = f"what is met after {best.reached * recipe.duration:.3g} of {recipe.duration:g} µs"
     return found if best.reached >= 1.0 else replace(found, omitted=until)
@@ -325,7 +330,8 @@ def _dry_run(recipe: Recipe, seconds: float, report: Report) -> DryRun:
     except SimulationError as error:
         raise SimulationError(f"check: the dry run by the quadratic law: {error}") from error
     # the first steps are shorter than most: the second half says how the run continues
-    (t, calls), (then, before) = marks[-1], marks[(len(marks) - 1) // 2]
+    t, calls = marks[-1]
+    then, before = marks[(len(marks) - 1) // 2]
     remaining = (recipe.duration - t) / (t - then) if t > then else 0.0
     return _tried(
         recorders,
@@ -389,7 +395,8 @@ def dry_rest(recipe: Recipe, seconds: float = SECONDS, report: Report = no_repor
         coarser = _coarser(mesh, max(1, math.ceil(math.log(2.0 * needed / left, 8.0))))
         if coarser is None:
             break
-        mesh, best = coarser, _dry_rest(coarser, left, report)
+        mesh = coarser
+        best = _dry_rest(coarser, left, report)
     found = replace(best, points=first.points * 4**halvings)
     until = f"what is met after {100.0 * best.reached:.3g} % of the load"
     return found if best.reached >= 1.0 else replace(found, omitted=until)

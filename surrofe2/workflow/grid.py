@@ -92,7 +92,8 @@ def run_grid(
     check_form(form)
     chosen = [Chosen.read(text) for text in quantities]
     prepare(executor)
-    path, out = Path(path).resolve(), Path(out).resolve()
+    path = Path(path).resolve()
+    out = Path(out).resolve()
     surrogates, runs = _planned(path, values, laws, out)
     if threads is None and isinstance(executor, Processes):
         threads = max(1, cores() // executor.workers)
@@ -147,7 +148,8 @@ def _planned(
         count *= len(each)
         if not 0 < count <= MOST_RUNS:
             raise InputError(f"{name}: {count:,} runs; a grid has 1 to {MOST_RUNS:,}")
-    base, checked = load_recipe(path), list[Any]()
+    base = load_recipe(path)
+    checked = list[Any]()
     surrogates: dict[Path, tuple[CellStudy, bool]] = {}
     runs: dict[str, _Run] = {}
     for combination in itertools.product(*values.values()):

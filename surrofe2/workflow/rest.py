@@ -117,7 +117,8 @@ def rest_study(
     of_run = law_of_run(recipe, problem, kind, folder, surrogates, tables)
     law = of_run.law
     problem = laws.with_surface(recipe, problem)
-    timer, before = Meter(), seconds_compiling()
+    timer = Meter()
+    before = seconds_compiling()
     answered: dict[str, Any] = {}  # what the record will say of the error of the answer
     frames = FrameFiles(folder, make_discretisation(problem.mesh), law)
 
@@ -305,7 +306,9 @@ def response_lines(folder: Path, record: RunRecord) -> list[str]:
 
 def rest_summary(record: RunRecord) -> str:
     """Where the tissue came to rest, what it cost, and whether walls buckled on the way."""
-    counts, end, wall = record.counts, record.recipe["rest"], record.wall_time
+    counts = record.counts
+    end = record.recipe["rest"]
+    wall = record.wall_time
     u_x, u_y = record.met["watched"]
     back = Counter(record.rolled_back)
     text = (

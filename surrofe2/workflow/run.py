@@ -109,7 +109,8 @@ def run_study(
     if kind == "table":
         laws.check_solver(recipe)
     recipe = replace(recipe, rest=None)  # in time, whatever the recipe states
-    before, problem = seconds_compiling(), recipe.problem()
+    before = seconds_compiling()
+    problem = recipe.problem()
     with recipe.named(InputError):
         problem.check_course()
     of_run = law_of_run(recipe, problem, kind, folder, surrogates, tables)
@@ -301,7 +302,8 @@ def save_run(run: MacroRun, folder: str | Path, *, fresh: bool = False) -> RunRe
         FileError: the folder cannot be written, or has files but no run.
         MismatchError: it has a run of other settings.
     """
-    folder, record = Path(folder), _record_of(run)
+    folder = Path(folder)
+    record = _record_of(run)
 
     def store(record: RunRecord, result: MacroRun) -> RunRecord:
         record = with_results(record, result)
@@ -355,7 +357,8 @@ class FrameFiles:
         self._fields.write(count, float(frame.t[0]), *fields.fields_of_elements(frame))
         if not len(frame.point_t):
             return
-        u, v = frame.displacement[0], frame.velocity[0]
+        u = frame.displacement[0]
+        v = frame.velocity[0]
         F, F_dot, _ = deformation_gradient(self._space, u, v)
         at_points = {
             fields.DISPLACEMENT_NAME: self._space.at_points(u),
@@ -389,7 +392,8 @@ def with_results(
     record: RunRecord, run: MacroRun, tables: Mapping[CellName, StressTable] = MappingProxyType({})
 ) -> RunRecord:
     """The record with what a run, whole or not, met and cost, and what its tables began with."""
-    driver, begun = driver_at_work(), sum(table.seconds for table in tables.values())
+    driver = driver_at_work()
+    begun = sum(table.seconds for table in tables.values())
     record = with_costs(record, run, tables)
     penetration = {
         name.removeprefix("penetration "): float(depth.max(initial=0.0))
@@ -417,7 +421,8 @@ def with_costs(
     record: RunRecord, run: MacroRun | Rest, tables: Mapping[CellName, StressTable]
 ) -> RunRecord:
     """The record with what the answers of the law cost, and what its caches report."""
-    counts, back = Counter({**run.counts, **run.effort}), Counter(run.rolled_back)
+    counts = Counter({**run.counts, **run.effort})
+    back = Counter(run.rolled_back)
     # audits and what tables learn are RVE solves like others, and named besides
     for of in caches_of(run.cache).values():
         audits = of["audit"]["audited"] + of["closing_audit"]["audited"]
@@ -575,7 +580,8 @@ def _law_entries(law: Any) -> dict[str, Any]:
     law = own_part(law)
     if isinstance(law, CachedLaw):
         learnt = _law_entries(law.surrogate)["surrogate"]
-        kind, cache = "cached" if learnt else "table", asdict(law.settings)
+        kind = "cached" if learnt else "table"
+        cache = asdict(law.settings)
         return {**_law_entries(law.fallback), "kind": kind, "cache": cache, "surrogate": learnt}
     found: dict[str, Any] = {"kind": type(law).__name__, "fingerprint": "none"}
     found |= {name: {} for name in ("cell", "rve", "cache", "surrogate")}
@@ -598,7 +604,8 @@ def _stated_problem(problem: Problem) -> dict[str, Any]:
     digest = hashlib.sha256()
     for part in (problem.mesh.p.T, element_nodes(problem.mesh)):
         digest.update(np.ascontiguousarray(part).tobytes())
-    (width, height), elements = (high - low).tolist(), problem.mesh.nelements
+    width, height = (high - low).tolist()
+    elements = problem.mesh.nelements
     mesh = {"file": None, "width": width, "height": height, "elements": elements}
     acts = sections_of(problem.conditions, problem.bodies, problem.watched)
     time = {
@@ -613,7 +620,8 @@ def _stated_problem(problem: Problem) -> dict[str, Any]:
 def run_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
     """Notes on tolerance, steps, contact, free sides, cache and ranks, each with whether it is a
     warning; the last one of a cached run is what its closing audit guarantees."""
-    steps, of = record.counts["steps"], record.problem
+    steps = record.counts["steps"]
+    of = record.problem
     yield from tolerance_notes(record, recipe)
     yield from relaxation_notes(record.met)
     if recipe.macro.integrator == "implicit" and steps > MOST_IMPLICIT_STEPS:
@@ -634,8 +642,10 @@ def run_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
     yield from laws.surface_notes(record)
     yield from cache_notes(record)
     if record.ranks is not None:  # what rank 0 takes for itself bounds what more ranks can do
-        wall, ranks = record.wall_time, record.ranks
-        total, away = wall["total"], ranks["computing"] + ranks["messages"]
+        wall = record.wall_time
+        ranks = record.ranks
+        total = wall["total"]
+        away = ranks["computing"] + ranks["messages"]
         shares = {
             "assembly and time stepping on rank 0": wall["macro"],
             "what the law decides there": max(0.0, wall["law"] - away),
@@ -705,7 +715,9 @@ def tolerance_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bo
 
 def run_summary(record: RunRecord) -> str:
     """What a finished run did and what it cost."""
-    wall, counts, back = record.wall_time, record.counts, Counter(record.rolled_back)
+    wall = record.wall_time
+    counts = record.counts
+    back = Counter(record.rolled_back)
     buckling = buckling_sentence(record)
     return (
         f"{record.duration:g} µs by {record.law} in "

@@ -81,7 +81,8 @@ def tissue_of(recipe: Recipe) -> TissueParts:
         FileError: its image cannot be read.
         InputError: naming what a tissue of particles does not take.
     """
-    problem, section = recipe.problem(), "load" if recipe.is_bar else "mesh"
+    problem = recipe.problem()
+    section = "load" if recipe.is_bar else "mesh"
     cells = [each.parameters for each in recipe.cells.values()]
     kind: Index | None = None
     outlined: Outlined | None = None
@@ -221,7 +222,8 @@ def run_tissue(
 
 def tissue_summary(record: RunRecord) -> str:
     """What a finished run did and what it cost."""
-    wall, counts = record.wall_time, record.counts
+    wall = record.wall_time
+    counts = record.counts
     rate = counts["particle_steps"] / max(wall["run"], 1e-9) / 1e6
     return (
         f"{record.duration:g} µs of {counts['particles']} particles in "
