@@ -15,6 +15,7 @@ from surrofe2.macro import MacroSettings, find_rest, simulate
 from surrofe2.macro.elements import internal_force
 from surrofe2.macro.equations_of_motion import Evaluation
 from surrofe2.macro.simulation import make_method
+from surrofe2.macro.system import Works
 from surrofe2.macro.time_stepping import NO_MEMORY, DormandPrince, Stepper
 from tests.laws import KelvinVoigt, failing
 from tests.macro.bars import LOAD_CASE, SETTINGS, SQUARE, equations_of_bar, with_load
@@ -135,7 +136,7 @@ class Oscillator:
 
     def __call__(self, t, y):
         rate = np.array([y[1], -y[0]])
-        powers = np.array([3.0 * y[0] ** 2 * y[1], -y[0] * y[1]])
+        powers = Works(3.0 * y[0] ** 2 * y[1], np.zeros(0), inertia=-y[0] * y[1])
         nothing = np.empty((0, 2, 2))
         return Evaluation(t, t, y, *[nothing] * 5, powers, rate, *[nothing] * 3)
 
