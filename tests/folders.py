@@ -13,7 +13,7 @@ from surrofe2.store.store import SEAL
 
 OF_TIME = {
     "created", "wall_time", "true_wall_time", "speed_up", "seconds", "cost", "all_counted",
-    "sha256", "of", SEAL,
+    "sha256", "inputs", "of", SEAL,
 }  # fmt: skip
 OF_SOLVES = ("force_evaluations", "newton_solves", "files")
 """What depends on the factors that a solve starts with, and digests of what differs by rounding."""
