@@ -48,6 +48,14 @@ def test_turgor_stiffens_hexagons_and_delays_buckling():
     assert low[2][-1] >= high[2][-1] == 0
 
 
+def test_wilting_tissue_shrinks_and_softens():
+    rows = script("wilting")["wilted"](3)
+    for name in ("size", "turgor", "Young's modulus along x"):
+        values = [row[name] for row in rows]
+        assert values == sorted(values, reverse=True)
+    assert rows[0]["turgor"] == pytest.approx(0.4, rel=1e-3)
+
+
 def test_the_image_of_the_gallery_has_outlines_that_fill_its_mesh():
     names = script("image_to_modulus")
     recipe = load_recipe(names["RECIPE"])
