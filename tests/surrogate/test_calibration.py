@@ -231,6 +231,16 @@ def test_too_few_runs_for_the_confidence_are_refused():
         CalibrationSettings(runs=98)
 
 
+@pytest.mark.parametrize("alpha", [0.3, 0.007, 7e-5, 1e-5])
+def test_as_many_walks_as_the_message_asks_for_are_enough(alpha):
+    with pytest.raises(InputError, match=r"calibration\.walks: 1; ") as refused:
+        CalibrationSettings(walks=1, runs=0, alpha=alpha)
+    needed = int(str(refused.value).partition("at least ")[2].partition(",")[0])
+    CalibrationSettings(walks=needed, runs=0, alpha=alpha)
+    with pytest.raises(InputError, match="at least"):
+        CalibrationSettings(walks=needed - 1, runs=0, alpha=alpha)
+
+
 def test_the_bound_holds_on_random_states(calibrated):
     F, F_dot = sample(RANGE, 20_000, seed=31)
     stress, status, bound = calibrated.lookup(F, F_dot)
