@@ -15,7 +15,7 @@ from importlib.metadata import version
 from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -331,18 +331,51 @@ def earlier_run(folder: Path, record: RunRecord) -> RunRecord | None:
 
 
 State = TypeVar("State")
+Result = TypeVar("Result")
 Store = Callable[[RunRecord, Any], RunRecord]
 """Writes the files of a result, whole or partial, and returns the record with its cost."""
+
+
+class Job(Protocol[State, Result]):
+    """A computation that `RunFolder.compute` carries out, begun or resumed from a checkpoint.
+
+    It is called in this order: `restored` where there is a checkpoint, `compute`, which calls
+    `RunFolder.checkpoint` meanwhile, `store`, and `close`. Where `compute` fails, `store` is called
+    with the part of the result that is there.
+
+    Attributes:
+        record: the record that the run begins with.
+        inputs: contents, by name, of the files from which the run can be repeated.
+    """
+
+    @property
+    def record(self) -> RunRecord: ...
+
+    @property
+    def inputs(self) -> Mapping[str, bytes]: ...
+
+    def restored(self, arrays: dict[str, np.ndarray]) -> State:
+        """Return the state that a checkpoint holds."""
+        ...
+
+    def compute(self, run: RunFolder, state: State | None) -> Result:
+        """Compute the result, from a state or from the beginning."""
+        ...
+
+    def store(self, record: RunRecord, result: Result) -> RunRecord:
+        """Write the files of a result, whole or not, and return the record with what it came to."""
+        ...
+
+    def close(self) -> None:
+        """Remove what only an unfinished run needs, once the run is recorded as finished."""
+        ...
 
 
 @dataclass(slots=True)
 class RunFolder:
     """A run in its folder: begun or resumed, checkpointed, and finished, failed or interrupted.
 
-        with RunFolder.open(folder, record, store) as run:
-            if not run.is_finished:
-                state = run.restored(State.from_arrays)
-                run.finish(simulate(…, checkpoint=run.checkpoint, resume=state))
+    `compute` carries out a `Job`; `open` is for results that are there already.
 
     Attributes:
         record: the record that run.json has now.
@@ -361,6 +394,21 @@ class RunFolder:
     inputs: Mapping[str, bytes] = field(default_factory=dict)
     is_finished: bool = False
     resumes: bool = False
+
+    @classmethod
+    def compute(cls, folder: Path, job: Job[Any, Any], *, fresh: bool = False) -> RunRecord:
+        """Carry a job out in a folder and return its record; a run that is finished is kept.
+
+        Raises:
+            FileError, MismatchError: as of `open`.
+            SimulationError: the run could not be carried on; the folder holds it up to there.
+        """
+        with cls.open(folder, job.record, job.store, inputs=job.inputs, fresh=fresh) as run:
+            if not run.is_finished:
+                state = run.restored(job.restored)
+                run.finish(job.compute(run, state))
+                job.close()
+        return run.record
 
     @classmethod
     @contextmanager

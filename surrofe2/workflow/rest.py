@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
@@ -27,6 +28,7 @@ from surrofe2.macro.elements import make_discretisation
 from surrofe2.macro.forces import check_bodies
 from surrofe2.macro.rest import RestState
 from surrofe2.macro.settings import RestSettings
+from surrofe2.problem import Problem
 from surrofe2.recipe.recipe import CellName, Recipe, TimeSettings, changed
 from surrofe2.report.comparison import buckling_sentence
 from surrofe2.run.journal import FRAME_TIMES, part_of, within
@@ -45,6 +47,7 @@ from surrofe2.workflow import laws
 from surrofe2.workflow.inputs import inputs_of
 from surrofe2.workflow.run import (
     FrameFiles,
+    LawOfRun,
     buckled,
     cache_notes,
     cache_report,
@@ -115,84 +118,126 @@ def rest_study(
     with recipe.named(InputError):
         check_bodies(problem)
     of_run = law_of_run(recipe, problem, kind, folder, surrogates, tables)
-    law = of_run.law
     problem = laws.with_surface(recipe, problem)
-    timer = Meter()
-    before = seconds_compiling()
-    answered: dict[str, Any] = {}  # what the record will say of the error of the answer
-    frames = FrameFiles(folder, make_discretisation(problem.mesh), law)
-
-    def store(record: RunRecord, rest: Rest) -> RunRecord:
-        history = rest.history | nominal(rest.history, described["places"])
-        write_curves(folder, rest.curves, history, rest.energies, is_rest=True)
-        frames.close()
-        write_decisions(folder, rest.decisions)
-        of_run.write_learnt(timer.seconds)
-        record = with_costs(with_rest(record, rest.system.rest), rest, of_run.tables)
-        wall = {
-            "total": timer.seconds,
-            "law": rest.law_seconds,
-            "macro": timer.seconds - rest.law_seconds,
-            "compilation": seconds_compiling() - before,
-        }
-        met = {"watched": rest.watched.tolist(), **MetRange.of(rest.extremes).to_dict()}
-        met |= buckled(rest.path[:, 0], rest.history, len(rest.F))
-        met |= crossed(rest.path[:, 0], rest.history)
-        met |= answered
-        if recipe.time != TimeSettings():  # a rest whose recipe states times of loads
-            met |= relaxed(recipe, problem)
-        return replace(record, wall_time=wall, met=met)
-
-    def checkpoint(rest: Rest) -> None:
-        run.partial = rest
-        frames.flush()  # first: whoever resumes needs all that this state had recorded
-        arrays = within("rest", rest.to_arrays()) | {"seconds": np.array(timer.seconds)}
-        run.checkpoint(arrays | of_run.to_arrays(rest.law_state), cache_report(law))
-        frames.remove_surplus()
-        write_decisions(folder, decisions_of(law))
-
-    def restore(arrays: dict[str, NDArray]) -> RestState:
-        nonlocal timer
-        timer = Meter(float(arrays["seconds"]))
-        state = RestState.from_arrays(part_of(arrays, "rest"))
-        return replace(state, law_state=of_run.restored(arrays))
-
     described = problem_record(problem, thickness_of(recipe))
     of = {"surrogate": of_run.surrogate, "problem": described}
     record = new_record(recipe, kind, **of)
     if correct:
         stated = {**record.recipe["rest"], "correct": True}
         record = replace(record, recipe={**record.recipe, "rest": stated})
-    inputs = inputs_of(recipe, kind, surrogates, tables)
-    with RunFolder.open(folder, record, store, inputs=inputs, fresh=fresh) as run:
-        if run.is_finished:
-            return run.record
-        timer = Meter()
-        state = run.restored(restore)
-        run.cache = None if state is None else cache_report(law)
-        if state is not None:
-            frames.resume(state.journal["frames.t"], state.journal["frames.point_t"])
-        with recipe.named(InputError):
+    job = _RestJob(
+        recipe=recipe,
+        problem=problem,
+        kind=kind,
+        settings=settings,
+        correct=correct,
+        of_run=of_run,
+        record=record,
+        inputs=inputs_of(recipe, kind, surrogates, tables),
+        frames=FrameFiles(folder, make_discretisation(problem.mesh), of_run.law),
+        report=report,
+    )
+    return RunFolder.compute(folder, job, fresh=fresh)
+
+
+@dataclass(slots=True, kw_only=True)
+class _RestJob:
+    """A rest by load steps as a `Job`.
+
+    Attributes:
+        recipe, problem: what is computed, the surface law included.
+        kind: name of the law.
+        settings: load steps.
+        correct: whether the corrected state is kept.
+        of_run: the law, and the files that it fills.
+        frames: files of whole fields.
+        report: is called with the fraction of the load.
+        compiled_before: seconds in which kernels had been compiled when it began.
+        timer: seconds of all calls.
+        answered: what the record will say of the error of the answer.
+    """
+
+    recipe: Recipe
+    problem: Problem
+    kind: str
+    settings: RestSettings
+    correct: bool
+    of_run: LawOfRun
+    record: RunRecord
+    inputs: Mapping[str, bytes]
+    frames: FrameFiles
+    report: Report
+    compiled_before: float = field(default_factory=seconds_compiling)
+    timer: Meter = field(default_factory=Meter)
+    answered: dict[str, Any] = field(default_factory=dict)
+
+    def restored(self, arrays: dict[str, NDArray]) -> RestState:
+        self.timer = Meter(float(arrays["seconds"]))
+        state = RestState.from_arrays(part_of(arrays, "rest"))
+        self.frames.resume(state.journal["frames.t"], state.journal["frames.point_t"])
+        return replace(state, law_state=self.of_run.restored(arrays))
+
+    def compute(self, run: RunFolder, state: RestState | None) -> Rest:
+        law = self.of_run.law
+        if state is None:
+            self.timer = Meter()  # what it took to open the folder is no part of the rest
+        else:
+            run.cache = cache_report(law)
+        with self.recipe.named(InputError):
             rest = find_rest(
-                problem,
+                self.problem,
                 law,
-                recipe.macro,
-                factor=settings.factor,
-                load_steps=settings.load_steps,
-                progress=lambda at, end: report(at / end if end else 1.0, ""),
-                checkpoint=checkpoint,
+                self.recipe.macro,
+                factor=self.settings.factor,
+                load_steps=self.settings.load_steps,
+                progress=lambda at, end: self.report(at / end if end else 1.0, ""),
+                checkpoint=partial(self._checkpoint, run),
                 checkpoint_interval=CHECKPOINT_INTERVAL,
                 resume=state,
-                closing=lambda done, count: report(1.0, f"closing audit: {done} of {count}"),
-                keep_frame=frames.keep,
+                closing=lambda done, count: self.report(1.0, f"closing audit: {done} of {count}"),
+                keep_frame=self.frames.keep,
             )
-        if kind != "rve":
-            checkpoint(rest)  # the RVEs of its error may take as long as the rest did
-            true = laws.law_by_region(recipe, problem.mesh, laws.true_law)
-            rest = _with_error(rest, law, true, answered, frames, correct, report)
-        run.finish(rest)
-        frames.remove_surplus()
-    return run.record
+        if self.kind != "rve":
+            self._checkpoint(run, rest)  # RVEs of its error may take as long as the rest did
+            true = laws.law_by_region(self.recipe, self.problem.mesh, laws.true_law)
+            rest = _with_error(
+                rest, law, true, self.answered, self.frames, self.correct, self.report
+            )
+        return rest
+
+    def _checkpoint(self, run: RunFolder, rest: Rest) -> None:
+        law = self.of_run.law
+        run.partial = rest
+        self.frames.flush()  # first: whoever resumes needs all that this state had recorded
+        arrays = within("rest", rest.to_arrays()) | {"seconds": np.array(self.timer.seconds)}
+        run.checkpoint(arrays | self.of_run.to_arrays(rest.law_state), cache_report(law))
+        self.frames.remove_surplus()
+        write_decisions(run.folder, decisions_of(law))
+
+    def store(self, record: RunRecord, rest: Rest) -> RunRecord:
+        folder = self.of_run.folder
+        history = rest.history | nominal(rest.history, record.problem["places"])
+        write_curves(folder, rest.curves, history, rest.energies, is_rest=True)
+        self.frames.close()
+        write_decisions(folder, rest.decisions)
+        self.of_run.write_learnt(self.timer.seconds)
+        record = with_costs(with_rest(record, rest.system.rest), rest, self.of_run.tables)
+        wall = {
+            "total": self.timer.seconds,
+            "law": rest.law_seconds,
+            "macro": self.timer.seconds - rest.law_seconds,
+            "compilation": seconds_compiling() - self.compiled_before,
+        }
+        met = {"watched": rest.watched.tolist(), **MetRange.of(rest.extremes).to_dict()}
+        met |= buckled(rest.path[:, 0], rest.history, len(rest.F))
+        met |= crossed(rest.path[:, 0], rest.history)
+        met |= self.answered
+        if self.recipe.time != TimeSettings():  # a rest whose recipe states times of loads
+            met |= relaxed(self.recipe, self.problem)
+        return replace(record, wall_time=wall, met=met)
+
+    def close(self) -> None:
+        self.frames.remove_surplus()
 
 
 def _with_error(

@@ -10,6 +10,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -109,73 +110,103 @@ def run_study(
     if kind == "table":
         laws.check_solver(recipe)
     recipe = replace(recipe, rest=None)  # in time, whatever the recipe states
-    before = seconds_compiling()
+    compiled_before = seconds_compiling()
     problem = recipe.problem()
     with recipe.named(InputError):
         problem.check_course()
     of_run = law_of_run(recipe, problem, kind, folder, surrogates, tables)
-    law = of_run.law
     problem = laws.with_surface(recipe, problem)
     described = problem_record(problem, thickness_of(recipe))
     of = {"surrogate": of_run.surrogate, "problem": described}
-    record = new_record(recipe, kind, **of)
+    job = _TimeRun(
+        recipe=recipe,
+        problem=problem,
+        of_run=of_run,
+        record=new_record(recipe, kind, **of),
+        inputs=inputs_of(recipe, kind, surrogates, tables),
+        frames=FrameFiles(folder, make_discretisation(problem.mesh), of_run.law),
+        compiled_before=compiled_before,
+        report=report,
+    )
+    return RunFolder.compute(folder, job, fresh=fresh)
 
-    frames = FrameFiles(folder, make_discretisation(problem.mesh), law)
 
-    def store(record: RunRecord, result: MacroRun) -> RunRecord:
-        record = with_results(record, result, of_run.tables)
-        wall = {**record.wall_time, "compilation": seconds_compiling() - before}
-        of_run.write_learnt(wall.get("total", 0.0))
-        history = {**result.history, **nominal(result.history, described["places"])}
-        write_curves(folder, result.curves, history, result.energies)
-        frames.close()
-        write_decisions(folder, result.decisions)
-        met = record.met
-        if result.curve.t[-1] >= problem.duration:
-            met = {**met, **relaxed(recipe, problem, result.energies)}
-        return replace(record, wall_time=wall, met=met)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _TimeRun:
+    """A run in time as a `Job`.
 
-    def checkpoint(state: MacroState) -> None:
-        arrays = within("macro", state.to_arrays()) | of_run.to_arrays(state.law_state)
-        frames.flush()  # first: whoever resumes needs all that this state had recorded
-        run.checkpoint(arrays, cache_report(law))
-        frames.remove_surplus()
-        write_decisions(folder, decisions_of(law))
+    Attributes:
+        recipe, problem: what is computed, the surface law included.
+        of_run: the law, and the files that it fills.
+        frames: files of whole fields.
+        compiled_before: seconds in which kernels had been compiled when it began.
+        report: is called with the time, µs.
+    """
 
-    def restore(arrays: Mapping[str, NDArray]) -> MacroState:
+    recipe: Recipe
+    problem: Problem
+    of_run: LawOfRun
+    record: RunRecord
+    inputs: Mapping[str, bytes]
+    frames: FrameFiles
+    compiled_before: float
+    report: Report
+
+    def restored(self, arrays: Mapping[str, NDArray]) -> MacroState:
         state = MacroState.from_arrays(part_of(arrays, "macro"))
-        return replace(state, law_state=of_run.restored(arrays))
+        self.frames.resume(state.journal["frames.t"], state.journal["frames.point_t"])
+        return replace(state, law_state=self.of_run.restored(arrays))
 
-    inputs = inputs_of(recipe, kind, surrogates, tables)
-    with RunFolder.open(folder, record, store, inputs=inputs, fresh=fresh) as run:
-        if run.is_finished:
-            return run.record
-        state = run.restored(restore)
-        run.cache = None if state is None else cache_report(law)
+    def compute(self, run: RunFolder, state: MacroState | None) -> MacroRun:
+        law = self.of_run.law
+        duration = self.problem.duration
         if state is not None:
-            frames.resume(state.journal["frames.t"], state.journal["frames.point_t"])
-        report(0.0, "loading kernels")
+            run.cache = cache_report(law)
+        self.report(0.0, "loading kernels")
         try:
-            with recipe.named(InputError):
-                result = simulate(
-                    problem,
+            with self.recipe.named(InputError):
+                return simulate(
+                    self.problem,
                     law,
-                    recipe.macro,
-                    progress=lambda t, duration: report(t, ""),
-                    checkpoint=checkpoint,
+                    self.recipe.macro,
+                    progress=lambda t, duration: self.report(t, ""),
+                    checkpoint=partial(self._checkpoint, run),
                     checkpoint_interval=CHECKPOINT_INTERVAL,
                     resume=state,
-                    closing=lambda done, count: report(
-                        problem.duration, f"closing audit: {done} of {count}"
+                    closing=lambda done, count: self.report(
+                        duration, f"closing audit: {done} of {count}"
                     ),
-                    keep_frame=frames.keep,
+                    keep_frame=self.frames.keep,
                 )
         except KeyboardInterrupt:
-            of_run.write_learnt()
+            self.of_run.write_learnt()
             raise
-        run.finish(result)
-        frames.remove_surplus()
-    return run.record
+
+    def _checkpoint(self, run: RunFolder, state: MacroState) -> None:
+        law = self.of_run.law
+        arrays = within("macro", state.to_arrays()) | self.of_run.to_arrays(state.law_state)
+        self.frames.flush()  # first: whoever resumes needs all that this state had recorded
+        run.checkpoint(arrays, cache_report(law))
+        self.frames.remove_surplus()
+        write_decisions(run.folder, decisions_of(law))
+
+    def store(self, record: RunRecord, result: MacroRun) -> RunRecord:
+        folder = self.of_run.folder
+        record = with_results(record, result, self.of_run.tables)
+        compilation = seconds_compiling() - self.compiled_before
+        wall = {**record.wall_time, "compilation": compilation}
+        self.of_run.write_learnt(wall.get("total", 0.0))
+        history = {**result.history, **nominal(result.history, record.problem["places"])}
+        write_curves(folder, result.curves, history, result.energies)
+        self.frames.close()
+        write_decisions(folder, result.decisions)
+        met = record.met
+        if result.curve.t[-1] >= self.problem.duration:
+            met = {**met, **relaxed(self.recipe, self.problem, result.energies)}
+        return replace(record, wall_time=wall, met=met)
+
+    def close(self) -> None:
+        self.frames.remove_surplus()
 
 
 @dataclass(frozen=True, slots=True)
