@@ -604,7 +604,9 @@ class Newton:
         equations = self.equations
         if last is None:
             start = np.zeros((equations.system.n_rows, 2))
-            self._grip(start, {})
+            # At rest points stick by all bodies, those with a slip speed included.
+            contacts = equations.system.contacts
+            self._grip(start, {each.name: np.zeros(each.lengths.size) for each in contacts})
             now, residuals, slopes = self.balanced(factor, partial(equations.system.pick, start))
         else:
             self._grip(last.u, last.drags)

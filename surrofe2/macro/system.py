@@ -144,12 +144,14 @@ class System:
     def gripped(self, u: Array, drags: Mapping[str, Array]) -> System:
         """The same with contacts whose points stick from the displacement u (n, 2) on.
 
-        drags: by body, friction of the springs there, µN/µm; zero of others.
+        drags: by body, friction of the springs there, µN/µm; contacts of other bodies stay as they
+            are, since those with a slip speed do not stick in time.
         """
 
         def change(contact: Contact) -> Contact:
-            drag = drags.get(contact.name, np.zeros(contact.lengths.size))
-            return replace(contact, grip=Grip(u, drag))
+            if contact.name not in drags:
+                return contact
+            return replace(contact, grip=Grip(u, drags[contact.name]))
 
         return self.with_forces(Contact, change)
 

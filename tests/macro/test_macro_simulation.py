@@ -9,7 +9,7 @@ from skfem.helpers import grad
 
 from surrofe2 import LoadCase
 from surrofe2.base.errors import MismatchError
-from surrofe2.macro import simulate
+from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.elements import (
     deformation_gradient,
     element_mean_F,
@@ -17,6 +17,8 @@ from surrofe2.macro.elements import (
     make_discretisation,
 )
 from surrofe2.macro.history import POINTS_EVERY
+from surrofe2.problem import Plane, Problem, RigidBody, rectangle
+from surrofe2.problem.amplitude import Ramp
 from tests.laws import KelvinVoigt, failing
 from tests.macro.bars import BAR, LOAD_CASE, SETTINGS, assert_same_run, resumed, run_and_states
 
@@ -42,6 +44,35 @@ def test_interrupted_run_resumes_as_if_nothing_had_happened():
     assert_same_run(again, whole)
     np.testing.assert_array_equal(again.met.F_dot, whole.met.F_dot)
     assert again.wall_time["total"] > state.wall_time["total"]
+
+
+def between_plates():
+    """A block that sticks to its floor and is dragged by a lid, along which it creeps."""
+
+    def plate(y, outward, **of_body):
+        return RigidBody(
+            shape=Plane(normal=(0.0, outward)), position=(0.0, y), friction=0.3,
+            amplitude=Ramp(end=6.0, smooth=True), **of_body,
+        )  # fmt: skip
+
+    floor = plate(0.0, 1.0, name="floor", on="bottom", displacement=(0.0, 0.2))
+    lid = plate(20.0, -1.0, name="lid", on="top", displacement=(1.0, -0.2), slip_speed=0.05)
+    return Problem(
+        mesh=rectangle(40.0, 20.0, (2, 2)), conditions=(), bodies=(floor, lid), duration=8.0,
+        watched={"corner": (40.0, 20.0)},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("integrator", ["explicit", "implicit"])
+def test_points_that_stick_and_points_that_creep_resume_as_they_were(integrator):
+    """Sticking is remembered; a body with a slip speed does not stick because another does."""
+    settings = MacroSettings(frames=2, integrator=integrator)
+    law = KelvinVoigt(shear_viscosity=20.0, bulk_viscosity=20.0)
+    whole, states = run_and_states(between_plates(), law, settings)
+    state = next(each for each in states if each.t > 4.0)
+    assert [*state.drags] == ["floor"]
+    assert abs(state.drags["floor"]).max() > 1.0
+    assert_same_run(resumed(between_plates(), law, settings, state), whole)
 
 
 def test_interrupt_within_the_law_leaves_the_last_whole_step():
