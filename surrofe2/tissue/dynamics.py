@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -24,6 +25,28 @@ from surrofe2.tissue.pair_lists import DAMPING, ELASTIC, WHOLE, Factors, PairLis
 
 TILES_PER_THREAD = 4
 """For fewer, another thread is not worth the waiting for each other, twice a step."""
+
+
+class Works(NamedTuple):
+    """Works since they were last taken, pJ.
+
+    Attributes:
+        loads: (loads,) of the loads. bodies: of `acceleration` on bodies.
+        motion: of what moves supports and bodies.
+        contact_dissipated: lost in contact. dissipated: lost in the tissue.
+    """
+
+    loads: Array
+    bodies: float = 0.0
+    motion: float = 0.0
+    contact_dissipated: float = 0.0
+    dissipated: float = 0.0
+
+    @property
+    def row(self) -> Array:
+        """(loads + 4,) all of them, in this order."""
+        lost = self.contact_dissipated, self.dissipated
+        return np.array([*self.loads, self.bodies, self.motion, *lost])
 
 
 class TissueDynamics:
@@ -89,15 +112,15 @@ class TissueDynamics:
         """(particles, 2) forces of the last step, without dead loads, µN."""
         return self.tissue.to_particles(self._particles.f)
 
-    def take_works(self) -> Array:
-        """(loads + 3,) pJ since they were last taken.
-
-        Of the loads, of `acceleration` on bodies, of what moves supports and bodies, and lost in
-        contact.
-        """
-        of_loads = self._particles.work.sum(axis=(1, 2)) + self.outline.work
-        works = np.concatenate([of_loads, self.bodies.work])
-        works[-2] += self.driven.work[0]
+    def take_works(self) -> Works:
+        """Return the works since they were last taken, without what is lost in the tissue."""
+        of_bodies, moving_bodies, in_contact = self.bodies.work
+        works = Works(
+            loads=self._particles.work.sum(axis=(1, 2)) + self.outline.work,
+            bodies=of_bodies,
+            motion=moving_bodies + self.driven.work[0],
+            contact_dissipated=in_contact,
+        )
         for each in (self._particles, self.driven, self.bodies, self.outline):
             each.work[:] = 0.0
         return works

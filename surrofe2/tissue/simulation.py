@@ -43,7 +43,7 @@ from surrofe2.run.journal import (
 from surrofe2.run.loop import carry_out
 from surrofe2.run.views import Facts, ViewedRun, course
 from surrofe2.tissue.conditions import TOUCHING, Conditions
-from surrofe2.tissue.dynamics import TissueDynamics
+from surrofe2.tissue.dynamics import TissueDynamics, Works
 from surrofe2.tissue.layout import make_tissue, middles_of, stretch_of
 from surrofe2.tissue.outline import are_within, area_within, outlines
 from surrofe2.tissue.relaxation import (
@@ -162,7 +162,7 @@ class TissueRun(ViewedRun):
 
 _COUNTS = ("steps", "force_evaluations")
 _WORKS = ("bodies", "motion", "contact dissipated", "dissipated")
-"""What `Recorder.record` takes besides the works of loads."""
+"""Names in results of the entries of `Works` behind those of loads."""
 
 
 def columns_of(conditions: Conditions) -> list[str]:
@@ -221,9 +221,8 @@ class Recorder:
         dynamics.counts.clear()
         dynamics.forces()
         resting = self._forces(0.0, np.zeros(len(conditions.loads)))
-        works = np.zeros(len(conditions.loads) + len(_WORKS))
         rates = [each.at(0.0, 0.0)[1] for each in conditions.motions]
-        works[-3] = dynamics.start(conditions.velocity(), np.array(rates))
+        of_impulse = dynamics.start(conditions.velocity(), np.array(rates))
         self.state = TissueState(
             relaxed=relaxed,
             x=relaxed,
@@ -235,7 +234,7 @@ class Recorder:
             seconds={"relaxation": self._started - self._created},
             counts={},
         )
-        self.record(0, works)
+        self.record(0, Works(loads=np.zeros(len(conditions.loads)), motion=of_impulse))
 
     def restore(self, state: TissueState) -> None:
         """Continue from where `state` was taken."""
@@ -246,13 +245,8 @@ class Recorder:
         self.state = replace(state, journal=state.journal.copy())
         self._started = clock() - state.seconds["run"]
 
-    def record(self, steps: int, works: Array) -> None:
-        """Record the next output time, `steps` after the last.
-
-        Args:
-            works: (loads + 4,) since then, of the loads, of `acceleration` on bodies, of what moves
-                supports and bodies, lost in contact and in the tissue, pJ.
-        """
+    def record(self, steps: int, works: Works) -> None:
+        """Record the next output time, `steps` after the last; `works` are those since then."""
         dynamics = self._dynamics
         before = self.state
         dynamics.counts["steps"] += steps
@@ -261,8 +255,9 @@ class Recorder:
         x = dynamics.x
         v = dynamics.v
         u = x - before.relaxed
-        works = before.journal["rows"][-1:, -len(works) :].sum(axis=0) + works
-        journal = before.journal.written({"rows": self._row(t, u, works)[None]})
+        since = works.row
+        total = before.journal["rows"][-1:, -since.size :].sum(axis=0) + since  # rows end with them
+        journal = before.journal.written({"rows": self._row(t, u, total)[None]})
         if row in self._frame_rows:
             frame = ParticleFrames(np.array([t]), u[None], v[None])
             if self._keep_frame is not None:
@@ -289,7 +284,12 @@ class Recorder:
         return replace(self.state, journal=self.state.journal.copy())
 
     def _row(self, t: float, u: Array, works: Array) -> Array:
-        """What `columns_of` lists at displacements u; stored energy is not counted from t = 0."""
+        """Return what `columns_of` lists at displacements u; stored energy is not counted from
+        t = 0.
+
+        Args:
+            works: (loads + 4,) since t = 0, pJ.
+        """
         dynamics = self._dynamics
         bodies = self._dynamics.bodies
         conditions = self._conditions
@@ -695,8 +695,8 @@ def advance(
     settings: TissueSettings,
     start: float,
     end: float,
-) -> tuple[int, Array]:
-    """Move from t = start to end, µs; steps taken, and works as of `Recorder.record`.
+) -> tuple[int, Works]:
+    """Move from t = start to end, µs; return how many steps it took, and the works.
 
     Works are summed over the steps; the dissipated power is integrated by the trapezoidal rule over
     samples. Both are of second order in the step.
@@ -728,8 +728,8 @@ def advance(
         rate_before = rate
         rate = dynamics.dissipation_rate()
         dissipated += 0.5 * length * (rate_before + rate)
-    works = np.append(dynamics.take_works(), dissipated)
-    if not np.isfinite(works).all():
+    works = dynamics.take_works()._replace(dissipated=dissipated)
+    if not np.isfinite(works.row).all():
         raise SimulationError("tissue: the motion is not finite")
     return samples * count, works
 
