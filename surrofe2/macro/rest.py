@@ -473,20 +473,23 @@ class Loading:
         )
 
     def _who_failed(self, failure: NoStress) -> str:
-        """Whether plant cells have no equilibrium beyond here, or a solver gave up; begins with a
-        semicolon, and is empty where neither is so."""
+        """Say whether plant cells have no equilibrium beyond here or a solver gave up, and what to
+        do; the text begins with a semicolon, and is empty where neither is so."""
         at = f"load factor {self.rest.factor:.4g}"
         if isinstance(failure, OutOfBalance):
             return (
-                f"; Newton's method for the tissue gave up beyond {at}: every point has a stress "
-                "there, so this is no limit of the plant cells"
+                f"; Newton's method for the tissue gave up beyond {at}, where the plant cells of "
+                "every point have a stress: a run in time may carry on"
             )
         if failure.status == Status.UNSTABLE:
-            return f"; plant cells have no stable equilibrium beyond {at}: no solver gave up"
+            return (
+                f"; plant cells have no stable equilibrium beyond {at}, and no solver gave up: use "
+                "the path up to there, or lower the load"
+            )
         if failure.status == Status.NOT_CONVERGED:
             return (
                 f"; the solver of RVEs gave up beyond {at}: whether the plant cells have an "
-                "equilibrium there is not known"
+                "equilibrium there is not known; use the path up to there"
             )
         return ""
 
