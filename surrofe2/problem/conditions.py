@@ -80,7 +80,8 @@ def _check_takes_point(
     """Reject a point in a recipe where the kind of condition acts on sides or elements alone."""
     taking = [name for name, kind in kinds.items() if issubclass(kind, _ON_POINTS)]
     kind = entry.get("kind")
-    if kind in kinds and kind not in taking:
+    # what is no name of a kind is refused where the condition is built
+    if isinstance(kind, str) and kind in kinds and kind not in taking:
         raise InputError(
             where, f"{quoted(entry['on'])}; {kind} does not act on a point; {', '.join(taking)} do"
         )

@@ -249,6 +249,7 @@ def slid(share):
     return x[-1] - x[len(x) * 8 // 15]
 
 
+@pytest.mark.slow
 def test_a_block_below_coulombs_limit_does_not_creep():
     """At 0.9 of the limit less than 0.01 % of what it slides at 1.1, which is half the excess of
     acceleration times the square of the time."""

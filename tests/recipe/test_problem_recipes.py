@@ -282,6 +282,8 @@ BOX = "box = [0.0, 100.0, 100.0, 100.0]"
         ("point = [200.0, 0.0]", "points = [200.0, 0.0]", "conditions.nail.on.points: unknown key"),
         ('on = "top"\ntraction', "on = { point = [0, 0] }\ntraction", "conditions.wind.on: {'point"
          "': [0, 0]}; traction does not act on a point; fixed, prescribed_motion, point_force do"),
+        ('kind = "traction"\non = "top"', "kind = []\non = { point = [0, 0] }",
+         "conditions.wind.kind: []: unknown kind; known are "),
         (BOX, "box = [0, 0, 0, 0]", "mesh.boundaries.patch: Box(low=(0.0, 0.0), high=(0.0, 0.0)); "
          "it must hold both ends of an outer side; a condition acts on the one node in it by on ="),
         ('4.0, "free"]', '4.0, "loose"]', "conditions.pull.displacement[1]: 'loose'; it must be a"),

@@ -115,6 +115,7 @@ def test_a_pressure_on_the_outline_is_that_of_a_bath_unless_there_are_air_spaces
         assert abs(difference).max() < 1e-12 * abs(pressed).max()
 
 
+@pytest.mark.slow
 def test_at_rest_the_plant_cells_within_keep_their_size():
     conditions = conditions_of(image_of_cells(cells=16))
     tissue, arrangement = conditions.tissue, conditions.tissue.arrangement
