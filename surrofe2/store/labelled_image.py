@@ -86,7 +86,10 @@ def _checked(path: Path, image: NDArray[Any]) -> Labels:
             "skimage.measure.label"
         )
     if image.size and (image.min() < 0 or image.max() > _MOST_LABEL):
-        raise InputError(f"{path}: labels must be from 0, between cells, to 2⁵³")
+        raise InputError(
+            f"{path}: labels from {image.min():g} to {image.max():g}; they must be from 0, which "
+            "is between cells, to 2⁵³"
+        )
     labels: Labels = image.astype(np.int64)
     check_count(path, labels)
     return labels
@@ -97,6 +100,7 @@ def check_count(path: Path, labels: Labels) -> None:
     count = np.count_nonzero(np.unique(labels))
     if count < _FEWEST:
         raise InputError(
-            f"{path}: {count} labels; each cell needs a number of its own: label it first, for "
+            f"{path}: {'1 label' if count == 1 else f'{count} labels'} besides 0; at least "
+            f"{_FEWEST} are needed, and each cell needs a number of its own: label it first, for "
             "example by skimage.measure.label"
         )

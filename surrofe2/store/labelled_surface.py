@@ -7,6 +7,7 @@ image, so that it is measured like one. Lengths are in µm.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +24,7 @@ _FLAT, _TOO_CURVED = 0.98, 0.8
 """Projected over true area: below the first a surface is noted as curved, below the second it is
 refused."""
 _MOST_PIXELS = 5e7
+_END_OF_HEADER = re.compile(rb"^\s*end_header\s*$", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +71,8 @@ def read_surface(path: Path) -> LabelledSurface:
     corners = points[triangles]
     normals = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = float(np.linalg.norm(normals, axis=1).sum())
+    if not area > 0.0:
+        raise InputError(f"{path}: its triangles have no area; save points in µm")
     across = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2]
     if across @ normals.sum(axis=0) < 0.0:  # seen from outside, not mirrored
         across = -across
@@ -94,11 +98,16 @@ def _axes(across: Array) -> Array:
 
 def _read(path: Path) -> tuple[Array, Index, Index]:
     """Points (n, 3), triangles (k, 3) and labels (n,) of the points."""
-    read_bytes(path)  # for its errors
+    content = read_bytes(path)
+    if content.startswith(b"ply") and not _END_OF_HEADER.search(content):
+        # meshio would look for it forever
+        raise FileError(f"{path}: its header has no end_header; the file is cut off: save it again")
     import meshio
 
     try:
         mesh = meshio.ply.read(path)
+    except IndexError:
+        raise FileError(f"{path}: it ends before what its header states; save it again") from None
     except (Exception, SystemExit) as error:  # readers raise what they like
         reason = shortened(" ".join(str(error).split()), 150)
         raise FileError(f"{path}: cannot be read as PLY: {reason}") from None
@@ -107,15 +116,18 @@ def _read(path: Path) -> tuple[Array, Index, Index]:
         raise InputError(f"{path}: it has no triangles; save the surface with its faces")
     label = mesh.point_data.get("label")
     if label is None:
-        known = ", ".join(mesh.point_data) or "none"
+        known = ", ".join(["x, y, z", *mesh.point_data])
         raise InputError(
-            f"{path}: its vertices have no property label, but {known}; save it with labels"
+            f"{path}: its vertices have {known} and no property label; save it with labels"
         )
+    label = np.asarray(label)
+    if not np.isfinite(label).all() or (label != np.round(label)).any():
+        raise InputError(f"{path}: label of its vertices: {label.dtype}; it must be whole numbers")
     points = np.zeros((len(mesh.points), 3))
     points[:, : mesh.points.shape[1]] = mesh.points
     if not np.isfinite(points).all() or triangles.min() < 0 or triangles.max() >= len(points):
         raise FileError(f"{path}: points are not finite, or triangles have points that are not")
-    return points, np.asarray(triangles, np.int64), np.asarray(label).astype(np.int64)
+    return points, np.asarray(triangles, np.int64), label.astype(np.int64)
 
 
 def _drawn(path: Path, corners: Array, labels: Index, pixel: float) -> Labels:

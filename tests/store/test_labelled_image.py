@@ -68,9 +68,9 @@ def test_a_compressed_tiff_is_read_or_says_what_reads_it(tmp_path):
         (np.full((5, 5), 0.5), "float64 pixels; labels must be whole numbers"),
         (np.full((5, 5), np.nan), "labels must be whole numbers"),
         (np.full((5, 5), "a"), "labels must be whole numbers"),
-        (np.full((5, 5), -1), "labels must be from 0"),
-        (BLOBS.astype(np.uint8), "1 labels; each cell needs a number of its own"),
-        (np.zeros((0, 0), np.uint8), "0 labels; each cell needs"),
+        (np.full((5, 5), -1), "labels from -1 to -1; they must be from 0"),
+        (BLOBS.astype(np.uint8), "1 label besides 0; at least 3 are needed"),
+        (np.zeros((0, 0), np.uint8), "0 labels besides 0"),
     ],
     ids=["colours", "fractions", "NaN", "text", "negative", "binary", "empty"],
 )

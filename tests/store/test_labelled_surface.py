@@ -72,17 +72,35 @@ def test_a_curved_surface_is_named_or_refused(tmp_path):
 
 def test_what_is_no_labelled_surface_is_refused(tmp_path):
     points, triangles, label = surface()
-    with pytest.raises(InputError, match="no property label, but signal"):
+    with pytest.raises(InputError, match="have x, y, z, signal and no property label"):
         read_surface(write(tmp_path / "a.ply", points, triangles, signal=1.0 * label))
-    with pytest.raises(InputError, match="1 labels; each cell needs a number"):
+    with pytest.raises(InputError, match="1 label besides 0; at least 3 are needed"):
         read_surface(write(tmp_path / "b.ply", points, triangles, label=np.ones_like(label)))
     (tmp_path / "c.ply").write_text("no ply", encoding="utf-8")
     with pytest.raises(FileError, match="cannot be read as PLY"):
         read_surface(tmp_path / "c.ply")
+    unlabelled = 1.0 * label
+    unlabelled[0] = np.nan
+    with pytest.raises(InputError, match="label of its vertices: float64; it must be whole"):
+        read_surface(write(tmp_path / "e.ply", points, triangles, label=unlabelled))
+    with pytest.raises(InputError, match="its triangles have no area"):
+        read_surface(write(tmp_path / "f.ply", 0.0 * points, triangles, label=label))
     whole = write(tmp_path / "d.ply", points, triangles, label=label).read_bytes()
     (tmp_path / "d.ply").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(FileError, match="cannot be read as PLY"):
         read_surface(tmp_path / "d.ply")
+
+
+def test_a_surface_that_is_cut_off_is_refused_at_once(tmp_path):
+    points, triangles, label = surface()
+    path = write(tmp_path / "a.ply", points, triangles, binary=False, label=label)
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    path.write_text("".join(lines[:4]), encoding="utf-8")
+    with pytest.raises(FileError, match="its header has no end_header; the file is cut off"):
+        read_surface(path)
+    path.write_text("".join(lines[:-3]), encoding="utf-8")
+    with pytest.raises(FileError, match="it ends before what its header states"):
+        read_surface(path)
 
 
 def test_a_file_of_pyvista_is_measured_by_the_command(tmp_path):
