@@ -100,11 +100,11 @@ def run(
                 "--tolerance": tolerance,
                 "--audit": audit,
             }
-            _repeat(recipe, out, stated, threads, fresh=fresh)
+            _repeat(recipe, out, stated, threads, cell_fields=cell_fields, fresh=fresh)
             return
+        study = open_study(recipe, threads)
         if law is None:
             raise InputError("--law: missing; it must be one of rve, surrogate, cached, table")
-        study = open_study(recipe, threads)
         console.show_notes(recipe_notes(study))
         study = replace(
             study,
@@ -131,17 +131,28 @@ def run(
         console.print_line(line)
     console.done(out, summary_of(record), timed=False)
     if cell_fields:
-        begin = time.perf_counter()
-        count = add_cell_fields(out)
-        seconds = time.perf_counter() - begin
-        console.print_line(f"{out}: cell fields of {count} RVEs in {time_text(seconds)}")
+        _add_cell_fields(out)
     console.show_notes(notes_of(record, study))
     if study.rest is None:
         console.show_notes(sap_notes(study, record.duration / record.counts["steps"]))
 
 
+def _add_cell_fields(out: Path) -> None:
+    """Write the cell fields of a run into its folder, and say how long that took."""
+    begin = time.perf_counter()
+    count = add_cell_fields(out)
+    seconds = time.perf_counter() - begin
+    console.print_line(f"{out}: cell fields of {count} RVEs in {time_text(seconds)}")
+
+
 def _repeat(
-    folder: Path, out: Path, stated: Mapping[str, object], threads: int | None, *, fresh: bool
+    folder: Path,
+    out: Path,
+    stated: Mapping[str, object],
+    threads: int | None,
+    *,
+    cell_fields: bool,
+    fresh: bool,
 ) -> None:
     """Repeat the run of a folder, and print by how much the results differ.
 
@@ -149,7 +160,7 @@ def _repeat(
         stated: values of options that a repeated run has already, by name.
 
     Raises:
-        InputError: one of these options is stated.
+        InputError: one of these options is stated, or cell fields are wanted of a full tissue.
     """
     # late: it loads the full tissue, which other runs do not need
     from surrofe2.workflow.repeat import repeat_run, repetition, stored_run
@@ -161,12 +172,16 @@ def _repeat(
     stored = stored_run(folder)
     use_threads(threads)
     record = stored.record
+    if cell_fields and record.law == "tissue":
+        raise InputError("--cell-fields: not of the full tissue, which has all its particles")
     extent, unit = extent_of(stored.recipe)
     with console.running(f"{folder.name} again by {record.law}", extent, unit, out) as report:
         again = repeat_run(stored, out, fresh=fresh, report=report)
     summary = tissue_summary(again) if record.law == "tissue" else summary_of(again)
     console.done(out, summary, timed=False)
     console.print_line(repetition(stored, out).sentence)
+    if cell_fields:
+        _add_cell_fields(out)
 
 
 @contextmanager

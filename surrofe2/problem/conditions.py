@@ -88,9 +88,19 @@ def _check_takes_point(
 
 
 def _place(where: str, entry: Any) -> str | NodeAt:
-    """Read where a condition acts: the name of a boundary or region, or { point = [x, y] }."""
-    if isinstance(entry, str | NodeAt):
+    """Read where a condition acts: the name of a boundary or region, or { point = [x, y] }.
+
+    Raises:
+        InputError: it is neither.
+    """
+    if isinstance(entry, str):
         return entry
+    if not isinstance(entry, NodeAt | Mapping):
+        raise InputError(
+            where,
+            f"{quoted(entry)}; it must be the name of a boundary or region, "
+            "or { point = [x, y] }, µm",
+        )
     return _node(where, entry)
 
 

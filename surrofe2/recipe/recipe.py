@@ -51,6 +51,7 @@ from surrofe2.recipe.entries import read_toml, toml_text, with_changes, with_mic
 from surrofe2.rve.settings import RveSettings
 from surrofe2.store.labelled_image import LINE
 from surrofe2.store.meshes import load_mesh
+from surrofe2.store.run_folder import INPUT, RECIPE
 from surrofe2.store.store import digest, plain, read_text
 from surrofe2.surrogate.settings import CalibrationSettings, TrainingSettings
 from surrofe2.tissue.settings import TissueSettings
@@ -857,6 +858,12 @@ def load_recipe(path: str | Path, changes: Mapping[str, Any] = MappingProxyType(
         InputError: not TOML, an unknown or missing key, a wrong type or a value out of bounds.
     """
     path = Path(path)
+    if path.is_dir():
+        of_run = path / INPUT / RECIPE
+        raise FileError(
+            f"{path}: a folder; a recipe is a TOML file"
+            + (f", such as {of_run}; `surrofe2 run` repeats the run" if of_run.exists() else "")
+        )
     try:
         table = read_toml(read_text(path, _MOST_BYTES))
     except ValueError as error:  # an integer may have too many digits, too

@@ -136,6 +136,25 @@ def test_what_cannot_be_repeated_is_one_line(invoke, first, tmp_path):
     assert "a run that is interrupted; finish it before it is repeated" in refusal("--out", out)
     missing = invoke("run", ROOT / "data" / "bending-bar.toml", "--out", out, code=1)
     assert "--law: missing; it must be one of rve, surrogate, cached, table" in missing.stderr
+    nowhere = invoke("run", tmp_path / "nowhere", "--out", out, code=1)
+    assert "nowhere: cannot be read: No such file" in nowhere.stderr
+
+
+def test_commands_that_take_no_folder_say_what_does(invoke, first, tmp_path):
+    for command in (("check",), ("rest", "--out", tmp_path / "out")):
+        refused = invoke(*command, first, code=1)
+        text = refused.stdout + refused.stderr
+        assert f"{first}: a folder; a recipe is a TOML file, such as {first / 'input'}" in text
+        assert "`surrofe2 run` repeats the run" in text
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_repeated_run_has_cell_fields_when_asked_for(invoke, recipe_path, tmp_path):
+    again = tmp_path / "again"
+    invoke("run", recipe_path, "--law", "rve", "--out", tmp_path / "first")
+    done = invoke("run", tmp_path / "first", "--out", again, "--cell-fields")
+    assert "cell fields of" in done.stdout
+    assert "largest_wall_stretch" in (again / "fields.xdmf").read_text(encoding="utf-8")
 
 
 def test_inputs_of_a_former_run_are_removed_alone(first):

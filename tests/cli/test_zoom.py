@@ -191,7 +191,11 @@ def test_several_cells_are_looked_into_by_the_cell_of_the_point(written, tmp_pat
 @pytest.mark.parametrize(
     ("point", "sentence"),
     [
-        ("200,50", "point: (200, 50) µm; it must lie within the mesh"),
+        (
+            "200,50",
+            "point: (200, 50) µm; it must lie within the mesh, which reaches from (0, 0) to "
+            "(100, 100) µm",
+        ),
         ("200", "--point: '200'; it must be two numbers X,Y in µm"),
     ],
 )

@@ -94,7 +94,7 @@ def test_six_digits_of_a_mesh_file_are_enough():
 @pytest.mark.parametrize(
     ("kind", "on", "sentence"),
     [
-        (Fixed, 3, r"fixed.on: 3; it must be { point = \[x, y\] }"),
+        (Fixed, 3, r"fixed.on: 3; it must be the name of a boundary or region, or { p"),
         (Fixed, {"point": [0.0]}, r"fixed.on.point: \[0.0\]; it must be a list of 2"),
         (PointForce, "left", "point_force.on: 'left'; it must be { point"),
         (PrescribedMotion, {"points": [0.0, 0.0]}, "prescribed_motion.on.points: unknown key"),
