@@ -13,7 +13,7 @@ State = TypeVar("State")
 
 
 class Report(NamedTuple):
-    """What an audited law says of a run: `cache`, plain values for run.json, and its decisions on
+    """Report of an audited law on a run: `cache`, plain values for run.json, and its decisions on
     windows of steps; None of other laws."""
 
     cache: dict[str, Any] | None
@@ -103,7 +103,7 @@ class RunAudits:
         return solved is not None
 
     def report(self, *, finished: bool) -> Report:
-        """What the law has to say of this run: its report, or of a run that is not finished its
+        """Return the report of the law on this run, or of a run that is not finished its
         history; and its decisions."""
         law = self._law
         if law is None:

@@ -99,7 +99,7 @@ class Switched(Exception):  # noqa: N818 - as above
 
 @dataclass(slots=True)
 class Tally:
-    """What a run has cost so far."""
+    """Cost of a run so far."""
 
     counts: Counter[str] = field(default_factory=Counter)
     effort: Counter[str] = field(default_factory=Counter)
@@ -134,7 +134,7 @@ class EquationsOfMotion:
 
     @property
     def piece_end(self) -> float:
-        """Where the piece under way ends, µs."""
+        """End of the piece under way, µs."""
         return float(self.corners[self.piece + 1])
 
     def go_to(self, t: float) -> None:
@@ -269,9 +269,9 @@ class EquationsOfMotion:
         F, F_dot, _ = deformation_gradient(self.discretisation, self.system.from_mesh(u), v)
         self.is_committing = True
         started = clock()
-        left = self.law.learn_ahead(F, F_dot, switched.points)
+        points = self.law.learn_ahead(F, F_dot, switched.points)
         self.tally.law_seconds += clock() - started
-        return left
+        return points
 
     def dissipation_rates(self, now: Evaluation) -> Array | None:
         """(n_el,) ∫ J (σ(F, Ḟ) − σ(F, 0)) : L dV of each element, pJ/µs; None without σ(F, 0).
@@ -378,12 +378,12 @@ class EquationsOfMotion:
             raise self._failed(at.t, at.F, accepted.status)
         self.law_state = accepted.state
         if accepted.stress is not at.response.stress:  # a law that keeps it returns that very array
-            left = accepted.left_bifurcation
-            if left is not None:
-                self.tally.effort["left_bifurcation"] += int(left.sum())
+            left_bifurcation = accepted.left_bifurcation
+            if left_bifurcation is not None:
+                self.tally.effort["left_bifurcation"] += int(left_bifurcation.sum())
             response = replace(
                 at.response, stress=accepted.stress, switched=None, tangents=None,
-                left_bifurcation=left,
+                left_bifurcation=left_bifurcation,
             )  # fmt: skip
             at = self._evaluation(at.t, at.y, (at.u, at.v), at.F, at.F_dot, response)
         self._start = at

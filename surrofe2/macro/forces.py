@@ -9,8 +9,8 @@ more where a rounding of the body would fit between two of them. Friction follow
 Δ since the last equilibrium or the end of the last step, and from the spring's friction τ there: it
 is τ + k Δ, at most µ p, so that a point sticks to the body by the spring k or slips by Coulomb's
 law; in time a dashpot acts beside the spring. With a slip speed, friction in time is a function of
-the sliding velocity instead, by which points creep. The body
-takes the opposite forces, so momentum is kept to rounding."""
+the sliding velocity instead, by which points creep. The body takes the opposite forces, so momentum
+is kept to rounding."""
 
 from __future__ import annotations
 
@@ -287,11 +287,11 @@ class Contact:
 
     @property
     def sticks(self) -> bool:
-        """Whether points stick until they slip, so that friction depends on the way."""
+        """Tell whether points stick until they slip, so that friction depends on the way."""
         return self.friction > 0.0 and self.grip is not None
 
     def gripped(self, u: Array, v: Array) -> Contact:
-        """The same after a step that ends at u and v (n, 2); its force there is what it was."""
+        """Return the same after a step that ends at u and v (n, 2); its force there stays."""
         if not self.sticks:
             return self
         return replace(self, grip=Grip(u, self.drag(u, v)))
@@ -435,16 +435,16 @@ def check_bodies(problem: Problem) -> None:
 
 
 def contact_points(mesh: skfem.Mesh, facets: Index, shape: Shape) -> tuple[int, float]:
-    """How many contact points each of these sides has for a body of this shape, and how far two
-    neighbours of the longest side are apart at most, µm."""
+    """Return how many contact points each of these sides has for a body of this shape, and how far
+    two neighbours of the longest side are apart at most, µm."""
     longest = float(facet_basis(mesh, facets).dx.sum(axis=1).max())
     points = points_per_side(shape, longest)
     return points, contact_gap(points, longest)
 
 
 def points_per_side(shape: Shape, side: float) -> int:
-    """How many contact points a side of this length has, µm: so many that a rounding of the body
-    does not fit between two of them, from `FEWEST_POINTS` up to `MOST_POINTS`."""
+    """Return how many contact points a side of this length has, µm: so many that a rounding of the
+    body does not fit between two of them, from `FEWEST_POINTS` up to `MOST_POINTS`."""
     radius = getattr(shape, "radius", np.inf)
     wanted = FEWEST_POINTS
     while wanted < MOST_POINTS and contact_gap(wanted, side) > radius:

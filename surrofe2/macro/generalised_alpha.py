@@ -112,7 +112,7 @@ class GeneralisedAlpha:
         return min(limit, float(np.sqrt(10.0 * self._settings.absolute_tolerance / strongest)))
 
     def step(
-        self, start: Evaluation, memory: Array, t: float, found: Switched | None = None
+        self, start: Evaluation, memory: Array, t: float, restarted: Switched | None = None
     ) -> StepResult:
         """The step from `start` to time t; its works are those of `_works`."""
         h = t - start.t
@@ -121,11 +121,11 @@ class GeneralisedAlpha:
         # end of the step it is carried on straight, or as where the step was restarted.
         a = start.acceleration + h / past.h * (past.a - start.acceleration)
         guess = a
-        if found is not None:
+        if restarted is not None:
             beta = self.weights.beta
             u, v = np.split(start.y, 2)
             known = u + h * v + h**2 * (0.5 - beta) * a
-            guess = (found.y[: u.size] - known) / (h**2 * beta)
+            guess = (restarted.y[: u.size] - known) / (h**2 * beta)
         elif past.rate is not None:
             before = past.rate[past.rate.size // 2 :]
             guess = a + h / past.h * (start.acceleration - before)

@@ -295,7 +295,7 @@ class MacroState(RunState):
 
 
 def columns_of(system: System, *, in_time: bool) -> list[str]:
-    """What a row of a run's history holds, in its order.
+    """Return the names of what a row of a run's history holds, in its order.
 
     t; for each watched point its displacement; for each boundary its mean displacement; for each
     support, surface load and body the force it exerts on the tissue; for each body its
@@ -317,7 +317,7 @@ def columns_of(system: System, *, in_time: bool) -> list[str]:
 def row_of(
     system: System, t: float, motion: tuple[Array, Array], forces: Array, beyond: float, work: Array
 ) -> Array:
-    """What `columns_of` lists, with the kinetic energy ½ v·M v.
+    """Return what `columns_of` lists, with the kinetic energy ½ v·M v.
 
     Args:
         t: µs, or the factor of the load.
@@ -385,8 +385,8 @@ class Recorder:
             **self._end_of_step(stepper, work),
         )
         journal = state.journal.written({"samples": np.empty((0, 1 + len(system.dissipating)))})
-        found = self._fields(state, journal, now, is_sample=True, is_frame=True)
-        self._state = replace(state, **found, **self._spent())
+        recorded = self._fields(state, journal, now, is_sample=True, is_frame=True)
+        self._state = replace(state, **recorded, **self._spent())
         self._record_dissipation &= len(self._state.journal["samples"]) > 0
 
     def record(self, step: StepResult, stepper: Stepper) -> None:
@@ -413,11 +413,11 @@ class Recorder:
         # Dissipation, which costs another call of the law, about every other output time.
         is_sample = due // 2 > passed // 2 or passed < due == self._t.size
         work = before.work + step.work(end.t)
-        found = self._fields(before, journal, end, is_sample=is_sample, is_frame=is_frame)
-        self._state = replace(before, **found, **self._end_of_step(stepper, work))
+        recorded = self._fields(before, journal, end, is_sample=is_sample, is_frame=is_frame)
+        self._state = replace(before, **recorded, **self._end_of_step(stepper, work))
 
     def _end_of_step(self, stepper: Stepper, work: Array) -> dict[str, Any]:
-        """Where the run stands; what it has spent so far, but for the seconds."""
+        """Return where the run stands, and what it has spent so far, but for the seconds."""
         return {
             "t": stepper.now.t,
             "y": stepper.now.y,
@@ -483,7 +483,7 @@ class Recorder:
 
     @property
     def t(self) -> float:
-        """Of the last step recorded, µs."""
+        """Time of the last step recorded, µs."""
         return self._state.t
 
     def watch(self, resume: MacroState | None) -> None:
@@ -505,11 +505,11 @@ class Recorder:
         return self._audits.close(closing)
 
     def report(self, *, finished: bool) -> Report:
-        """What an audited law has to say of this run; see `RunAudits.report`."""
+        """Return the report of an audited law on this run; see `RunAudits.report`."""
         return self._audits.report(finished=finished)
 
     def _mark(self) -> None:
-        """What was recorded so far stands."""
+        """Let what was recorded so far stand."""
         self._audits.mark(self.t)
         marked = replace(self._state, law_state=None, mark=None)
         self._state = replace(self._state, mark=marked)

@@ -52,7 +52,7 @@ def mass_solver(mass: Matrix, free: Index) -> Callable[[Array], Array]:
 
 
 def _are_free_alike(free: Index) -> bool:
-    """Whether x and y of each node or body are free together, so that both have one factor."""
+    """Tell whether x and y of each node or body are free together, so that both have one factor."""
     x = free[::2]
     y = free[1::2]
     return np.array_equal(x + 1, y) and not (x % 2).any()

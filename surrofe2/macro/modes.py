@@ -56,7 +56,7 @@ class Modes:
 
     @property
     def stable(self) -> bool:
-        """Whether no motion found grows."""
+        """Tell whether no motion found grows."""
         grown = np.append(self.eigenvalues.real, self.creeping)
         return bool((grown <= 1e-9 * abs(self.eigenvalues).max(initial=0.0)).all())
 

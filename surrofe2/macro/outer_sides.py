@@ -54,7 +54,7 @@ class OuterSides:
 
 
 def _parts(a: Array, b: Array, p: Array, q: Array) -> Flags:
-    """Whether the straight line through a and b parts p from q, all (n, 2)."""
+    """Tell where the straight line through a and b parts p from q, all (n, 2)."""
     along = b - a
     side_of_p = along[:, 0] * (p - a)[:, 1] - along[:, 1] * (p - a)[:, 0]
     side_of_q = along[:, 0] * (q - a)[:, 1] - along[:, 1] * (q - a)[:, 0]

@@ -167,7 +167,7 @@ class Rest(RestState):
         return np.array([columns[name][-1] for name in names]).reshape(-1, 2)
 
     def state(self, **changes: Any) -> RestState:
-        """What carries this rest on, with changes of some entries."""
+        """Return what carries this rest on, with changes of some entries."""
         kept = {item.name: getattr(self, item.name) for item in fields(RestState)}
         return RestState(**(kept | changes))
 
@@ -228,11 +228,11 @@ class Rest(RestState):
         works = {force.name: columns[f"work {force.name}"] for force in system.forces}
         if system.moving:
             works["motion"] = columns["work motion"]
-        found = {"internal": internal, **works, "balance": sum(works.values()) - internal}
+        energies = {"internal": internal, **works, "balance": sum(works.values()) - internal}
         if system.contacts:
             done = sum(works[each.name] for each in system.contacts)
-            found |= {"contact": stored, "contact dissipated": stored[0] - stored - done}
-        return found
+            energies |= {"contact": stored, "contact dissipated": stored[0] - stored - done}
+        return energies
 
 
 def find_rest(
@@ -304,7 +304,7 @@ def find_rest(
 
 
 def _spent(tally: Tally) -> dict[str, Any]:
-    """What a rest has cost so far, as `RestState` has it."""
+    """Return what a rest has cost so far, as `RestState` has it."""
     return {
         "counts": {name: tally.counts[name] for name in _COUNTS},
         "effort": dict(tally.effort),
@@ -394,7 +394,7 @@ class Loading:
             yield self.rest.factor
 
     def _mark(self) -> None:
-        """The load steps so far stand."""
+        """Let the load steps so far stand."""
         rest: Rest = self.rest
         self.audits.mark(rest.factor)
         mark = rest.state(law_state=None, mark=None)
@@ -449,7 +449,7 @@ class Loading:
                     raise SimulationError(self._why_stopped(failure)) from failure
 
     def _why_stopped(self, failure: NoStress) -> str:
-        """What ends the way here: a limit load or point, or what the last trial failed by."""
+        """Say what ends the way here: a limit load or point, or what the last trial failed by."""
         reason = str(failure).replace(STEP_ADVICE, ", in load steps however small")
         text = f"no load step succeeds after {MAX_HALVINGS} halvings: {reason}"
         text += self._who_failed(failure)
@@ -495,7 +495,7 @@ class Loading:
 
 
 def _is_pushed(problem: Problem) -> bool:
-    """Whether a force acts, and not prescribed motions alone."""
+    """Tell whether a force acts, and not prescribed motions alone."""
     loads = [
         each
         for each in problem.conditions
@@ -582,7 +582,7 @@ def begin_at_rest(
         alone.system = system.with_forces(SurfaceForce, acting)
         try:
             u = newton.balanced(0.0, partial(system.pick, u))[0].u
-            share = share + step
+            share += step
         except NoStress as failure:
             step *= 0.5
             if step < _SMALLEST_SHARE:

@@ -110,7 +110,7 @@ class MacroRun(ViewedRun):
 
     def fields_over_time(self) -> tuple[dict[str, Any], dict[str, Any]]:
         frames = self.frames
-        found = dict[str, Any]()
+        entries = dict[str, Any]()
         for name, at, values, unit in (
             ("displacement", "node", frames.displacement, LENGTH),
             ("velocity", "node", frames.velocity, VELOCITY),
@@ -119,13 +119,13 @@ class MacroRun(ViewedRun):
             ("F_dot", "element", frames.F_dot, RATE),
         ):
             axes = ("axis",) if values.ndim == 3 else ("row", "column")
-            found[f"field {name}"] = ("frame", at, *axes), values, {"units": unit}
-        found["elements"] = ("element", "corner"), self.elements
+            entries[f"field {name}"] = ("frame", at, *axes), values, {"units": unit}
+        entries["elements"] = ("element", "corner"), self.elements
         where = {
             "frame": ("frame", frames.t[: len(frames.displacement)], {"units": TIME}),
             "position": (("node", "axis"), self.nodes, {"units": LENGTH}),
         }
-        return found, where
+        return entries, where
 
     @property
     def basis(self) -> skfem.Basis:
@@ -195,7 +195,7 @@ def simulate(
         MismatchError: `resume` is of another run, or of one that gave its fields to `keep_frame`,
             and there is none now.
     """
-    given = problem, law, settings
+    inputs = problem, law, settings
     system = system or system_of(problem, law)
     for contact in system.contacts:
         contact.check_start()
@@ -215,7 +215,7 @@ def simulate(
         return carry_out(
             _steps(stepper, equations, settings, recorder, resume, closing),
             recorder,
-            lambda finished: _make_run(system, recorder, given, finished),
+            lambda finished: _make_run(system, recorder, inputs, finished),
             problem.duration,
             progress=progress,
             checkpoint=checkpoint,
@@ -291,22 +291,22 @@ def _make_stepper(
 def _make_run(
     system: System,
     recorder: Recorder,
-    given: tuple[Problem, StressLaw, MacroSettings],
+    inputs: tuple[Problem, StressLaw, MacroSettings],
     finished: bool,
 ) -> MacroRun:
-    """The results that were recorded of what was `given` to `simulate`."""
+    """The results that were recorded of the `inputs` of `simulate`."""
     report = recorder.report(finished=finished)
     state = recorder.state()
-    problem, law, settings = given
-    found = named_columns(columns_of(system, in_time=True), state.journal["rows"])
-    t = found["t"]
-    kinetic = found["kinetic"]
-    internal = found["work internal"]
-    curves = curves_of(t, found)
+    problem, law, settings = inputs
+    columns = named_columns(columns_of(system, in_time=True), state.journal["rows"])
+    t = columns["t"]
+    kinetic = columns["kinetic"]
+    internal = columns["work internal"]
+    curves = curves_of(t, columns)
     samples = state.journal["samples"]
     works = {
         name.removeprefix("work "): column
-        for name, column in found.items()
+        for name, column in columns.items()
         if name.startswith("work ") and (name != "work motion" or system.moving)
     }
     works.pop("internal")
@@ -314,7 +314,7 @@ def _make_run(
     contact = {}
     if system.contacts:
         done = sum(works[each.name] for each in system.contacts)
-        contact = {"contact": found["contact"], "contact dissipated": -done - found["contact"]}
+        contact = {"contact": columns["contact"], "contact dissipated": -done - columns["contact"]}
     dissipated = {
         f"dissipated {name}".strip(): _dissipated(t, samples[:, [0, 1 + k]])
         for k, name in enumerate(system.dissipating)
@@ -332,7 +332,7 @@ def _make_run(
             "balance": sum(works.values()) - internal - inertia,
         },
         curves=curves,
-        history=history_of(found),
+        history=history_of(columns),
         nodes=system.discretisation.nodes,
         elements=system.discretisation.elements,
         rest=state.rest[: len(system.discretisation.nodes)],

@@ -339,15 +339,15 @@ def system_of(problem: Problem, law: StressLaw) -> System:
 def _modulus(law: StressLaw, n_points: int) -> float:
     """Largest modulus of uniaxial strain at rest of any point, µN/µm."""
     strain = 1e-4
-    found = [0.0]
+    moduli = [0.0]
     still = np.zeros((n_points, 2, 2))
     for k in (0, 1):
         F = np.tile(np.eye(2), (n_points, 1, 1))
         before = law.respond(F, still).stress[:, k, k]
         F[:, k, k] += strain
         after = law.respond(F, still).stress[:, k, k]
-        found.append(float(np.nanmax(after - before)) / strain)
-    return max(found)
+        moduli.append(float(np.nanmax(after - before)) / strain)
+    return max(moduli)
 
 
 def make_system(
@@ -417,30 +417,30 @@ def make_system(
 
 
 def _supports(problem: Problem) -> tuple[Support, ...]:
-    """Those of the conditions and of bodies without mass."""
+    """Return the supports of the conditions and of bodies without mass."""
     mesh = problem.mesh
-    found = supports_of(problem, lambda each: nodes_on(mesh, each.on, f"{each.kind()}.on"))
+    supports = supports_of(problem, lambda each: nodes_on(mesh, each.on, f"{each.kind()}.on"))
     for k, body in enumerate(problem.bodies):
         if body.mass is None:
             unknowns = 2 * (mesh.p.shape[1] + k) + np.arange(2)
             values = np.array(body.displacement)
-            found.append(Support(f"{body.name} position", unknowns, values, body.amplitude))
-    return without_overlap(found, mesh.p.T)
+            supports.append(Support(f"{body.name} position", unknowns, values, body.amplitude))
+    return without_overlap(supports, mesh.p.T)
 
 
 def _probes(problem: Problem, space: Discretisation, n: int) -> dict[str, Array]:
     """By name, the (n,) weights of displacements that are recorded."""
-    found = dict[str, Array]()
+    probes = dict[str, Array]()
     mesh = problem.mesh
     for name, at in problem.watched.items():
         nodes, weights = space.locate(np.array(at, dtype=np.float64), f"watched.{name}")
-        found[f"displacement {name}"] = np.bincount(nodes, weights, n).astype(np.float64)
+        probes[f"displacement {name}"] = np.bincount(nodes, weights, n).astype(np.float64)
     for name in problem.acted_boundaries():
         load = traction_load(mesh, facets_of(mesh, name), (1.0, 1.0))[:, 0]
-        found[f"mean displacement {name}"] = np.pad(load / load.sum(), (0, n - load.size))
+        probes[f"mean displacement {name}"] = np.pad(load / load.sum(), (0, n - load.size))
     for place in problem.acted_nodes():
-        found[displacement_of(place)] = np.eye(1, n, place.node(mesh, "on")).ravel()
-    return found
+        probes[displacement_of(place)] = np.eye(1, n, place.node(mesh, "on")).ravel()
+    return probes
 
 
 def _initial_velocity(problem: Problem, supports: tuple[Support, ...], n: int) -> Array:
@@ -455,8 +455,8 @@ def _initial_velocity(problem: Problem, supports: tuple[Support, ...], n: int) -
         if isinstance(condition, InitialVelocity):
             nodes = nodes_on(problem.mesh, condition.on, "initial_velocity.on")
             velocity[nodes] = condition.velocity
-            given = np.array(condition.velocity) != 0.0
-            if given.any() and held.reshape(n, 2)[nodes][:, given].all():
+            moves = np.array(condition.velocity) != 0.0
+            if moves.any() and held.reshape(n, 2)[nodes][:, moves].all():
                 raise InputError(
                     f"{label(condition)}.on: {condition.on}; supports hold or move all of it, so "
                     "it can have no initial velocity"

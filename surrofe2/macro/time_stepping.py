@@ -119,13 +119,13 @@ class Method(Protocol):
         """Length of the first step, µs; raises as `step`."""
 
     def step(
-        self, start: Evaluation, memory: Array, t: float, found: Switched | None
+        self, start: Evaluation, memory: Array, t: float, restarted: Switched | None
     ) -> StepResult:
         """The step from `start` to time t.
 
         Args:
             memory: what the step before left for this one; empty at the start.
-            found: where the same step was restarted before; a guess of its end.
+            restarted: where the same step was restarted before; a guess of its end.
 
         Raises:
             NoStress, Switched: as of `EquationsOfMotion.evaluate`, on the way.
@@ -170,15 +170,15 @@ class Stepper:
             self._cross_corner()
         halvings = 0
         rejected = False
-        found = None
+        restarted = None
         while True:
             t = self._target()
             length = t - self.now.t
             try:
-                trial = self._tried(t, found)
+                trial = self._tried(t, restarted)
                 start = self._equations.accept(trial.end) if trial.error <= 1.0 else None
             except Switched as switched:
-                found = switched
+                restarted = switched
                 continue
             except NoStress as failure:
                 counts["failed_trials"] += 1
@@ -186,12 +186,12 @@ class Stepper:
                     raise SimulationError(
                         f"no time step succeeds after {MAX_HALVINGS} halvings: {failure}"
                     ) from failure
-                halvings = halvings + 1
+                halvings += 1
                 rejected = False
-                found = None
+                restarted = None
                 self.next_length = 0.5 * length
                 continue
-            found = None
+            restarted = None
             if start is None:
                 counts["rejected_steps"] += 1
                 rejected = True
@@ -215,10 +215,10 @@ class Stepper:
             self._work_before = 0.0
             return replace(trial, work_before=work)
 
-    def _tried(self, t: float, found: Switched | None) -> StepResult:
+    def _tried(self, t: float, restarted: Switched | None) -> StepResult:
         """The step to t; where points switch, it is restarted with them and raises `Switched`."""
         try:
-            return self._method.step(self.now, self.memory, t, found)
+            return self._method.step(self.now, self.memory, t, restarted)
         except Switched as switched:
             self.now = self._equations.restart_step(switched.points)
             raise
@@ -226,12 +226,14 @@ class Stepper:
     def _target(self) -> float:
         """Time to step to."""
         t = self.now.t
-        left = self._end() - t
+        remaining = self._end() - t
         h = min(self.next_length, self._largest)
         h = max(h, _ROUNDING * float(np.spacing(t)))
-        if h * (1.0 + 1e-9) >= left:
+        if h * (1.0 + 1e-9) >= remaining:
             return self._end()
-        return t + (0.5 * left if self._method.control.splits_rest and 2.0 * h > left else h)
+        if self._method.control.splits_rest and 2.0 * h > remaining:
+            return t + 0.5 * remaining
+        return t + h
 
     def _end(self) -> float:
         """The end of the run, or of the piece of the amplitudes if that comes first."""
@@ -315,7 +317,7 @@ class DormandPrince:
     )
 
     def step(
-        self, start: Evaluation, memory: Array, t: float, found: Switched | None = None
+        self, start: Evaluation, memory: Array, t: float, restarted: Switched | None = None
     ) -> StepResult:
         """The step from `start` to time t.
 

@@ -188,9 +188,11 @@ def curves_of(t: Array, columns: Mapping[str, Array]) -> dict[str, DisplacementC
 
 
 def history_of(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """Those of boundaries, supports, loads and bodies, whose names `_HISTORY` begins; and how many
-    points are beyond a bifurcation, unless the law cannot tell and the column is NaN; and how many
-    outer sides cross, where any do."""
+    """Return the columns of boundaries, supports, loads and bodies, whose names `_HISTORY` begins.
+
+    The count of points beyond a bifurcation is among them unless the law cannot tell and the column
+    is NaN, the count of outer sides that cross only where any do.
+    """
     history = {name: column for name, column in columns.items() if name.startswith(_HISTORY)}
     if np.isnan(history.get(BEYOND, 0.0)).any():
         del history[BEYOND]

@@ -717,8 +717,8 @@ CROSSED = "outer_sides_cross_from"
 
 
 def crossed(t: Array, history: Mapping[str, Array]) -> dict[str, Any]:
-    """What a record's `met` says of outer sides that cross: from which time or load factor on;
-    nothing where none do."""
+    """Return the entry of a record's `met` on outer sides that cross, the time or load factor from
+    which they do; none where none do."""
     crossings = history.get(CROSSINGS)
     if crossings is None:
         return {}
