@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surrofe2.base.arrays import Index
 from surrofe2.base.clock import seconds_compiling
@@ -165,59 +167,94 @@ def run_tissue(
     with recipe.named(InputError):
         conditions = parts.conditions()
     recipe = replace(recipe, tissue=with_step(recipe.tissue, conditions))
-    before = seconds_compiling()
-    state: TissueState | None = None
-    frames: FrameWriter | None = None
-
-    def store(record: RunRecord, run: TissueRun) -> RunRecord:
-        write_curves(folder, run.curves, run.history, run.energies)
-        writer = frames
-        if writer is None:  # the run had ended before its last checkpoint
-            writer = particle_writer(folder, run.position, run.bonds, run.is_wall)
-            writer.resume(run.frames.t.tolist())
-        writer.close()
-        return replace(
-            record,
-            wall_time={**run.wall_time, "compilation": seconds_compiling() - before},
-            counts=run.counts,
-            threads=run.threads,
-        )
-
-    def keep(frame: ParticleFrames, count: int, of: Particles) -> None:
-        nonlocal frames
-        if frames is None:
-            frames = particle_writer(folder, *of)
-            if state is not None:
-                frames.resume(state.journal["frames.t"].tolist())
-        frames.write(count, float(frame.t[0]), *fields_of_particles(frame))
-
-    def checkpoint(at: TissueState) -> None:
-        if frames is not None:  # first: whoever resumes needs all that this state had recorded
-            frames.flush()
-        run.checkpoint(at.to_arrays())
-
     of = {"initialisation": "none", "solver": "leapfrog", "seed": None}
-    record = new_record(recipe, "tissue", **of)
-    inputs = inputs_of(recipe, "tissue")
-    with RunFolder.open(folder, record, store, inputs=inputs, fresh=fresh) as run:
-        if run.is_finished:
-            return run.record
-        state = run.restored(TissueState.from_arrays)
-        result = simulate_tissue(
-            parts.problem,
-            parts.cells,
-            recipe.tissue,
-            reference=conditions.tissue.references,
-            kind=parts.kind,
-            outlined=parts.outlined,
-            progress=lambda t, duration: report(t, "" if t > 0.0 else "relaxing without load"),
-            checkpoint=checkpoint,
+    job = _TissueJob(
+        recipe=recipe,
+        parts=parts,
+        references=conditions.tissue.references,
+        folder=folder,
+        record=new_record(recipe, "tissue", **of),
+        inputs=inputs_of(recipe, "tissue"),
+        report=report,
+    )
+    return RunFolder.compute(folder, job, fresh=fresh)
+
+
+@dataclass(slots=True, kw_only=True)
+class _TissueJob:
+    """A run of all particles as a `Job`.
+
+    Attributes:
+        recipe, parts: what is computed.
+        references: reference states of the tissue's cells.
+        report: is called with the time, µs.
+        compiled_before: seconds in which kernels had been compiled when it began.
+        frames: writer of whole fields; None until the first frame.
+        frame_times: of the frames that a checkpoint counts, µs.
+    """
+
+    recipe: Recipe
+    parts: TissueParts
+    references: Sequence[ReferenceState]
+    folder: Path
+    record: RunRecord
+    inputs: Mapping[str, bytes]
+    report: Report
+    compiled_before: float = field(default_factory=seconds_compiling)
+    frames: FrameWriter | None = None
+    frame_times: list[float] | None = None
+
+    def restored(self, arrays: dict[str, NDArray]) -> TissueState:
+        state = TissueState.from_arrays(arrays)
+        self.frame_times = state.journal["frames.t"].tolist()
+        return state
+
+    def compute(self, run: RunFolder, state: TissueState | None) -> TissueRun:
+        return simulate_tissue(
+            self.parts.problem,
+            self.parts.cells,
+            self.recipe.tissue,
+            reference=self.references,
+            kind=self.parts.kind,
+            outlined=self.parts.outlined,
+            progress=lambda t, duration: self.report(t, "" if t > 0.0 else "relaxing without load"),
+            checkpoint=partial(self._checkpoint, run),
             checkpoint_interval=CHECKPOINT_INTERVAL,
             resume=state,
-            keep_frame=keep,
+            keep_frame=self._keep,
         )
-        run.finish(result)
-    return run.record
+
+    def _keep(self, frame: ParticleFrames, count: int, of: Particles) -> None:
+        """Write a frame as the next after `count` others."""
+        if self.frames is None:
+            self.frames = particle_writer(self.folder, *of)
+            if self.frame_times is not None:
+                self.frames.resume(self.frame_times)
+        self.frames.write(count, float(frame.t[0]), *fields_of_particles(frame))
+
+    def _checkpoint(self, run: RunFolder, state: TissueState) -> None:
+        if self.frames is not None:  # first: whoever resumes needs all that this state had recorded
+            self.frames.flush()
+        run.checkpoint(state.to_arrays())
+
+    def store(self, record: RunRecord, result: TissueRun) -> RunRecord:
+        write_curves(self.folder, result.curves, result.history, result.energies)
+        if self.frames is None:  # the run had ended before its last checkpoint
+            self.frames = particle_writer(
+                self.folder, result.position, result.bonds, result.is_wall
+            )
+            self.frames.resume(result.frames.t.tolist())
+        self.frames.close()
+        compilation = seconds_compiling() - self.compiled_before
+        return replace(
+            record,
+            wall_time={**result.wall_time, "compilation": compilation},
+            counts=result.counts,
+            threads=result.threads,
+        )
+
+    def close(self) -> None:
+        """Leave all: a run of particles keeps nothing that only an unfinished one needs."""
 
 
 def tissue_summary(record: RunRecord) -> str:
