@@ -656,6 +656,11 @@ def read_fields(
     return StoredFields(series.points, series.cells, series.t, over_time)
 
 
+def is_of_points(name: str, count: int, cells: int) -> bool:
+    """Return whether a field of so many values is one of points, not of elements or springs."""
+    return name in MOTION or count != cells
+
+
 def split_unit(column: str) -> tuple[str, str]:
     """Return the name of a field as runs in Python have it, and its unit."""
     for ending, unit in _UNITS.items():

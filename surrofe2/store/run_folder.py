@@ -38,9 +38,9 @@ from surrofe2.run.responses import STRAIN_NAME, STRESS_NAME, Response, responses
 from surrofe2.run.views import Facts, ViewedRun, course
 from surrofe2.store.fields import (
     FIELDS,
-    MOTION,
     POINTS,
     frame_files,
+    is_of_points,
     open_fields,
     read_fields,
     split_unit,
@@ -240,7 +240,8 @@ class StoredRun(ViewedRun):
         values: dict[str, Any] = {"elements": (("element", "corner"), stored.cells)}
         for column, array in stored.values.items():
             name, unit = split_unit(column)
-            at = "node" if column in MOTION else "element"
+            of_points = is_of_points(column, array.shape[1], len(stored.cells))
+            at = "node" if of_points else "element"
             axes = {2: (), 3: ("axis",), 4: ("row", "column")}[array.ndim]
             values[f"field {name}"] = ("frame", at, *axes), array, {"units": unit}
         unit = NONE if self.is_rest else TIME
@@ -272,6 +273,8 @@ class StoredRun(ViewedRun):
                 "to_pyvista: pyvista is not installed; install it: pip install pyvista"
             ) from None
         series = open_fields(self.folder)
+        if not isinstance(frame, int | np.integer):
+            raise InputError(f"frame: {quoted(frame)}; it must be a whole number")
         if not -series.count <= frame < series.count:
             raise InputError(f"frame: {frame}; there are {series.count} of them, from 0")
         frame %= series.count
@@ -280,7 +283,8 @@ class StoredRun(ViewedRun):
         kinds = np.full(len(series.cells), _VTK_KINDS[corners], np.uint8)
         grid = pyvista.UnstructuredGrid(counted.ravel(), kinds, _in_space(series.points))
         for name, values in series.frame(frame, (), None).items():
-            data = grid.point_data if name in MOTION else grid.cell_data
+            of_points = is_of_points(name, len(values), len(series.cells))
+            data = grid.point_data if of_points else grid.cell_data
             data[name] = values if values.ndim == 1 else _in_space(values)
         grid.field_data["t"] = [series.t[frame]]
         return grid

@@ -50,6 +50,13 @@ def test_run_folder(short, folder):
         assert at_points["wall"].sum() == 117
         assert at_points["displacement_um"][:, 1].min() <= curve.displacement[-1, 1]
     assert done.stdout.startswith(f"{folder}: 1 µs of 181 particles in ")
+    fields, coordinates = read_run(folder).fields_over_time()
+    frames = len(coordinates["frame"][1])
+    axes, is_wall, _ = fields["field wall"]
+    assert (axes, is_wall.shape) == (("frame", "node"), (frames, 181))
+    pytest.importorskip("pyvista")
+    grid = read_run(folder).to_pyvista()
+    assert (grid.n_points, grid.n_cells, grid.point_data["wall"].sum()) == (181, 120, 117)
 
 
 def test_a_tissue_is_in_time_though_its_recipe_states_a_rest(short, folder, written):

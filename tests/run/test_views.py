@@ -126,6 +126,8 @@ def test_a_stored_run_for_pyvista(run, stored):
     assert not stored.to_pyvista(0).point_data["displacement_um"].any()
     with pytest.raises(InputError, match=r"frame: 999; there are \d+ of them"):
         stored.to_pyvista(999)
+    with pytest.raises(InputError, match=r"frame: 0\.5; it must be a whole number"):
+        stored.to_pyvista(0.5)
 
 
 def test_a_rest_is_over_the_factor_of_its_load(stored, monkeypatch):
