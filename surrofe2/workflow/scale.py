@@ -33,13 +33,18 @@ class Particles:
 
     Attributes:
         plant_cells, particles, steps: how many there are.
-        is_possible: whether `surrofe2 tissue` takes the recipe, a rectangle of whole plant cells.
+        refusal: why `surrofe2 tissue` does not take the recipe; empty where it does.
     """
 
     plant_cells: float
     particles: float
     steps: float
-    is_possible: bool
+    refusal: str
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether `surrofe2 tissue` takes the recipe."""
+        return not self.refusal
 
     @property
     def seconds(self) -> float:
@@ -136,17 +141,21 @@ def all_particles(recipe: Recipe) -> Particles:
             step = min(step, rounded_step(stable_step(cell, kept_reference(cell))))
     try:
         tissue_of(recipe)
-    except InputError:
-        is_possible = False
+    except InputError as error:
+        refusal = str(error)
     else:
-        is_possible = True
-    return Particles(plant_cells, particles, recipe.duration / step, is_possible)
+        refusal = ""
+    return Particles(plant_cells, particles, recipe.duration / step, refusal)
 
 
 def particles_sentence(found: Particles) -> str:
     """What all particles would take."""
     total = rough_number(found.particles * found.steps)
-    only = "" if found.is_possible else " (surrofe2 tissue does not take this problem)"
+    only = (
+        ""
+        if found.is_possible
+        else f" (surrofe2 tissue does not take this problem: {found.refusal})"
+    )
     return (
         f"All particles: {found.plant_cells:,.0f} plant cells, {found.particles:,.0f} particles, "
         f"{found.steps:,.0f} steps. At {PARTICLE_STEPS / 1e6:.0f} million particle-steps a second, "

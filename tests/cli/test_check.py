@@ -19,7 +19,13 @@ from surrofe2.rve import RveLaw
 from surrofe2.workflow import check, scale
 from surrofe2.workflow.laws import law_by_region, quadratic_law
 from surrofe2.workflow.run import run_study
-from surrofe2.workflow.scale import all_particles, sap_notes, sap_wave_speed, scale_warnings
+from surrofe2.workflow.scale import (
+    all_particles,
+    particles_sentence,
+    sap_notes,
+    sap_wave_speed,
+    scale_warnings,
+)
 from surrofe2.workflow.tissue import tissue_of
 from tests.cli.conftest import call
 from tests.conftest import CELLS, RANGE, RECIPE, ROOT, changed
@@ -247,9 +253,9 @@ def test_all_particles_are_those_of_the_tissue(recipe, changed_recipe):
     stated = load_recipe(changed_recipe("[macro]", "[tissue]\nmicro_step = 1e-4\n[macro]"))
     assert all_particles(stated).steps == pytest.approx(4e4)
     assert found.is_possible
-    assert not all_particles(
-        load_recipe(changed_recipe("= 100.0\nbody", "= 90.0\nbody"))
-    ).is_possible
+    other = all_particles(load_recipe(changed_recipe("= 100.0\nbody", "= 90.0\nbody")))
+    assert not other.is_possible
+    assert "does not take this problem: recipe.toml: load" in particles_sentence(other)
 
 
 @pytest.mark.parametrize(("rate", "advice"), [(1e30, "surrofe2 tissue"), (1e-30, "--law rve")])
