@@ -127,11 +127,17 @@ def refine_surrogate(
     several cells `out`/surrogate-NAME.h5. With `cell` that one alone is refined.
 
     Raises:
+        InputError: the recipe lacks a range, or the file of a data set or a surrogate.
         SimulationError: the last round of `rounds` is not settled.
     """
     if rounds < 1:
         raise InputError(f"rounds: {rounds}; it must be at least 1")
     studies = recipe.studies(cell)
+    # what a recipe lacks is named before a folder is made or former rounds are removed
+    for study in studies.values():
+        study.sampling_range()
+        study.data_path()
+        study.training_path()
     with locked_folder(out):
         done = _open_rounds(recipe, studies, out, fresh)
         for k in range(rounds):

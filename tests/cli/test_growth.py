@@ -39,6 +39,19 @@ def first(run, changed_recipe, tmp_path):
     return tmp_path / "first"
 
 
+@pytest.mark.parametrize("entry", ['file = "cells.h5"', 'file = "cells-surrogate.h5"'])
+def test_what_refine_lacks_is_named_before_anything_is_written(
+    invoke, changed_recipe, tmp_path, entry
+):
+    path = changed_recipe(entry, "")
+    out = tmp_path / "refined"
+    assert "file: missing" in invoke("refine", path, "--out", out, code=1).stderr
+    assert not out.exists()
+    (out / "round-0").mkdir(parents=True)
+    invoke("refine", path, "--out", out, "--fresh", code=1)
+    assert (out / "round-0").exists()
+
+
 def test_a_table_serves_alone_and_better_the_second_time(run, first, tmp_path):
     second = tmp_path / "second"
     done = run(second, "--table", first / "table.h5")
