@@ -52,7 +52,10 @@ def stored_run(folder: Path) -> Stored:
     """
     record = read_record(folder)
     if record.status != "finished":
-        raise FileError(f"{folder}: a run that is {record.status}; finish it before it is repeated")
+        raise FileError(
+            f"{folder}: the run is {record.status}, and only a finished one is repeated; its "
+            "command resumes it"
+        )
     return Stored(folder, record, load_recipe(check_inputs(folder, record)))
 
 

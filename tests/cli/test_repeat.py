@@ -133,7 +133,9 @@ def test_what_cannot_be_repeated_is_one_line(invoke, first, tmp_path):
     write_record(first, replace(read_record(first), inputs={}))
     assert "it keeps no input/recipe.toml, as runs saved from Python" in refusal("--out", out)
     write_record(first, replace(read_record(first), status="interrupted"))
-    assert "a run that is interrupted; finish it before it is repeated" in refusal("--out", out)
+    assert "the run is interrupted, and only a finished one is repeated; its command" in refusal(
+        "--out", out
+    )
     missing = invoke("run", ROOT / "data" / "bending-bar.toml", "--out", out, code=1)
     assert "--law: missing; it must be one of rve, surrogate, cached, table" in missing.stderr
     nowhere = invoke("run", tmp_path / "nowhere", "--out", out, code=1)
