@@ -186,7 +186,8 @@ def find_element(
         outside = max(-local.min(), (local.max() if k == 4 else local.sum()) - 1.0)
         if outside <= min(max(1e-9, DIGITS * abs(nodes).max() / size[e].min()), CLOSED):
             return int(e), local
-    low, high = nodes.min(axis=0), nodes.max(axis=0)
+    low = nodes.min(axis=0)
+    high = nodes.max(axis=0)
     raise InputError(
         f"{name}: ({point[0]:.6g}, {point[1]:.6g}) µm; it must lie within the mesh, which reaches "
         f"from ({low[0]:.6g}, {low[1]:.6g}) to ({high[0]:.6g}, {high[1]:.6g}) µm"

@@ -37,9 +37,13 @@ _DISSOLVINGS = 5
 _FEWEST = 3
 """Springs of a wall that ends where it begins."""
 
-_APART, _SPREADINGS, _TINY = 0.85, 200, 1e-3
-"""Part of a spring's length by which particles of two walls are apart, how often they are moved
-until they are, each time by half of what is lacking, and the smallest distance reckoned with."""
+_APART = 0.85
+"""Distance of particles of two walls, of a spring's length: nearer ones repel each other so much
+that the first relaxation bursts."""
+_SPREADINGS = 200
+"""How often particles are moved apart at most, each time by half of what is lacking."""
+_TINY = 1e-3
+"""Smallest distance by which is divided, of the one wanted: particles may coincide."""
 
 Point = tuple[int, int]
 """A corner of pixels: x and y in pixels."""
@@ -179,7 +183,8 @@ def _paths(regions: NDArray[np.int64]) -> list[Path]:
 
 def _left_of(regions: NDArray[np.int64], begin: Point, end: Point) -> int:
     """The region on the left of a step from a corner of pixels to the next."""
-    (ax, ay), (bx, by) = begin, end
+    ax, ay = begin
+    bx, by = end
     if ay == by:  # upwards is the left of a step to the right
         return int(regions[ay if bx > ax else ay - 1, min(ax, bx)])
     return int(regions[min(ay, by), ax - 1 if by > ay else ax])
@@ -214,7 +219,9 @@ def _loops(regions: NDArray[np.int64], paths: list[Path]) -> Iterator[tuple[int,
 
 def _turn(path: Path, following: Path) -> int:
     """1 where the second of two walls turns to the left of the first, −1 to the right."""
-    (ax, ay), (bx, by), (cx, cy) = path[-2], path[-1], following[1]
+    ax, ay = path[-2]
+    bx, by = path[-1]
+    cx, cy = following[1]
     return (bx - ax) * (cy - by) - (by - ay) * (cx - bx)
 
 
@@ -270,7 +277,8 @@ def _lines(paths: list[Path], shape: tuple[int, ...], near: float) -> list[Line]
         place[one] = at[on_border == on_border.max()].mean(axis=0)
     lines = []
     for path, line, short in zip(paths, smooth, is_short, strict=True):
-        begin, end = root(path[0]), root(path[-1])
+        begin = root(path[0])
+        end = root(path[-1])
         along = np.linspace(0.0, 1.0, len(line))[:, None]
         moved = line + (1.0 - along) * (place[begin] - line[0]) + along * (place[end] - line[-1])
         is_gone = short and begin == end
@@ -316,7 +324,8 @@ def _arrange(
         if not len(line.points):
             particles.append([])
             continue
-        begin, end = corners[line.begin], corners[line.end]
+        begin = corners[line.begin]
+        end = corners[line.end]
         springs = max(1, round(pixel * length_of(line.points) / length))
         if begin == end:
             springs = max(_FEWEST, springs)

@@ -356,7 +356,9 @@ def descend(
         many steps were tried.
     """
     scale = unit.constants.scale
-    z, arrived, tried = z.copy(), np.zeros(len(z), dtype=np.bool_), np.zeros(len(z), dtype=np.int_)
+    z = z.copy()
+    arrived = np.zeros(len(z), dtype=np.bool_)
+    tried = np.zeros(len(z), dtype=np.int_)
     limit = np.minimum(np.full(len(z), most), STEPS)
     energy = np.full(len(z), np.inf)
     # The first step has no length, and any energy is below ∞: it only evaluates energy, forces and

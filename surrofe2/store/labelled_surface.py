@@ -20,10 +20,12 @@ from surrofe2.store.store import read_bytes
 
 _ACROSS = 40
 """Pixels on the side of a square with a cell's mean area."""
-_FLAT, _TOO_CURVED = 0.98, 0.8
-"""Projected over true area: below the first a surface is noted as curved, below the second it is
-refused."""
+_FLAT = 0.98
+"""Projected over true area below which a surface is noted as curved."""
+_TOO_CURVED = 0.8
+"""The same below which it is refused: cells seen from aside have wrong shapes."""
 _MOST_PIXELS = 5e7
+"""Pixels above which a surface is refused: small cells that lie far apart ask for so many."""
 _END_OF_HEADER = re.compile(rb"^\s*end_header\s*$", re.MULTILINE)
 
 
@@ -66,7 +68,8 @@ def read_surface(path: Path) -> LabelledSurface:
     of_triangles = np.where(ordered[:, 0] == ordered[:, 1], ordered[:, 1], ordered[:, 2])
     of_triangles = np.where(of_triangles > 0, of_triangles, ordered[:, 2])
     is_cell = of_triangles > 0
-    triangles, of_triangles = triangles[is_cell], of_triangles[is_cell]
+    triangles = triangles[is_cell]
+    of_triangles = of_triangles[is_cell]
     check_count(path, of_triangles)
     corners = points[triangles]
     normals = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -414,7 +414,9 @@ class PairLister:
         rest = (stiffness * of["rest_length"][both]).sum(axis=2) / np.maximum(total, 1e-60)
         damping = of["wall_damping"][both].sum(axis=2)
         relative = self._relative_lengths()
-        total, rest, damping = total / relative, rest * relative, damping / relative
+        total = total / relative
+        rest = rest * relative
+        damping = damping / relative
         bonds = pack(np.stack([half * total, rest, half * damping], axis=2))
         self._bond_tile, self._bond = np.nonzero((bonds[:, :, 0] > 0.0).any(axis=2))
         self._bonds = np.ascontiguousarray(bonds[self._bond_tile, self._bond])
