@@ -45,9 +45,27 @@ _SENTENCES = {
 }
 
 
-def describe(status: int) -> str:
-    """The sentence behind a status code of `StressResponse.status`."""
-    return _SENTENCES[Status(int(status))]
+def describe(status: int | Index) -> str:
+    """State in words what `StressResponse.status` says.
+
+    Args:
+        status: the code of one point, or (n,) those of all points.
+
+    Returns:
+        The sentence of one code; of an array a line per code that occurs, the most frequent
+        first, with the number of points that have it. An empty array gives an empty text.
+
+    Raises:
+        ValueError: a code that is none of `Status`.
+    """
+    codes = np.atleast_1d(status)
+    if np.ndim(status) == 0:
+        return _SENTENCES[Status(int(codes[0]))]
+    counted = Counter(codes.ravel().tolist())
+    lines = []
+    for code, count in counted.most_common():
+        lines.append(f"{count} of {codes.size} points: {_SENTENCES[Status(code)]}")
+    return "\n".join(lines)
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,7 +38,8 @@ def read_labels(path: Path) -> Labels:
     read = kinds.get(path.suffix.lower())
     if read is None:
         raise InputError(
-            f"{path}: images of this kind are not read; it must end in {', '.join(kinds)}"
+            f"{path}: files of this kind are not read; an image must end in {', '.join(kinds)}, "
+            "and a surface, which `surrofe2 cells` reads, in .ply"
         )
     content = read_bytes(path)
     try:

@@ -5,7 +5,7 @@ import pytest
 
 from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.law.paths import follow_path, oscillation, ramp_and_hold
-from surrofe2.law.stress_law import SURROGATE, TABLE, Status
+from surrofe2.law.stress_law import SURROGATE, TABLE, Status, describe
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw, RveSettings
 from tests.laws import DryFriction, KelvinVoigt
@@ -109,3 +109,16 @@ def test_codes_of_sources_are_no_reasons():
     """Stresses of surrogate and table have codes that no reason to solve an RVE has."""
     assert SURROGATE != TABLE
     assert not {SURROGATE, TABLE} & {*map(int, Status)}
+
+
+def test_describe_counts_the_points_of_an_array_by_reason():
+    status = np.array([0, 3, 0, 1, 3, 0])
+    lines = describe(status).splitlines()
+    assert [line.partition(":")[0] for line in lines] == [
+        "3 of 6 points",
+        "2 of 6 points",
+        "1 of 6 points",
+    ]
+    assert lines[1].endswith(describe(Status.OUT_OF_RANGE))
+    assert describe(status[:0]) == ""
+    assert describe(status[3]) == describe(Status.NOT_CONVERGED)
