@@ -28,7 +28,7 @@ from surrofe2.base.errors import (
     quoted,
     shortened,
 )
-from surrofe2.base.interruption import interruptible
+from surrofe2.base.interruption import held, interruptible
 from surrofe2.base.settings import check_value, hints_of
 from surrofe2.base.units import ENERGY, FORCE, LENGTH, NONE, STRESS, TIME
 from surrofe2.base.versions import describe_platform
@@ -386,6 +386,7 @@ class RunFolder:
         partial: result that is stored where the run ends early by an error without one.
         cache: report of a cached law at the last checkpoint.
         inputs: contents, by name, of the files from which the run can be repeated.
+        has_begun: whether run.json is that of this run, and no longer that of a former one.
         is_finished: whether run.json says that it is finished, as then it stays.
         resumes: whether the run resumes from a checkpoint of an earlier call.
     """
@@ -396,6 +397,7 @@ class RunFolder:
     partial: Any = None
     cache: Mapping[str, Any] | None = None
     inputs: Mapping[str, bytes] = field(default_factory=dict)
+    has_begun: bool = False
     is_finished: bool = False
     resumes: bool = False
 
@@ -457,22 +459,20 @@ class RunFolder:
         with nullcontext() if is_whole else locked_folder(folder):
             if not (is_whole or fresh):
                 earlier = earlier_run(folder, record)  # another process may have ended meanwhile
-            with interruptible():
-                if earlier is not None and earlier.status == "finished":
-                    run.record = earlier
-                    run.is_finished = True
-                    remove(state)
-                    log.info("%s: finished before; --fresh starts over", folder)
-                else:
-                    run.resumes = earlier is not None and state.exists()
-                    # An error in here ends no run: the folder has the former one, or one that
-                    # began and was left, as by a kill.
-                    run._begin()
             try:
                 with interruptible():
+                    if earlier is not None and earlier.status == "finished":
+                        run.record = earlier
+                        run.is_finished = True
+                        remove(state)
+                        log.info("%s: finished before; --fresh starts over", folder)
+                    else:
+                        run.resumes = earlier is not None and state.exists()
+                        run._begin()
                     yield run
             except BaseException as error:
-                if not run.is_finished:
+                # A run that could not begin has ended nothing: the folder has the former one.
+                if run.has_begun and not run.is_finished:
                     run._end_by(error)
                 raise
 
@@ -481,15 +481,16 @@ class RunFolder:
 
         They are removed after the record is written, so that a kill in between leaves one run or
         the other. Harvests, tables and inputs have names that users give to files of their own,
-        such as table-2.h5: those that the former run's record implies are removed, and a kill in
-        between leaves their list in the new record.
+        such as table-2.h5: those that the former run's record implies are removed, and what ends
+        the process in between leaves their list in the new record.
         """
         if self.resumes:
-            write_record(self.folder, self.record)
+            self._write_first_record()
             return
         replaced = _former_files(self.folder)
         remove(self.folder / CHECKPOINT)
-        write_record(self.folder, replace(self.record, replaces=replaced))
+        self.record = replace(self.record, replaces=replaced)
+        self._write_first_record()
         others = [name for name in FILES[1:] if name not in (HARVEST, TABLE)]
         for pattern in (*others, *_FRAMES):
             for path in self.folder.glob(pattern):
@@ -499,7 +500,14 @@ class RunFolder:
         for name, content in self.inputs.items():
             write_bytes(self.folder / INPUT / name, content)
         if replaced:
+            self.record = replace(self.record, replaces=())
             write_record(self.folder, self.record)
+
+    def _write_first_record(self) -> None:
+        """Replace the former run's record by this one's, and know it, without an interruption."""
+        with held():
+            write_record(self.folder, self.record)
+            self.has_begun = True
 
     def restored(self, restore: Callable[[dict[str, np.ndarray]], State]) -> State | None:
         """Restore the state of the last checkpoint; None where the run starts at its beginning.

@@ -119,7 +119,30 @@ def test_fresh_removes_harvests_and_tables_of_the_former_run_alone(
     assert not read_record(folder).replaces
 
 
-def test_what_a_kill_kept_from_being_removed_is_removed_by_the_next_start(
+@pytest.mark.parametrize("end", [KeyboardInterrupt(), MemoryError(), FileError("a full disk")])
+def test_what_ends_the_beginning_of_a_run_is_what_its_record_says(
+    tmp_path, record, monkeypatch, end
+):
+    """While its inputs are written, which may be large, run.json is its own already."""
+
+    def fail(path, content):
+        raise end
+
+    folder = tmp_path / "run"
+    running = replace(record, status="running")
+    inputs = {"recipe.toml": b"[cell]"}
+    with monkeypatch.context() as patched:
+        patched.setattr(run_folder, "write_bytes", fail)
+        with pytest.raises(type(end)), RunFolder.open(folder, running, None, inputs=inputs):
+            pytest.fail("it has not begun")
+    is_interrupted = isinstance(end, KeyboardInterrupt)
+    assert read_record(folder).status == ("interrupted" if is_interrupted else "failed")
+    with RunFolder.open(folder, running, None, inputs=inputs) as run:
+        assert not run.resumes
+    assert (folder / "input" / "recipe.toml").read_bytes() == b"[cell]"
+
+
+def test_what_an_interruption_kept_from_being_removed_is_removed_by_the_next_start(
     tmp_path, record, monkeypatch
 ):
     folder = tmp_path / "run"
@@ -139,7 +162,10 @@ def test_what_a_kill_kept_from_being_removed_is_removed_by_the_next_start(
         with pytest.raises(KeyboardInterrupt):
             opened(folder, running, fresh=True)
     assert (folder / "table-skin.h5").exists()
-    assert read_record(folder).status == "running"
+    ended = read_record(folder)
+    assert ended.status == "interrupted"
+    assert "table-skin.h5" in ended.replaces
+    write_record(folder, replace(ended, status="running"))  # as a kill leaves it
     opened(folder, running)
     assert [path.name for path in folder.iterdir()] == ["run.json"]
 
