@@ -7,10 +7,17 @@ import numpy as np
 import pytest
 import skfem
 
-from surrofe2 import CellParameters, RveLaw
+from surrofe2 import CellParameters, RveLaw, living_cell
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.workflow.tissue import tissue_of
 from tests.conftest import ROOT
+
+try:
+    import gmsh  # noqa: F401
+except (ImportError, OSError):
+    HAS_GMSH = False
+else:
+    HAS_GMSH = True
 
 FOLDER = ROOT / "docs" / "gallery"
 PAGES = sorted(FOLDER.glob("*.md"))
@@ -63,3 +70,64 @@ def test_the_image_of_the_gallery_has_outlines_that_fill_its_mesh():
     rims = names["polygons"](tissue.outlined, tissue.outlined.arrangement.wall_position)
     assert len(rims) == 57
     assert names["areas"](rims).sum() == pytest.approx(900.0 * 600.0)
+
+
+def test_force_depends_on_wall_modulus_only_together_with_turgor():
+    names = script("wall_modulus")
+    columns, heights = np.array([0.0, 400.0, 1200.0]), np.array([0.0, 2000.0])
+
+    def forces(wall_modulus, turgor=0.4):
+        rest = names["pressed"](wall_modulus, turgor, columns, heights)
+        return names["force_over_depth"](rest)[1]
+
+    reference = forces(300.0)
+    # stress is a function of strain and turgor/wall modulus, times the wall modulus
+    assert forces(330.0, 0.44) == pytest.approx(1.1 * reference, rel=1e-3)
+    # turgor matters more
+    assert forces(300.0, 0.44)[-1] > forces(330.0)[-1] > 1.01 * reference[-1]
+    values, _ = names["identified"](reference[1:], [280.0], forces)
+    assert values[0] == pytest.approx(300.0, rel=1e-2)
+
+
+def test_a_neo_hookean_solid_has_exact_slopes_and_agrees_with_cells_at_small_strain():
+    names = script("own_law")
+    law = RveLaw(living_cell("apple", arrangement="hexagon"))
+    solid = names["like"](law)
+    F = np.array([[[1.2, 0.1], [-0.05, 0.9]]])
+    rest = np.zeros_like(F)
+    A = solid.respond(F, rest, tangents=True).tangents.P_by_F[0]
+    for c, d in np.ndindex(2, 2):
+        step = np.zeros_like(F)
+        step[0, c, d] = 1e-6
+        sides = [solid.respond(F + x, rest).first_piola(F + x)[0] for x in (step, -step)]
+        assert A[:, :, c, d] == pytest.approx((sides[0] - sides[1]) / 2e-6, rel=1e-6, abs=1e-6)
+    stretched = np.array([[[1.001, 0.0005], [0.0, 1.0]]])
+    stress, other = (each.respond(stretched, rest).stress for each in (law, solid))
+    assert other == pytest.approx(stress, rel=0.02, abs=1e-3 * abs(stress).max())
+
+
+@pytest.mark.parametrize(("strain", "ratio"), [(0.15, 1.0), (-0.15, -1.0)])
+def test_cells_stiffen_in_tension_and_soften_in_compression(strain, ratio):
+    names = script("own_law")
+    law = RveLaw(living_cell("apple", arrangement="hexagon"))
+    stresses = []
+    for each in (law, names["like"](law)):
+        rest = names["loaded"](each, strain, (2, 2), 5)
+        stresses.append(names["stress_over_strain"](rest, strain)[1][-1])
+    cells, solid = stresses
+    assert ratio * (abs(cells) / abs(solid) - 1.0) > 0.1
+
+
+@pytest.mark.skipif(not HAS_GMSH, reason="gmsh, of the extra dev, is not installed or lacks libGLU")
+def test_a_wilted_pith_softens_a_stem():
+    names = script("organ")
+    mesh = names["stem_mesh"](1.0)
+    areas = {
+        name: skfem.Basis(mesh, mesh.elem(), elements=name).dx.sum() for name in mesh.subdomains
+    }
+    assert areas["pith"] == pytest.approx(np.pi * 2000.0**2 / 4.0, rel=1e-3)
+    turgid, wilted = (
+        names["force_over_squeeze"](names["squeezed"](mesh, turgor, 4))[1][-1]
+        for turgor in (0.4, 0.1)
+    )
+    assert turgid > 1.5 * wilted > 0.0
