@@ -95,7 +95,8 @@ def test_objects_are_not_unpickled(tmp_path):
 
 
 def test_other_kinds_and_missing_libraries_say_what_helps(tmp_path, monkeypatch):
-    with pytest.raises(InputError, match=r"must end in \.npy, \.png, \.tif, \.tiff, and a surface.* in \.ply"):
+    kinds = r"must end in \.npy, \.png, \.tif, \.tiff, and a surface.* in \.ply"
+    with pytest.raises(InputError, match=kinds):
         read_labels(tmp_path / "a.jpg")
     path = written(tmp_path / "a.tif", LABELS.astype(np.uint8))
     monkeypatch.setitem(sys.modules, "tifffile", None)
