@@ -4,6 +4,7 @@ The source folder is the project's root, so that links between pages lead to the
 in a view of the repository.
 """
 
+import os
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -28,10 +29,23 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.mathjax",
+    "sphinx.ext.viewcode",
     "commands",
     "docstrings",
     "equations",
+    "keys",
+    "signatures",
 ]
+# Links to other packages need their lists of names from the network, and a build without one would
+# end in warnings. Read the Docs has it; elsewhere these names are plain text.
+if os.environ.get("READTHEDOCS"):
+    extensions.append("sphinx.ext.intersphinx")
+intersphinx_mapping = {
+    "python": ("https://docs.python.org/3", None),
+    "numpy": ("https://numpy.org/doc/stable", None),
+    "scipy": ("https://docs.scipy.org/doc/scipy", None),
+    "skfem": ("https://scikit-fem.readthedocs.io/en/latest", None),
+}
 suppress_warnings = ["mystnb.unknown_mime_type", "config.cache"]
 
 myst_enable_extensions = [
@@ -47,6 +61,9 @@ myst_dmath_double_inline = True
 nb_execution_mode = "off"  # notebooks keep what they printed; docs/record.py runs them
 
 autodoc_typehints_format = "short"
+# Signatures have the package's names of arrays, and defaults as its source has them.
+autodoc_type_aliases = {name: name for name in ("Array", "Flags", "Index")}
+autodoc_preserve_defaults = True
 maximum_signature_line_length = 88
 autodoc_member_order = "bysource"
 autosummary_generate = False

@@ -194,6 +194,10 @@ def test_it_builds_without_a_warning(tmp_path):
     for page in (tmp_path / "site/docs").rglob("*.html"):
         loaded = re.findall(r'(?:src|href)="(https?://[^"]+\.(?:js|css))"', page.read_text("utf-8"))
         assert not loaded, page  # it works offline
+    for page in (tmp_path / "site/docs/reference/api").glob("*.html"):
+        text = re.sub(r"<[^>]+>", "", page.read_text(encoding="utf-8"))
+        assert not re.findall(r"ndarray\[|ForwardRef|factory|\*args, \*\*kwargs", text), page
+        assert page.stem == "index" or "[source]" in text, page
 
 
 def test_every_public_name_is_on_one_page_of_the_reference():

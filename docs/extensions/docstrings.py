@@ -15,6 +15,7 @@ from surrofe2.base.units import NONE
 SECTIONS = {
     "Args": "Parameters",
     "Attributes": "Attributes",
+    "Examples": "Examples",
     "Raises": "Raises",
     "Returns": "Returns",
     "Yields": "Yields",
@@ -22,8 +23,11 @@ SECTIONS = {
 ENTRY = re.compile(r"(\*{0,2}\w[\w, *]*): (.*)")
 
 
-def numpy_sections(lines: list[str]) -> list[str]:
-    """Docstring lines with underlined sections instead of indented ones."""
+def numpy_sections(lines: list[str], result: str = "result") -> list[str]:
+    """Docstring lines with underlined sections instead of indented ones.
+
+    `result` is the type of what is returned, which numpydoc prints above its meaning.
+    """
     made: list[str] = []
     at = 0
     while at < len(lines):
@@ -38,21 +42,22 @@ def numpy_sections(lines: list[str]) -> list[str]:
             block.append(lines[at][4:].rstrip())
             at += 1
         name = SECTIONS[title]
-        made += [
-            "",
-            name,
-            "-" * len(name),
-            *entries(block, plain=name in ("Returns", "Yields")),
-            "",
-        ]
+        made += ["", name, "-" * len(name)]
+        if name == "Examples":
+            made += block
+        elif name in ("Returns", "Yields"):
+            made += [result, *(f"    {line}" for line in block)]
+        else:
+            made += entries(block)
+        made.append("")
     return made
 
 
-def entries(block: list[str], plain: bool) -> list[str]:
+def entries(block: list[str]) -> list[str]:
     """Entries `name: text` as a line with the name and indented text below it."""
     made = []
     for line in block:
-        found = None if plain or line.startswith(" ") else ENTRY.fullmatch(line)
+        found = None if line.startswith(" ") else ENTRY.fullmatch(line)
         if found:
             made += [found[1], f"    {found[2]}"]
         else:
@@ -100,9 +105,15 @@ def without_bars(line: str) -> str:
     return "`".join(part if k % 2 else part.replace("|", "\\|") for k, part in enumerate(parts))
 
 
+def result_of(obj) -> str:
+    """The annotation of what a function returns, as the source has it."""
+    annotations = getattr(getattr(obj, "fget", obj), "__annotations__", {})
+    return str(annotations.get("return", "result")).replace("|", "or")
+
+
 def process(app, what, name, obj, options, lines):
     """Before numpydoc reads them."""
-    told = numpy_sections([without_bars(line) for line in lines])
+    told = numpy_sections([without_bars(line) for line in lines], result_of(obj))
     if inspect.isclass(obj) and is_dataclass(obj) and "Parameters" not in told:
         told += fields_of(obj)
     lines[:] = told
