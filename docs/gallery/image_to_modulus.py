@@ -35,6 +35,22 @@ def areas(rims):
     return np.array([0.5 * np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) for a, b in pairs])
 
 
+def colour_numbers(labels):
+    """Numbers (rows, columns) from 0 on, which differ where two cells touch, for their colours."""
+    neighbours = {label: set() for label in np.unique(labels).tolist()}
+    for first, second in ((labels[:-1], labels[1:]), (labels[:, :-1], labels[:, 1:])):
+        touching = first != second
+        pairs = np.stack([first[touching], second[touching]], axis=1)
+        for one, other in np.unique(pairs, axis=0).tolist():
+            neighbours[one].add(other)
+            neighbours[other].add(one)
+    numbers = {}
+    for label, beside in neighbours.items():
+        taken = {numbers[each] for each in beside if each in numbers}
+        numbers[label] = min(set(range(len(taken) + 1)) - taken)
+    return np.vectorize(numbers.get)(labels)
+
+
 def by_rves(recipe):
     """Displacement of the plate in µm and its force in µN after each load step of FE²."""
     cell = recipe.study().cell.parameters
@@ -58,7 +74,7 @@ if __name__ == "__main__":
     figure = Figure(figsize=(11.0, 3.6), layout="constrained")
     image, cells, curve = figure.subplots(1, 3, width_ratios=(1.2, 1.45, 1.0))
     labels = read_labels(FOLDER / recipe.image.file)
-    image.imshow((labels * 5) % 13, cmap="Greens", vmax=18, extent=(0, 900, 0, 600))
+    image.imshow(colour_numbers(labels), cmap="Set3", vmin=0, vmax=11, extent=(0, 900, 0, 600))
     image.set_title("labelled image", fontsize=9)
     draw_scale_bar(image, np.zeros(2), np.array([900.0, 600.0]))
     rims = polygons(tissue.outlined, run.position + run.frames.displacement[-1])
@@ -71,7 +87,8 @@ if __name__ == "__main__":
     for y in (0.0, 570.0):
         cells.plot([0.0, 900.0], [y, y], color="0.15", linewidth=3.0)
     every = np.concatenate(rims)
-    draw_scale_bar(cells, every.min(axis=0), every.max(axis=0))
+    margin = 6.0  # µm, for half of the width of a line
+    draw_scale_bar(cells, every.min(axis=0) - margin, every.max(axis=0) + margin)
     cells.set_title("its cells, pressed by 5 %", fontsize=9)
     curve.plot(moved, force, color=BLUE, label="cells of the image")
     curve.plot(fe2_moved, fe2_force, "o--", color=VERMILION, markersize=4.0, label="FE²")

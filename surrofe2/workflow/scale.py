@@ -124,7 +124,10 @@ def sap_wave_speed(cell: CellParameters) -> float:
 
 
 def all_particles(recipe: Recipe) -> Particles:
-    """The full particle model of a recipe's tissue, by the area of each kind of plant cell."""
+    """The full particle model of a recipe's tissue, by the area of each kind of plant cell.
+
+    Where an image outlines the tissue, its cells and particles are counted.
+    """
     # late: a run asks for `sap_notes` alone, and imports no full tissue for them
     from surrofe2.tissue.relaxation import rounded_step, stable_step
     from surrofe2.workflow.tissue import tissue_of
@@ -139,12 +142,16 @@ def all_particles(recipe: Recipe) -> Particles:
         particles += count * _particles_of(cell)
         if recipe.tissue.micro_step is None:
             step = min(step, rounded_step(stable_step(cell, kept_reference(cell))))
+    refusal = ""
     try:
-        tissue_of(recipe)
+        outlined = tissue_of(recipe).outlined
     except InputError as error:
         refusal = str(error)
     else:
-        refusal = ""
+        if outlined is not None:
+            # cells that the border of the image cuts are smaller than cell_side, and count, too
+            plant_cells = float(outlined.is_cell.sum())
+            particles = float(len(outlined.arrangement.wall_position))
     return Particles(plant_cells, particles, recipe.duration / step, refusal)
 
 
