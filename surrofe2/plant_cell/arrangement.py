@@ -19,7 +19,7 @@ it can be kept, and handed to a law or a tissue again.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any
@@ -38,8 +38,21 @@ Wall = tuple[int, Shift]
 
 _INSET = 0.82
 """Fluid of irregular cells starts within polygons shrunk by this factor."""
-_GRID, _SPREADING_STEPS, _FEW_STEPS = 2000, 30, 3
+_SQUARE_INSET = 0.7
+"""Distance of a square's outer rows of fluid from its sides, in spacings of equal rows."""
+_HEXAGON_INSET = 0.7
+"""Distance of a hexagon's outer ring of fluid from the middle, as a fraction of the corners'."""
+_CLOUD = 2000
+"""Random points of a polygon, whose clusters are where fluid particles start."""
+_SPREADING_STEPS = 30
+"""Steps of Lloyd's iteration that spread fluid evenly; more would change its places little."""
+_FEW_STEPS = 3
+"""Steps that leave starts random and yet keep particles apart."""
 _LEVEL = 1e-9
+"""Relative difference up to which two heights are the same, but for rounding."""
+_LOWER_SIDE = 1
+_UPPER_SIDE = 2
+"""Marks of wall particles along a slab's free sides in `Arrangement.outer`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +66,7 @@ class Arrangement:
         rims: for each plant cell (k, 3) wall particles around it, and their shifts (a, b).
         fluid_counts: SPH particles of each plant cell; empty with a uniform fluid.
         wall_edge: (walls,) number of the edge that each wall particle is counted to.
-        outer: (walls,) of a slab 1 along its lower side, 2 along its upper one, else 0.
+        outer: (walls,) `_LOWER_SIDE` or `_UPPER_SIDE` along the free sides of a slab, else 0.
         wall_of_bond: (b,) number of the wall that each bond is part of, where walls follow the
             outlines of an image: they bend, and springs differ in length. None: walls are straight.
     """
@@ -85,39 +98,49 @@ class Arrangement:
 
 @lru_cache(maxsize=32)
 def make_arrangement(cell: CellParameters) -> Arrangement:
-    """The arrangement that `cell` names."""
+    """Make the arrangement that `cell` names."""
     return _arrange(cell, cell.tessellation, cell.cells)
 
 
 @lru_cache(maxsize=32)
 def make_slab_arrangement(cell: CellParameters, rows: int, gap: float) -> Arrangement:
-    """A column of square plant cells between two free sides; images above are `gap`, µm, away."""
-    made = _arrange(cell, squares(cell.cell_side, 1, rows, gap), rows)
-    height, top = made.wall_position[:, 1], rows * cell.cell_side
-    lower, upper = np.abs(height) < _LEVEL * top, np.abs(height - top) < _LEVEL * top
-    return replace(made, outer=(lower + 2 * upper).astype(np.int32))
+    """Make a column of square plant cells between two free sides.
+
+    gap: distance of the images above, µm.
+    """
+    arrangement = _arrange(cell, squares(cell.cell_side, 1, rows, gap), rows)
+    height = arrangement.wall_position[:, 1]
+    top = rows * cell.cell_side
+    outer = np.zeros(len(height), dtype=np.int32)
+    outer[np.abs(height) < _LEVEL * top] = _LOWER_SIDE
+    outer[np.abs(height - top) < _LEVEL * top] = _UPPER_SIDE
+    return replace(arrangement, outer=outer)
 
 
 def _arrange(cell: CellParameters, tessellation: Tessellation, cells: int) -> Arrangement:
+    """Put wall particles along the edges of a tessellation, and count the fluid of its polygons."""
     lines, position, wall_edge = _wall_lines(tessellation, cell.spring_length)
-    bonds = [
-        (i, j, t[0] - s[0], t[1] - s[1])
-        for line in lines.values()
-        for (i, s), (j, t) in pairwise(line)
-    ]
+    bonds = []
+    for line in lines.values():
+        for (i, shift_i), (j, shift_j) in pairwise(line):
+            bonds.append((i, j, shift_j[0] - shift_i[0], shift_j[1] - shift_i[1]))
+    fluid_counts: tuple[int, ...] = ()
+    if not cell.has_uniform_fluid:
+        fluid_counts = _shares(tessellation.areas, cell.fluid_particles * cells)
+    # particle 0 comes to lie at the origin
     return Arrangement(
-        replace(tessellation, vertices=tessellation.vertices - position[0]),
-        position - position[0],
-        np.array(bonds, dtype=np.int32),
-        tuple(_rim(corners, lines) for corners in tessellation.polygons),
-        () if cell.has_uniform_fluid else _shares(tessellation.areas, cell.fluid_particles * cells),
-        wall_edge,
-        np.zeros_like(wall_edge),
+        tessellation=replace(tessellation, vertices=tessellation.vertices - position[0]),
+        wall_position=position - position[0],
+        bonds=np.array(bonds, dtype=np.int32),
+        rims=tuple(_rim(corners, lines) for corners in tessellation.polygons),
+        fluid_counts=fluid_counts,
+        wall_edge=wall_edge,
+        outer=np.zeros_like(wall_edge),
     )
 
 
 def start_positions(cell: CellParameters, number: int = 0, *, at_random: bool = False) -> Array:
-    """(n, 2) particles to relax from, µm, the same for the same parameters and `number`.
+    """Return particles (n, 2) to relax from, µm, the same for the same parameters and `number`.
 
     Regular plant cells start with regular fluid, whatever the number, unless `at_random`.
     """
@@ -140,39 +163,51 @@ def start_positions(cell: CellParameters, number: int = 0, *, at_random: bool = 
 def _wall_lines(
     tessellation: Tessellation, length: float
 ) -> tuple[dict[Edge, list[Wall]], Array, Ints]:
-    """Wall particles along each edge, all their positions, the edge each is counted to."""
+    """Divide each edge into springs.
+
+    Returns:
+        Wall particles along each edge, all their positions (walls, 2), and the edge that each is
+        counted to (walls,): of a vertex, the first one that ends there.
+    """
     positions = list(tessellation.vertices)
-    wall_edge = [-1] * len(positions)
+    no_edge = -1
+    wall_edge = [no_edge] * len(positions)
     lines: dict[Edge, list[Wall]] = {}
     for number, edge in enumerate(tessellation.edges):
         v, w, shift = edge
-        start, way = tessellation.vertices[v], tessellation.vector(edge)
+        start = tessellation.vertices[v]
+        vector = tessellation.vector(edge)
         springs = tessellation.springs(edge, length)
         first = len(positions)
-        positions += [start + way * k / springs for k in range(1, springs)]
-        wall_edge += [number] * (springs - 1)
+        for k in range(1, springs):
+            positions.append(start + vector * k / springs)
+            wall_edge.append(number)
         inner: list[Wall] = [(k, (0, 0)) for k in range(first, len(positions))]
         lines[edge] = [(v, (0, 0)), *inner, (w, shift)]
-        for end in (v, w):
-            wall_edge[end] = wall_edge[end] if wall_edge[end] >= 0 else number
+        for vertex in (v, w):
+            if wall_edge[vertex] == no_edge:
+                wall_edge[vertex] = number
     return lines, np.array(positions), np.array(wall_edge, dtype=np.int32)
 
 
 def _rim(corners: tuple[tuple[int, Shift], ...], lines: dict[Edge, list[Wall]]) -> Ints:
-    """(k, 3) wall particles around a polygon and their shifts, counter-clockwise."""
+    """Return wall particles around a polygon and their shifts, (k, 3), counter-clockwise."""
     rim: list[tuple[int, int, int]] = []
     for a, b in zip(corners, corners[1:] + corners[:1], strict=True):
         edge, (sx, sy), turned = edge_of(a, b)
-        there = [(i, s[0] + sx, s[1] + sy) for i, s in lines[edge]]
-        rim += (there[::-1] if turned else there)[:-1]
+        side = [(i, shift[0] + sx, shift[1] + sy) for i, shift in lines[edge]]
+        if turned:
+            side.reverse()
+        rim += side[:-1]  # the last one is the first of the next side
     return np.array(rim, dtype=np.int32)
 
 
 def rim_areas(rims: tuple[Ints, ...], position: Array, lattice: Array) -> Array:
-    """(…, cells) areas of the polygons through the wall particles around each plant cell, µm².
+    """Return areas (…, cells) of the polygons through the wall particles around plant cells, µm².
 
     Args:
-        position: (…, n, 2) of all particles. lattice: (…, 2, 2), its columns the periods there.
+        position: (…, n, 2) positions of all particles.
+        lattice: (…, 2, 2), its columns the periods.
     """
     areas = []
     for rim in rims:
@@ -184,42 +219,51 @@ def rim_areas(rims: tuple[Ints, ...], position: Array, lattice: Array) -> Array:
 
 
 def _shares(areas: Array, total: int) -> tuple[int, ...]:
-    """Whole numbers that add up to `total`, in proportion to the areas by largest remainder."""
+    """Share `total` particles out in proportion to the areas, by largest remainder."""
     exact = areas * total / areas.sum()
     # areas that are equal but for rounding get equal shares
     counts = np.floor(exact + 1e-6).astype(int)
-    order = np.argsort(counts - exact, kind="stable")
-    counts[order[: total - counts.sum()]] += 1
+    largest_remainder_first = np.argsort(counts - exact, kind="stable")
+    lacking = total - counts.sum()
+    counts[largest_remainder_first[:lacking]] += 1
     return tuple(int(count) for count in counts)
 
 
 def _square_grid(cell: CellParameters) -> Array:
-    """Fluid of a square plant cell in rows and columns."""
-    side, fluid = cell.cell_side, cell.fluid_particles_per_side
-    inset = 0.7 * side / fluid
-    grid = np.linspace(inset, side - inset, fluid) if fluid > 1 else np.array([0.5 * side])
+    """Return the fluid (k, 2) of a square plant cell, from its corner, in rows and columns."""
+    side = cell.cell_side
+    rows = cell.fluid_particles_per_side
+    inset = _SQUARE_INSET * side / rows
+    if rows > 1:
+        grid = np.linspace(inset, side - inset, rows)
+    else:
+        grid = np.array([0.5 * side])
     return np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 def _hexagon_rings(corners: Array, count: int) -> Array:
-    """The middle and rings of 6, 12, … points that a hexagon's symmetry maps onto themselves."""
+    """Return the middle of a hexagon and rings of 6, 12, … points around it, `count` in all.
+
+    The hexagon's symmetry maps them onto themselves.
+    """
     middle = corners.mean(axis=0)
+    # k rings have 3 k (k + 1) points
     rings = next(k for k in range(count) if 3 * k * (k + 1) + 1 >= count)
     points = [middle]
     for ring in range(1, rings + 1):
-        edge = middle + 0.7 * ring / rings * (corners - middle)
-        points += [
-            a + (b - a) * k / ring
-            for a, b in zip(edge, np.roll(edge, -1, axis=0), strict=True)
-            for k in range(ring)
-        ]
+        corners_of_ring = middle + _HEXAGON_INSET * ring / rings * (corners - middle)
+        following = np.roll(corners_of_ring, -1, axis=0)
+        for a, b in zip(corners_of_ring, following, strict=True):
+            for k in range(ring):
+                points.append(a + (b - a) * k / ring)
     return np.array(points)
 
 
 def _spread_points(corners: Array, count: int, rng: np.random.Generator, steps: int) -> Array:
-    """(count, 2) points within a convex polygon that keep away from each other and its sides.
+    """Return points (count, 2) in a convex polygon, away from each other and from its sides.
 
-    From random places, `steps` of Lloyd's iteration on a cloud of points in the shrunk polygon.
+    They are moved from random places by `steps` of Lloyd's iteration, each to the mean of those
+    points of a cloud in the shrunk polygon that are nearest to it.
     """
     middle = centroid(corners)
     cloud = middle + _INSET * (_points_within(corners, rng) - middle)
@@ -232,15 +276,24 @@ def _spread_points(corners: Array, count: int, rng: np.random.Generator, steps: 
 
 
 def _points_within(corners: Array, rng: np.random.Generator) -> Array:
-    """Random points of a convex counter-clockwise polygon, evenly, by its triangles."""
-    tips = np.roll(corners, -1, axis=0)
+    """Draw `_CLOUD` points (_CLOUD, 2) evenly from a convex, counter-clockwise polygon (k, 2).
+
+    The polygon is cut into triangles from its middle to each side. A point is drawn from a triangle
+    chosen in proportion to its area.
+    """
+    following = np.roll(corners, -1, axis=0)
     middle = centroid(corners)
-    (ax, ay), (bx, by) = (corners - middle).T, (tips - middle).T
-    weight = ax * by - ay * bx
-    triangle = rng.choice(len(corners), _GRID, p=weight / weight.sum())
-    u, v = rng.random((2, _GRID, 1))
-    u, v = np.where(u + v > 1.0, (1.0 - u, 1.0 - v), (u, v))
-    return middle + u * (corners[triangle] - middle) + v * (tips[triangle] - middle)
+    ax, ay = (corners - middle).T
+    bx, by = (following - middle).T
+    twice_area = ax * by - ay * bx
+    triangle = rng.choice(len(corners), _CLOUD, p=twice_area / twice_area.sum())
+    u, v = rng.random((2, _CLOUD, 1))
+    # u a + v b is even in the parallelogram of a and b; points of its far half, u + v > 1, are
+    # reflected into the triangle
+    is_beyond = u + v > 1.0
+    u = np.where(is_beyond, 1.0 - u, u)
+    v = np.where(is_beyond, 1.0 - v, v)
+    return middle + u * (corners[triangle] - middle) + v * (following[triangle] - middle)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -248,7 +301,7 @@ class ReferenceState:
     """A stable equilibrium at F = I without stress, as plain data.
 
     Attributes:
-        fingerprint: of the `CellParameters` that it belongs to.
+        fingerprint: fingerprint of the `CellParameters` that it belongs to.
         position: (n, 2) µm, walls first; particle 0 is a wall corner at the origin.
         lattice: (2, 2) µm, its columns the periods of the RVE.
         rest_length: wall rest length l₀, µm.
@@ -268,7 +321,7 @@ class ReferenceState:
             )
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """One array for each field; the fingerprint as its 16 character codes."""
+        """Return one array for each field; the fingerprint as its 16 character codes."""
         return {
             "fingerprint": np.frombuffer(self.fingerprint.encode("ascii"), dtype=np.uint8).copy(),
             "position": self.position.copy(),
@@ -278,18 +331,26 @@ class ReferenceState:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> ReferenceState:
-        """The state whose `to_arrays` gave `arrays`.
+        """Return the state whose `to_arrays` returned `arrays`.
 
         Raises:
             InputError: an array is missing, has another shape or is not finite.
         """
-        letters, *values = (arrays.get(item.name, np.empty(0)) for item in fields(cls))
-        position, lattice, length = (np.array(each, np.float64, order="C") for each in values)
-        shapes = position.shape == (len(position), 2) and lattice.shape == (2, 2)
-        finite = all(np.isfinite(each).all() for each in (position, lattice, length))
-        if not (shapes and finite and len(letters) == 16 and length.size == 1):
+        nothing = np.empty(0)
+        letters = np.asarray(arrays.get("fingerprint", nothing))
+        position = np.array(arrays.get("position", nothing), np.float64, order="C")
+        lattice = np.array(arrays.get("lattice", nothing), np.float64, order="C")
+        length = np.array(arrays.get("rest_length", nothing), np.float64, order="C")
+        has_shapes = (
+            letters.size == 16
+            and position.shape[1:] == (2,)
+            and lattice.shape == (2, 2)
+            and length.size == 1
+        )
+        is_finite = all(np.isfinite(values).all() for values in (position, lattice, length))
+        if not (has_shapes and is_finite):
             raise InputError(
                 "reference: arrays are missing, not finite or of other shapes; compute it again"
             )
-        name = np.asarray(letters).astype(np.uint8).tobytes().decode("ascii", "replace")
-        return cls(name, position, lattice, float(length.item()))
+        fingerprint = letters.astype(np.uint8).tobytes().decode("ascii", "replace")
+        return cls(fingerprint, position, lattice, float(length.item()))

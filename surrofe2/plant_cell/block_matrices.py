@@ -2,22 +2,23 @@
 
 Particles are gathered in groups, the fluid of a plant cell or the wall particles along an edge;
 groups that interact have a full block. One group of all particles is a dense matrix. Groups are
-eliminated in the order of minimum degree, and what elimination fills in is part of the pattern,
-found once for all RVEs. Rows of a group are alike: blocks from the first eliminated neighbour to
-the last, without gaps between them::
+eliminated in the order of minimum degree, and blocks that elimination fills in are part of the
+pattern, which is made once for all RVEs. All rows of a group have the same layout: its blocks in
+the order of elimination, without gaps between them::
 
     values[start[g] + (column[i] + a) · width[g] + offset[g, h] + column[j] + b, lane]
         couples component a of particle i of group g with component b of particle j of group h
 
 Values and factors are (size, TILE), all of one `Pattern`. No pivoting: near a stable equilibrium
-the symmetric part of the matrices is definite, and a factorisation that is bad all the same shows
-as a solve that does not converge. Eight columns are eliminated at a time, so that what is updated
-is read and written an eighth as often, and rows in pairs, the two of a particle. b holds two
-unknowns for each particle but the held one.
+the symmetric part of the matrices is definite, and a factorisation that is inaccurate shows as a
+solve that does not converge. Eight columns are eliminated at a time, so that what is updated is
+read and written an eighth as often, and rows in pairs, the two of a particle. A right-hand side b
+has two entries for each particle except the held one.
 
-Pressures are unknowns, too, that no b holds: their equations have the right-hand side zero, and
-what they come to is not wanted. As each couples a whole rim, the matrix with them is much emptier
-than the one without. They lie like particles behind all others, with a second unknown that is idle.
+Pressures are unknowns, too, but have no entries in b: their equations have the right-hand side
+zero, and their values are not needed. As each couples a whole rim, the matrix with them is much
+emptier than the one without. They lie like particles behind all others, with a second unknown that
+is idle.
 With them the matrix of a stable equilibrium has a positive pivot for each pressure, else negative
 ones (Haynsworth: its inertia is that of −1/p′ and that of the matrix without them).
 """
@@ -27,7 +28,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from functools import cache
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +40,13 @@ from surrofe2.base.simd import TILE, load, spread, store
 Ints = NDArray[np.int32]
 
 HELD = -1
+"""Group and column of particle 0, which is held and has no unknowns."""
+NO_BLOCK = -1
+"""Place of the block of two groups, or two particles, that are not coupled."""
 PANEL = 8
+"""Columns that are eliminated at a time."""
 COLUMNS = 4
+"""Right-hand sides that `solve_columns` solves at a time: the four entries of F, or of Ḟ."""
 
 
 class Pattern(NamedTuple):
@@ -52,10 +58,10 @@ class Pattern(NamedTuple):
     first: (groups + 1,) first unknown of each group in the order of elimination.
     width: (groups,) entries of a row.
     start: (groups,) where the first row of a group begins.
-    offset: (groups, groups) where a block begins within a row, −1 where there is none.
+    offset: (groups, groups) where a block begins within a row, NO_BLOCK where there is none.
     lower, upper: (·,) neighbours eliminated before and after, ascending; those of g are
         lower[lower_start[g]:lower_start[g + 1]].
-    block: (particles, particles) where the 2 × 2 block of two particles begins; −1: there is none.
+    block: (particles, particles) where the 2 × 2 block of two particles begins, or NO_BLOCK.
     stride: (particles,) how far its second row is from there.
     size: number of values.
     pressures: number of pressures, the last of the particles.
@@ -80,7 +86,7 @@ class Pattern(NamedTuple):
 def make_pattern(
     labels: Sequence[int] | Ints, pairs: Iterable[tuple[int, int]], pressures: int = 0
 ) -> Pattern:
-    """Order groups by minimum degree and find what fills in.
+    """Order groups by minimum degree, and lay out their blocks and those that fill in.
 
     Args:
         labels: (particles,) group of each particle, any numbers; particle 0 is held. The last
@@ -89,37 +95,29 @@ def make_pattern(
     """
     labels = np.asarray(labels)
     members = {g: 1 + np.flatnonzero(labels[1:] == g) for g in np.unique(labels[1:]).tolist()}
-    beside: dict[int, set[int]] = {g: set() for g in members}
-    for g, h in pairs:
-        if g != h and g in beside and h in beside:
-            beside[g].add(h)
-            beside[h].add(g)
-    later = {}  # groups as they are eliminated, and those coupled to each that come after
-    while beside:
-        g = min(beside, key=lambda h: (sum(len(members[k]) for k in beside[h]), h))
-        later[g] = others = beside.pop(g)
-        for h in others:
-            beside[h] |= others
-            beside[h] -= {g, h}
-    rank = {g: k for k, g in enumerate(later)}
+    later = _eliminated(members, pairs)
+    rank = {label: g for g, label in enumerate(later)}
     count = len(later)
-    upper = [sorted(rank[h] for h in others) for others in later.values()]
+    upper = [sorted(rank[label] for label in others) for others in later.values()]
     lower = [[h for h in range(g) if g in upper[h]] for g in range(count)]
-    size = [2 * len(members[g]) for g in later]
-    offset = np.full((count, count), -1, dtype=np.int32)
-    width, start = np.zeros((2, count), dtype=np.int32)
-    group, column = np.full((2, len(labels)), HELD, dtype=np.int32)
+    size = [2 * len(members[label]) for label in later]
+    offset = np.full((count, count), NO_BLOCK, dtype=np.int32)
+    width = np.zeros(count, dtype=np.int32)
+    start = np.zeros(count, dtype=np.int32)
+    group = np.full(len(labels), HELD, dtype=np.int32)
+    column = np.full(len(labels), HELD, dtype=np.int32)
     total = 0
-    for g, numbers in enumerate(members[label] for label in later):
-        at = 0
+    for g, label in enumerate(later):
+        particles = members[label]
+        row_length = 0
         for h in [*lower[g], g, *upper[g]]:
-            offset[g, h] = at
-            at += size[h]
-        width[g] = at
+            offset[g, h] = row_length
+            row_length += size[h]
+        width[g] = row_length
         start[g] = total
-        group[numbers] = g
-        column[numbers] = 2 * np.arange(len(numbers))
-        total += size[g] * at
+        group[particles] = g
+        column[particles] = 2 * np.arange(len(particles))
+        total += size[g] * row_length
     blocks = offset[group[:, None], group]
     stride = width[group]
     exists = (blocks >= 0) & (group[:, None] >= 0) & (group >= 0)
@@ -135,28 +133,60 @@ def make_pattern(
         lower_start=np.cumsum([0, *map(len, lower)], dtype=np.int32),
         upper=np.array([*chain(*upper)], dtype=np.int32),
         upper_start=np.cumsum([0, *map(len, upper)], dtype=np.int32),
-        block=np.where(exists, blocks, -1).astype(np.int32),
+        block=np.where(exists, blocks, NO_BLOCK).astype(np.int32),
         stride=stride,
         size=total,
         pressures=pressures,
     )
 
 
+def _eliminated(
+    members: dict[int, NDArray[Any]], pairs: Iterable[tuple[int, int]]
+) -> dict[int, set[int]]:
+    """Return the groups in the order of elimination, each with the later groups coupled to it.
+
+    Minimum degree: the group whose neighbours have the fewest particles goes next. Elimination
+    couples these neighbours to each other.
+
+    Args:
+        members: particles of each group, by its label.
+        pairs: labels of groups that interact.
+    """
+    beside: dict[int, set[int]] = {label: set() for label in members}
+    for g, h in pairs:
+        if g != h and g in beside and h in beside:
+            beside[g].add(h)
+            beside[h].add(g)
+    later: dict[int, set[int]] = {}
+    while beside:
+        # of equal degrees the lower label goes first, so that the order is always the same
+        g = min(beside, key=lambda h: (sum(len(members[k]) for k in beside[h]), h))
+        others = beside.pop(g)
+        later[g] = others
+        for h in others:
+            beside[h] |= others
+            beside[h] -= {g, h}
+    return later
+
+
 @cache
 def dense_pattern(particles: int, pressures: int = 0) -> Pattern:
-    """That of full matrices: one group of all particles and pressures."""
+    """Return the pattern of full matrices: one group of all particles and pressures."""
     return make_pattern(np.zeros(particles + pressures, dtype=np.int32), [], pressures)
 
 
 def factorisation_work(pattern: Pattern) -> float:
-    """Multiplications of one LU factorisation."""
+    """Estimate the multiplications of one LU factorisation.
+
+    A group of s unknowns with r coupled ones behind it takes s³/3 + s² r + s r².
+    """
     size = np.diff(pattern.first).astype(np.float64)
     ends = pattern.upper_start
-    work = 0.0
+    multiplications = 0.0
     for g, s in enumerate(size):
-        right = size[pattern.upper[ends[g] : ends[g + 1]]].sum()
-        work += s**3 / 3.0 + s**2 * right + s * right**2
-    return float(work)
+        r = size[pattern.upper[ends[g] : ends[g + 1]]].sum()
+        multiplications += s**3 / 3.0 + s**2 * r + s * r**2
+    return float(multiplications)
 
 
 # LU factors
@@ -165,8 +195,10 @@ def factorisation_work(pattern: Pattern) -> float:
 class Matrices(NamedTuple):
     """Scratch of one tile for linear systems; n particles.
 
-    matrix: (size, TILE) Jacobian of the forces, then its factors. columns: (2n, 8, TILE), their
-    slopes by F and Ḟ. step: (2n − 2, TILE).
+    matrix: (size, TILE) Jacobian of the forces, then its factors.
+    columns: (2n, 8, TILE) slopes of the forces by the entries of F and Ḟ.
+    no_columns: empty, for kernels that are to leave these slopes out.
+    step: (2n − 2, TILE) right-hand side, then solution; the held particle has no entries.
     """
 
     matrix: Array
@@ -177,7 +209,7 @@ class Matrices(NamedTuple):
 
 @kernel
 def make_matrices(topology):
-    """Uninitialised scratch."""
+    """Return `Matrices` that are not initialised."""
     n = topology.particles
     return Matrices(
         np.empty((topology.size, TILE)),
@@ -189,9 +221,10 @@ def make_matrices(topology):
 
 @kernel
 def factorise(a, pattern, symmetric):
-    """LU in place, unit lower triangle; the diagonal holds reciprocal pivots.
+    """Replace a (size, TILE) by its LU factors.
 
-    Where a is `symmetric`, elimination keeps to the upper triangle.
+    L has a unit diagonal, so the diagonal is free to hold the reciprocal pivots of U. Where a is
+    `symmetric`, elimination keeps to the upper triangle, at half the work.
     """
     for g in range(pattern.width.shape[0]):
         size = pattern.first[g + 1] - pattern.first[g]
@@ -208,112 +241,135 @@ def factorise(a, pattern, symmetric):
 
 @kernel
 def _factorise_panel(a, panel, width, diagonal, count):
-    """Eliminate the first columns of the `count` rows at `panel` from each other."""
+    """Eliminate the first columns of the `count` rows at `panel` from each other.
+
+    a: (size, TILE). diagonal: column of the panel's first pivot within its rows, which are `width`
+    long.
+    """
     for k in range(count):
-        line = panel + k * width
-        pivot = 1.0 / load(a, line + diagonal + k)
-        store(pivot, a, line + diagonal + k)
+        pivot_row = panel + k * width
+        pivot = 1.0 / load(a, pivot_row + diagonal + k)
+        store(pivot, a, pivot_row + diagonal + k)
         for i in range(k + 1, count):
             row = panel + i * width
             factor = load(a, row + diagonal + k) * pivot
             store(factor, a, row + diagonal + k)
             for j in range(diagonal + k + 1, width):
-                store(load(a, row + j) - factor * load(a, line + j), a, row + j)
+                store(load(a, row + j) - factor * load(a, pivot_row + j), a, row + j)
 
 
 @kernel
 def _eliminate(a, pattern, g, h, k, symmetric):
-    """Clear the panel's columns, the eight (or last) at k of group g, from rows of h below it."""
+    """Clear the panel's columns from the rows of group h that lie below the panel.
+
+    The panel is the PANEL rows (or those that are left) of group g from its row k on. Rows of h are
+    taken in pairs, those of one particle:
+
+    - their entries in the panel's columns become multipliers, `_set_multipliers`;
+    - in every group of columns right of these, row −= multipliers · panel, `_update`.
+
+    If the matrix is symmetric, columns left of the diagonal are skipped.
+    """
     size = pattern.first[g + 1] - pattern.first[g]
     rows = pattern.first[h + 1] - pattern.first[h]
     width = pattern.width[g]
     diagonal = pattern.offset[g, g]
-    there = pattern.width[h]
-    at = pattern.offset[h, g] + k
+    row_width = pattern.width[h]
+    multipliers = pattern.offset[h, g] + k
     count = min(PANEL, size - k)
     panel = pattern.start[g] + k * width
-    # Row i of h, in pairs: its part in columns of g becomes multipliers at `at`; then, for each
-    # group c right of it, row i −= multipliers · panel, from `begin` in the panel to `to` in row i.
-    # If symmetric, what lies left of the diagonal is skipped, and multipliers come from `mirror`.
-    for i in range(k + count if h == g else 0, rows, 2):
-        row = pattern.start[h] + i * there
+    first_row = k + count if h == g else 0
+    for i in range(first_row, rows, 2):
+        row = pattern.start[h] + i * row_width
+        mirror = pattern.offset[g, h] + i
         _set_multipliers(
-            a,
-            panel,
-            width,
-            diagonal + k,
-            count,
-            row,
-            there,
-            at,
-            pattern.offset[g, h] + i,
-            symmetric,
+            a, panel, width, diagonal + k, count, row, row_width, multipliers, mirror, symmetric
         )
         if h == g or not symmetric:
+            # columns of g itself: those of the panel are cleared already; if symmetric, those up to
+            # the whole panel that row i lies in are not needed
             skip = i - i % PANEL if symmetric else k + count
             begin = diagonal + skip
-            to = pattern.offset[h, g] + skip
-            _update(a, panel, width, count, row, there, at, begin, to, size - skip)
+            target = pattern.offset[h, g] + skip
+            _update(a, panel, width, count, row, row_width, multipliers, begin, target, size - skip)
         for m in range(pattern.upper_start[g], pattern.upper_start[g + 1]):
             c = pattern.upper[m]
             if c >= h or not symmetric:
                 skip = i - i % PANEL if symmetric and c == h else 0
                 begin = pattern.offset[g, c] + skip
-                to = pattern.offset[h, c] + skip
+                target = pattern.offset[h, c] + skip
                 columns = pattern.first[c + 1] - pattern.first[c] - skip
-                _update(a, panel, width, count, row, there, at, begin, to, columns)
+                _update(a, panel, width, count, row, row_width, multipliers, begin, target, columns)
 
 
 @kernel
-def _set_multipliers(a, panel, width, diagonal, count, row, there, at, mirror, symmetric):
-    """Multipliers of the panel's columns in the two rows at `row`, in place of what they clear.
+def _set_multipliers(
+    a, panel, width, diagonal, count, row, row_width, multipliers, mirror, symmetric
+):
+    """Set the multipliers of the panel's columns in the two rows at `row`, in place.
 
-    own, at: where these columns begin in rows of the panel and in the two, which are `there` wide.
-    mirror: where the columns of the two begin in rows of the panel, if the matrix is symmetric.
+    A multiplier is the entry to be cleared, as the columns before have changed it, over the pivot.
+
+    width, row_width: lengths of rows of the panel and of the two.
+    diagonal, multipliers: where the panel's columns begin in rows of the panel and in the two.
+    mirror: where the columns of the two rows begin in rows of the panel; if the matrix is
+        `symmetric`, the entry to be cleared is read there.
     """
     for r in range(2):
-        line = row + r * there + at
+        line = row + r * row_width + multipliers
         for k in range(count):
-            above = panel + k * width
+            pivot_row = panel + k * width
             if symmetric:
-                value = load(a, above + mirror + r)
+                value = load(a, pivot_row + mirror + r)
             else:
                 value = load(a, line + k)
                 for m in range(k):
                     value -= load(a, line + m) * load(a, panel + m * width + diagonal + k)
-            store(value * load(a, above + diagonal + k), a, line + k)
+            store(value * load(a, pivot_row + diagonal + k), a, line + k)
 
 
 @kernel
-def _update(a, panel, width, count, row, there, at, begin, to, columns):
-    """Subtract the panel's rows from the two at `row`: `columns` from `begin` there, `to` here."""
+def _update(a, panel, width, count, row, row_width, multipliers, begin, target, columns):
+    """Subtract multiples of the panel's `count` rows from the two rows at `row`.
+
+    It takes `columns` entries: from `begin` on in rows of the panel, from `target` on in the two.
+    """
     if count == PANEL:
-        _subtract_panel(a, panel + begin, width, row + at, row + to, there, columns)
+        _subtract_panel(
+            a, panel + begin, width, row + multipliers, row + target, row_width, columns
+        )
     else:
+        # a last panel is smaller, but even: the two rows of each particle
         for k in range(0, count, 2):
             line = panel + k * width + begin
-            _subtract_pair(a, line, width, row + at + k, row + to, there, columns)
+            _subtract_pair(a, line, width, row + multipliers + k, row + target, row_width, columns)
 
 
 @kernel
-def _subtract_pair(a, line, width, factors, to, there, columns):
-    """a[to + j] −= Σ_m a[factors + m] a[line + m · width + j] for both rows, two m."""
+def _subtract_pair(a, line, width, factors, target, row_width, columns):
+    """a[target + j] −= Σ_m a[factors + m] a[line + m · width + j] over m < 2 and j < columns.
+
+    The same for the row `row_width` further on, with its own factors.
+    """
     f0 = load(a, factors)
     f1 = load(a, factors + 1)
-    g0 = load(a, factors + there)
-    g1 = load(a, factors + there + 1)
+    g0 = load(a, factors + row_width)
+    g1 = load(a, factors + row_width + 1)
     for j in range(columns):
         u0 = load(a, line + j)
         u1 = load(a, line + width + j)
-        store(load(a, to + j) - (f0 * u0 + f1 * u1), a, to + j)
-        store(load(a, to + there + j) - (g0 * u0 + g1 * u1), a, to + there + j)
+        store(load(a, target + j) - (f0 * u0 + f1 * u1), a, target + j)
+        store(load(a, target + row_width + j) - (g0 * u0 + g1 * u1), a, target + row_width + j)
 
 
 @kernel
-def _subtract_panel(a, line, width, factors, to, there, columns):
-    """As `_subtract_pair` with eight m."""
+def _subtract_panel(a, line, width, factors, target, row_width, columns):
+    """Do as `_subtract_pair`, with the eight rows of a whole panel: m < PANEL.
+
+    It is written out, for the sixteen factors then stay in registers.
+    """
     low = factors
-    high = factors + there
+    high = factors + row_width
     f0 = load(a, low)
     f1 = load(a, low + 1)
     f2 = load(a, low + 2)
@@ -354,36 +410,41 @@ def _subtract_panel(a, line, width, factors, to, there, columns):
         q += g4 * u4 + g5 * u5
         p += f6 * u6 + f7 * u7
         q += g6 * u6 + g7 * u7
-        store(load(a, to + j) - p, a, to + j)
-        store(load(a, to + there + j) - q, a, to + there + j)
+        store(load(a, target + j) - p, a, target + j)
+        store(load(a, target + row_width + j) - q, a, target + row_width + j)
 
 
 @kernel
 def has_negative_pivots(lu, pattern, answer):
-    """answer (TILE,): whether all pivots are but one for each pressure.
+    """Set answer (TILE,) to whether all pivots are negative, except a positive one per pressure.
 
     A symmetric matrix is negative definite then, once its pressures are eliminated.
     """
-    others = np.zeros(TILE, dtype=np.int64)
+    positive = np.zeros(TILE, dtype=np.int64)
     answer[:] = True
     for g in range(pattern.width.shape[0]):
-        at = pattern.start[g] + pattern.offset[g, g]
+        first_pivot = pattern.start[g] + pattern.offset[g, g]
         for k in range(pattern.first[g + 1] - pattern.first[g]):
             for lane in range(TILE):
-                pivot = lu[at + k * (pattern.width[g] + 1), lane]
+                pivot = lu[first_pivot + k * (pattern.width[g] + 1), lane]
+                # `not <`, since a pivot may be NaN, which is not positive either
                 if not pivot < 0.0:
-                    others[lane] += 1
+                    positive[lane] += 1
                     answer[lane] &= pivot > 0.0
     for lane in range(TILE):
-        answer[lane] &= others[lane] == pattern.pressures
+        answer[lane] &= positive[lane] == pattern.pressures
 
 
 @kernel
 def solve(lu, b, pattern):
-    """Replace b (unknowns, TILE) by the solution, lu as `factorise` left it, in any precision."""
+    """Replace b (unknowns, TILE) by the solution of L U x = b.
+
+    lu: (size, TILE) factors as `factorise` leaves them, in single or double precision.
+    """
     y = np.zeros((pattern.first[-1], TILE))
     groups = pattern.width.shape[0]
     _reorder(b, y, pattern, False)
+    # forwards by L, whose diagonal is 1
     for g in range(groups):
         first = pattern.first[g]
         row = pattern.start[g]
@@ -396,6 +457,7 @@ def solve(lu, b, pattern):
                 value -= _dot(lu, row + pattern.offset[g, c], y, begin, count)
             store(value, y, first + k)
             row += pattern.width[g]
+    # backwards by U, whose diagonal holds reciprocals
     for g in range(groups - 1, -1, -1):
         first = pattern.first[g]
         size = pattern.first[g + 1] - pattern.first[g]
@@ -415,9 +477,11 @@ def solve(lu, b, pattern):
 
 @kernel
 def solve_columns(lu, b, pattern, transposed):
-    """As `solve` for the four columns of b (4, unknowns, TILE), of the `transposed` matrix or not.
+    """Replace the columns of b (COLUMNS, unknowns, TILE) by solutions, as `solve` does for one.
 
-    The factors are far larger than the columns and are read once for all of them.
+    The factors are far larger than the columns and are read once for all of them. They lie by rows:
+    to solve with the matrix, each row is multiplied by what is solved already (`_gather`); to solve
+    with the `transposed` one, each unknown is subtracted along its row (`_spread`).
     """
     y = np.zeros((COLUMNS, pattern.first[-1], TILE))
     groups = pattern.width.shape[0]
@@ -466,73 +530,79 @@ def solve_columns(lu, b, pattern, transposed):
 
 @kernel
 def _reorder(source, target, pattern, back):
-    """From the order of particles to that of elimination, or `back`; pressures are left out."""
+    """Copy unknowns (unknowns, TILE) from the order of particles to that of elimination, or `back`.
+
+    The held particle and the pressures are left out.
+    """
     for i in range(1, pattern.group.shape[0] - pattern.pressures):
-        here = 2 * i - 2
-        there = pattern.first[pattern.group[i]] + pattern.column[i]
+        begin = 2 * i - 2
+        end = pattern.first[pattern.group[i]] + pattern.column[i]
         if back:
-            here, there = there, here
-        store(load(source, here), target, there)
-        store(load(source, here + 1), target, there + 1)
+            begin, end = end, begin
+        store(load(source, begin), target, end)
+        store(load(source, begin + 1), target, end + 1)
 
 
 @kernel
-def _dot(lu, at, y, first, count):
-    """Σ_j lu[at + j] y[first + j] over j < count, in four chains."""
+def _dot(lu, start, y, first, count):
+    """Return Σ_j lu[start + j] y[first + j] over j < count.
+
+    Four sums that do not wait for one another keep the processor busy.
+    """
     s0 = spread(0.0)
     s1 = spread(0.0)
     s2 = spread(0.0)
     s3 = spread(0.0)
     for j in range(0, count - 3, 4):
-        s0 += load(lu, at + j) * load(y, first + j)
-        s1 += load(lu, at + j + 1) * load(y, first + j + 1)
-        s2 += load(lu, at + j + 2) * load(y, first + j + 2)
-        s3 += load(lu, at + j + 3) * load(y, first + j + 3)
+        s0 += load(lu, start + j) * load(y, first + j)
+        s1 += load(lu, start + j + 1) * load(y, first + j + 1)
+        s2 += load(lu, start + j + 2) * load(y, first + j + 2)
+        s3 += load(lu, start + j + 3) * load(y, first + j + 3)
     for j in range(count - count % 4, count):
-        s0 += load(lu, at + j) * load(y, first + j)
+        s0 += load(lu, start + j) * load(y, first + j)
     return (s0 + s1) + (s2 + s3)
 
 
 @pair_law
-def _with_block(lu, row, y, here, pattern, g, c, transposed):
-    """`_spread` or `_gather` with the columns of group c in a row of group g."""
-    at = pattern.offset[g, c]
+def _with_block(lu, row, y, unknown, pattern, g, c, transposed):
+    """Do `_spread` or `_gather` with the columns of group c in a row of group g."""
+    start = row + pattern.offset[g, c]
     first = pattern.first[c]
-    count = pattern.first[c + 1]
+    end = pattern.first[c + 1]
     if transposed:
-        _spread(lu, row + at, y, here, first, count - first)
+        _spread(lu, start, y, unknown, first, end - first)
     else:
-        _gather(lu, row + at, y, here, first, count - first)
+        _gather(lu, start, y, unknown, first, end - first)
 
 
 @kernel
-def _gather(lu, at, y, here, first, count):
-    """y[:, here] −= Σ_j lu[at + j] y[:, first + j] over j < count."""
-    s0 = load(y, 0, here)
-    s1 = load(y, 1, here)
-    s2 = load(y, 2, here)
-    s3 = load(y, 3, here)
+def _gather(lu, start, y, unknown, first, count):
+    """y[:, unknown] −= Σ_j lu[start + j] y[:, first + j] over j < count."""
+    s0 = load(y, 0, unknown)
+    s1 = load(y, 1, unknown)
+    s2 = load(y, 2, unknown)
+    s3 = load(y, 3, unknown)
     for j in range(count):
-        factor = load(lu, at + j)
+        factor = load(lu, start + j)
         s0 -= factor * load(y, 0, first + j)
         s1 -= factor * load(y, 1, first + j)
         s2 -= factor * load(y, 2, first + j)
         s3 -= factor * load(y, 3, first + j)
-    store(s0, y, 0, here)
-    store(s1, y, 1, here)
-    store(s2, y, 2, here)
-    store(s3, y, 3, here)
+    store(s0, y, 0, unknown)
+    store(s1, y, 1, unknown)
+    store(s2, y, 2, unknown)
+    store(s3, y, 3, unknown)
 
 
 @kernel
-def _spread(lu, at, y, here, first, count):
-    """y[:, first + j] −= lu[at + j] y[:, here] for j < count."""
-    s0 = load(y, 0, here)
-    s1 = load(y, 1, here)
-    s2 = load(y, 2, here)
-    s3 = load(y, 3, here)
+def _spread(lu, start, y, unknown, first, count):
+    """y[:, first + j] −= lu[start + j] y[:, unknown] for j < count."""
+    s0 = load(y, 0, unknown)
+    s1 = load(y, 1, unknown)
+    s2 = load(y, 2, unknown)
+    s3 = load(y, 3, unknown)
     for j in range(count):
-        factor = load(lu, at + j)
+        factor = load(lu, start + j)
         store(load(y, 0, first + j) - factor * s0, y, 0, first + j)
         store(load(y, 1, first + j) - factor * s1, y, 1, first + j)
         store(load(y, 2, first + j) - factor * s2, y, 2, first + j)
@@ -540,17 +610,22 @@ def _spread(lu, at, y, here, first, count):
 
 
 @kernel
-def _scale(y, here, pivot):
+def _scale(y, unknown, pivot):
+    """Multiply y[:, unknown] by a reciprocal pivot, in every column."""
     for m in range(COLUMNS):
-        store(load(y, m, here) * pivot, y, m, here)
+        store(load(y, m, unknown) * pivot, y, m, unknown)
 
 
 @kernel
 def solved_columns(matrices, first, topology):
-    """(4, free, TILE) −J⁻¹ ∂f of four of the columns, J factorised: how x follows F or Ḟ."""
+    """Return −J⁻¹ ∂f/∂(entries of F or Ḟ), (COLUMNS, free, TILE): how positions x follow them.
+
+    matrices.matrix holds the factors of J; first: 0 for columns of F, COLUMNS for those of Ḟ.
+    """
     steps = np.empty((COLUMNS, *matrices.step.shape))
     for m in range(COLUMNS):
         for i in range(steps.shape[1]):
+            # the first two rows are those of the held particle
             store(-load(matrices.columns, i + 2, first + m), steps, m, i)
     solve_columns(matrices.matrix, steps, topology, False)
     return steps

@@ -33,9 +33,10 @@ from surrofe2.plant_cell.pair_sums import (
 
 @pair_law
 def central_law(pair, is_bond, weight, c):
-    """Weight that acts, and (t, ∂t/∂|r|, γ, ∂γ/∂|r|): the tension is that times t + γ n·w.
+    """Return the weight that acts, and (t, ∂t/∂|r|, γ, ∂γ/∂|r|) of a bond or contact.
 
-    t alone is elastic. One weight for all of them is 0 beyond the cut-off: one selection of lanes.
+    The tension is weight · (t + γ n·w), of which t is elastic. Beyond the cut-off the weight is 0,
+    so that one selection of lanes switches all four off.
     """
     if is_bond:
         elastic, stiffness, damping, _ = wall(pair.length, c)
@@ -49,18 +50,19 @@ def central_law(pair, is_bond, weight, c):
 
 @kernel
 def add_central_forces(x, v, f, pairs, weight, is_bond, c):
-    """Add wall tensions (eq. 1) or contact repulsion (eq. 2) to f.
+    """Add wall tensions (eq. 1) or contact repulsion (eq. 2) to f (2, local, TILE), µN.
 
-    weight (pairs,) scales the whole force of a pair: ½ where one of the two walls is missing
-    (docs/theory.md, walls at a free boundary); c(r) keeps the parameter m_wall.
+    x, v: (2, local, TILE) positions, µm, and velocities, µm/µs. pairs: (pairs, 2) local particles.
+    weight: (pairs,) scales the whole force of a pair: ½ where one of the two walls is missing
+        (docs/theory.md, walls at a free boundary). The damping in it is by the whole wall mass.
     """
     for k in range(pairs.shape[0]):
         i = pairs[k, 0]
         j = pairs[k, 1]
         pair = pair_at(x, v, i, j)
         acting, law = central_law(pair, is_bond, weight[k], c)
-        a = acting * pair.inverse * tension(law, pair.rate)
-        add_pair(f, i, j, a * pair.rx, a * pair.ry)
+        tension_over_length = acting * pair.inverse * tension(law, pair.rate)
+        add_pair(f, i, j, tension_over_length * pair.rx, tension_over_length * pair.ry)
 
 
 @kernel
@@ -77,7 +79,13 @@ def add_central_energy(x, pairs, weight, is_bond, c, energy):
 
 @pair_law
 def central_slopes(pair, is_bond, weight, c):
-    """(∂f/∂r, ∂f/∂w) of a bond or contact with force t n; the second is γ n ⊗ n."""
+    """Return (∂f/∂r, ∂f/∂w) of a bond or contact, each as (xx, xy, yx, yy).
+
+    With f = T n and T = t + γ s, s = n·w::
+
+        ∂f/∂w = γ n ⊗ n
+        ∂f/∂r = T/|r| I + n ⊗ [(t′ + γ′ s − T/|r|) n + γ (w − s n)/|r|]
+    """
     acting, law = central_law(pair, is_bond, weight, c)
     _, stiffness, damping, damping_slope = law
     nx = pair.nx
@@ -94,10 +102,13 @@ def central_slopes(pair, is_bond, weight, c):
 
 @kernel
 def add_central_jacobian(work, L, pairs, weight, is_bond, topology, c, matrix, columns):
-    """Add to matrix and columns; see `force_jacobian`."""
+    """Add the slopes of these pairs' forces to matrix and columns; see `force_jacobian`.
+
+    pairs: (pairs, 2) local particles. weight: (pairs,) as of `add_central_forces`.
+    """
     particles = topology.particles
     owner = topology.owner
-    # named in the loop, numba would count references to them there
+    # taken out of the tuple before the loop: within it, numba would count references to them
     block = topology.block
     stride = topology.stride
     for k in range(pairs.shape[0]):
@@ -113,7 +124,7 @@ def add_central_jacobian(work, L, pairs, weight, is_bond, topology, c, matrix, c
 
 @kernel
 def add_central_gradients(work, weights, by_x, by_v, pairs, weight, is_bond, c):
-    """Add to by_x and by_v; see `add_force_gradients`."""
+    """Add slopes of Σ φ·f over these pairs to by_x and by_v; see `add_force_gradients`."""
     for k in range(pairs.shape[0]):
         i = pairs[k, 0]
         j = pairs[k, 1]
@@ -127,7 +138,10 @@ def add_central_gradients(work, weights, by_x, by_v, pairs, weight, is_bond, c):
 
 @kernel
 def add_central_rates(work, f_rate, pairs, weight, is_bond, c):
-    """With a = t/|r| and s = n·w: f = a r and ḟ = (t′ − a) s n + a w."""
+    """Add elastic forces to work.f and their rates along work.v to f_rate (2, local, TILE).
+
+    With a = t/|r| and s = n·w, f = a r and ḟ = (t′ − a) s n + a w.
+    """
     for k in range(pairs.shape[0]):
         i = pairs[k, 0]
         j = pairs[k, 1]
@@ -143,7 +157,9 @@ def add_central_rates(work, f_rate, pairs, weight, is_bond, c):
 
 @kernel
 def add_central_stiffness_rates(work, u, f, pairs, weight, is_bond, c):
-    """Add K̇ u to f. With b = t′ − t/|r|, p = u_j − u_i and ṅ = (w − s n)/|r|::
+    """Add K̇ u to f for the FIELDS fields u, f (FIELDS, 2, local, TILE); K̇ is K's rate along v.
+
+    With b = t′ − t/|r|, s = n·w, p = u_j − u_i and ṅ = (w − s n)/|r|::
 
     K̇ p = b s/|r| p + (t″ − b/|r|) s (n·p) n + b [(n·p) ṅ + (ṅ·p) n]
     """

@@ -9,10 +9,13 @@ f(r, w). Each term of the forces states its slopes once, and three passes contra
       δf = ∂f/∂r δF Z + ∂f/∂w δḞ Z  at fixed Z         `columns`
       columns[2 i + a, 2 b + c, lane]  ∂f_ia/∂F_bc;    columns[2 i + a, 4 + 2 b + c, lane]: ∂/∂Ḟ_bc
 
-- `add_force_gradients`, transposed: slopes of weighted sums Σ_k φ_k·f_k by x and v, four φ at once.
-- `elastic_forces_and_rates`, along one direction: elastic forces f and ḟ = ∂f/∂x · v.
+- `add_force_gradients`: the transposed slopes, those of weighted sums Σ_k φ_k·f_k by x and v, for
+  four φ at once.
+- `elastic_forces_and_rates`: slopes along one direction, elastic forces f and ḟ = ∂f/∂x · v.
 
 `add_stiffness_rates` adds K̇ u, the change of the elastic stiffness K = ∂f/∂x along v, times u.
+
+In all of them `work` is a `Workspace`, `topology` a `Topology`, and c the `Constants`.
 """
 
 from __future__ import annotations
@@ -42,18 +45,21 @@ from surrofe2.plant_cell.uniform_fluid import (
 def force_jacobian(work, L, topology, c, matrix, columns):
     """Fill matrix (size, TILE) and columns (2n, 8, TILE) at local work.x, work.v, work.z.
 
-    L: (2, 2, TILE) velocity gradient that velocities follow; zero, with v = 0, for the elastic
-    Hessian, whose negative `matrix` then is. `columns` may have no rows: not wanted.
+    L: (2, 2, TILE) velocity gradient that velocities follow. With L and v zero, `matrix` is the
+        negative elastic Hessian.
+    columns: without rows if these slopes are not wanted.
     """
     matrix[:] = 0.0
     columns[:] = 0.0
-    for kind in range(2):  # one call, so that its machine code is made once
+    # bonds, then contacts; one call in a loop, so that its machine code is made once
+    for kind in range(2):
+        is_bond = kind == 0
         pairs = topology.bonds
         weight = topology.bond_weight
-        if kind == 1:
+        if not is_bond:
             pairs = topology.contacts
             weight = topology.contact_weight
-        add_central_jacobian(work, L, pairs, weight, kind == 0, topology, c, matrix, columns)
+        add_central_jacobian(work, L, pairs, weight, is_bond, topology, c, matrix, columns)
     add_sph_jacobian(work, L, topology, c, matrix, columns)
     add_uniform_jacobian(work, topology, c, matrix, columns)
 
@@ -74,9 +80,10 @@ def add_force_gradients(work, weights, by_x, by_v, topology, c):
 
 @kernel
 def elastic_forces_and_rates(work, f_rate, volume_rate, topology, c):
-    """The elastic forces at work.x in work.f (µN), and their rate along work.v in f_rate (µN/µs).
+    """Fill work.f with the elastic forces at work.x, and f_rate with their rates along work.v.
 
-    f_rate: (2, local, TILE), not folded either. Scratch: volume_rate (fluid, TILE).
+    work.f, f_rate: (2, local, TILE), µN and µN/µs; forces on images are not yet folded.
+    volume_rate: (fluid, TILE) scratch.
     """
     work.f[:] = 0.0
     f_rate[:] = 0.0

@@ -15,7 +15,10 @@ from surrofe2.plant_cell.uniform_fluid import add_uniform_energy, add_uniform_fo
 
 @kernel
 def local_forces(work, topology, c):
-    """work.f at work.x and work.v: forces on own particles and, not yet folded, on images."""
+    """Fill work.f with the forces at work.x and work.v, µN; those on images are not yet folded.
+
+    work: `Workspace`. topology: `Topology`. c: `Constants`.
+    """
     work.f[:] = 0.0
     x = work.x
     v = work.v
@@ -28,7 +31,10 @@ def local_forces(work, topology, c):
 
 @kernel
 def fold_images(f, topology):
-    """Add the forces on images to their owners; own particles then feel the whole force."""
+    """Add the forces on images to their owners, which then have the whole force.
+
+    f: (2, local, TILE), own particles first.
+    """
     particles = topology.particles
     for k in range(topology.owner.shape[0]):
         i = topology.owner[k]
@@ -38,7 +44,7 @@ def fold_images(f, topology):
 
 @kernel
 def elastic_energy(work, topology, c, energy):
-    """energy (1, TILE) at work.x: of bonds, contacts and fluid, pJ."""
+    """Fill energy (1, TILE) with the stored energy of bonds, contacts and fluid at work.x, pJ."""
     x = work.x
     store(0.0, energy, 0)
     add_central_energy(x, topology.bonds, topology.bond_weight, True, c, energy)

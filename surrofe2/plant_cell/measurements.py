@@ -32,20 +32,20 @@ RESOLUTION = ("wall_springs_per_side", "fluid_particles_per_side", "tissue_thick
 """Constants that say how finely a tissue is resolved and how thick a layer of it is computed. They
 leave a measured tissue as it is."""
 _WALL_DENSITY = 1.1e-3
-"""Of a wet wall, ng/µm³, as `LivingTissue` has it."""
+"""Density of a wet wall, ng/µm³, as `LivingTissue` has it."""
 _USUAL = 1e-6
 """Relative difference up to which contacts of SPH fluid are those of living cells."""
 
 
 def living_cell(preset: str, **changes: Any) -> CellParameters:
-    """Constants of a preset of living cells with other measurements, and with other constants.
+    """Return the constants of a preset with some measurements, and other constants, changed.
 
-    Without a measurement among the changes it is `CellParameters.preset`, whose constants replace
-    those of the preset and nothing else. Measurements win over the constants that they determine
-    (`DETERMINED`), and `RESOLUTION` does not change what was measured.
+    Measurements win over the constants that they determine (`DETERMINED`), and `RESOLUTION` does
+    not change what was measured. Without a measurement among the changes it is
+    `CellParameters.preset`, whose constants replace those of the preset and nothing else.
 
     Args:
-        preset: of living cells; any, where no measurement is among the changes.
+        preset: preset of living cells; any, where no measurement is among the changes.
         changes: fields of `LivingTissue` and of `CellParameters`.
 
     Raises:
@@ -56,7 +56,7 @@ def living_cell(preset: str, **changes: Any) -> CellParameters:
     constants = {key: value for key, value in changes.items() if key not in MEASUREMENTS}
     if not measured:
         return CellParameters.preset(preset, **constants)
-    # unknown names and values out of bounds are refused as they are without measurements
+    # refuses unknown names and values out of bounds, with the same message as without measurements
     CellParameters.preset(preset, **constants)
     if preset not in LIVING:
         key, value = next(iter(measured.items()))
@@ -85,11 +85,7 @@ def living_cell(preset: str, **changes: Any) -> CellParameters:
 
 
 def check_turgor(name: str, pressure: Any) -> None:
-    """Refuse a turgor of 0, by the reason.
-
-    Raises:
-        InputError: naming `name`.
-    """
+    """Raise InputError, which names the entry `name`, for a turgor of 0."""
     if isinstance(pressure, int | float) and pressure == 0:
         raise InputError(
             name,
@@ -99,25 +95,27 @@ def check_turgor(name: str, pressure: Any) -> None:
 
 
 def overruled(changes: Mapping[str, Any]) -> dict[str, str]:
-    """Constants among the entries of a plant cell that a measurement among them determines, each
-    with the name of that measurement."""
-    return {
-        constant: measured
-        for measured, constants in DETERMINED.items()
-        if measured in changes
-        for constant in constants
-        if constant in changes
-    }
+    """Return constants among the changes that a measurement among them determines.
+
+    Each comes with the name of that measurement.
+    """
+    determined = {}
+    for measured, constants in DETERMINED.items():
+        for constant in constants:
+            if measured in changes and constant in changes:
+                determined[constant] = measured
+    return determined
 
 
 def resolved(cell: CellParameters, **resolution: Any) -> CellParameters:
-    """The same square plant cell with other `RESOLUTION`: walls, pressure and density stay."""
+    """Return the square plant cell with another `RESOLUTION`: walls, pressure, density stay."""
     finer = replace(cell, **resolution)
     if finer == cell:
         return cell
     thickness = finer.tissue_thickness / cell.tissue_thickness
     springs = finer.wall_springs_per_side / cell.wall_springs_per_side
     wall_mass = cell.wall_particle_mass * thickness / springs
+    # two walls of a square are its own, and share a corner
     walls = (2 * cell.wall_springs_per_side - 1) * cell.wall_particle_mass * thickness
     finer_walls = (2 * finer.wall_springs_per_side - 1) * wall_mass
     fluid = cell.fluid_particle_mass * cell.fluid_particles_per_side**2 * thickness
@@ -136,12 +134,12 @@ def resolved(cell: CellParameters, **resolution: Any) -> CellParameters:
 
 
 def even_pressure(cell: CellParameters) -> float:
-    """c_s² ρ of the fluid spread over its plant cell, MPa: the turgor, if it is uniform."""
+    """Return c_s² ρ of the fluid spread over its plant cell, MPa: the turgor, if it is uniform."""
     return cell.fluid_density * cell.sound_speed**2 / cell.tissue_thickness
 
 
 def measurements_of(cell: CellParameters) -> dict[str, float]:
-    """What experiments would tell of a plant cell, by the names and in the units of `LivingTissue`.
+    """Return the measurements of a plant cell, by the names and in the units of `LivingTissue`.
 
     The thickness of the walls is that of wet walls of their mass. SPH fluid whose contacts are not
     those of living cells has no turgor here: it depends on where its particles rest.
@@ -158,29 +156,35 @@ def measurements_of(cell: CellParameters) -> dict[str, float]:
     }
     if cell.has_uniform_fluid:
         return values
-    # the same numbers with particles: walls carry more than the mean pressure of those
-    sph, uniform = (LIVING["apple"][0].parameters(fluid) for fluid in ("sph", "uniform"))
+    # Walls carry more than the mean pressure of SPH particles, by a factor that all living cells
+    # share whose contacts are alike; it is taken from one of them.
+    tissue, _ = LIVING["apple"]
+    sph = tissue.parameters("sph")
+    uniform = tissue.parameters("uniform")
     values["turgor"] *= even_pressure(uniform) / even_pressure(sph)
-    tension = values["turgor"] * thickness * cell.cell_side
-    usual = LIVING["apple"][0].turgor * sph.tissue_thickness * sph.cell_side
-    contacts = (
-        cell.repulsion_strength / tension / cell.spring_length**6,
-        cell.repulsion_cutoff / cell.cell_side,
-        cell.smoothing_length / cell.cell_side,
-    )
-    usual_contacts = (
-        sph.repulsion_strength / usual / sph.spring_length**6,
-        sph.repulsion_cutoff / sph.cell_side,
-        sph.smoothing_length / sph.cell_side,
-    )
+    contacts = _relative_contacts(cell, values["turgor"])
+    usual_contacts = _relative_contacts(sph, tissue.turgor)
     pairs = zip(contacts, usual_contacts, strict=True)
     if not all(isclose(a, b, rel_tol=_USUAL) for a, b in pairs):
         del values["turgor"]
     return values
 
 
+def _relative_contacts(cell: CellParameters, turgor: float) -> tuple[float, float, float]:
+    """Return strength, cut-off and smoothing length of contacts, relative to tension and size.
+
+    The strength is the contact force at the length of a spring over the walls' tension.
+    """
+    tension = turgor * cell.tissue_thickness * cell.cell_side
+    return (
+        cell.repulsion_strength / tension / cell.spring_length**6,
+        cell.repulsion_cutoff / cell.cell_side,
+        cell.smoothing_length / cell.cell_side,
+    )
+
+
 def cell_called(cell: Any) -> CellParameters:
-    """The plant cell itself, or the preset of that name.
+    """Return the plant cell itself, or the preset of that name.
 
     Raises:
         InputError: there is no such preset, or it is neither.

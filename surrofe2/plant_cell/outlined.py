@@ -33,17 +33,17 @@ _NEAR = 0.3
 _SMOOTHINGS = 8
 """How often each inner point of a wall moves half of the way to the middle of its neighbours."""
 _DISSOLVINGS = 5
-"""How often small pieces are dissolved, as what they are given to may be in pieces, too."""
+"""Rounds in which small pieces are dissolved: what they are merged with may be too small, too."""
 _FEWEST = 3
-"""Springs of a wall that ends where it begins."""
+"""Fewest springs of a wall that ends where it begins, and fewest walls around a plant cell."""
 
 _APART = 0.85
-"""Distance of particles of two walls, of a spring's length: nearer ones repel each other so much
-that the first relaxation bursts."""
+"""Least distance of particles that no spring joins, in lengths of a spring: nearer ones would repel
+each other so much that the first relaxation diverges."""
 _SPREADINGS = 200
-"""How often particles are moved apart at most, each time by half of what is lacking."""
+"""Most rounds in which particles are moved apart, each time by half of what is lacking."""
 _TINY = 1e-3
-"""Smallest distance by which is divided, of the one wanted: particles may coincide."""
+"""Smallest distance by which is divided, in least distances: particles may coincide."""
 
 Point = tuple[int, int]
 """A corner of pixels: x and y in pixels."""
@@ -96,15 +96,19 @@ def outline_cells(labels: NDArray[np.int64], pixel: float, length: float) -> Out
 
 
 def _without_small(labels: NDArray[np.int64], least: float) -> tuple[NDArray[np.int64], int]:
-    """Labels without pieces, of cells or air, of fewer pixels than `least`, and how many these are.
+    """Merge pieces of cells or air with fewer pixels than `least` with their surroundings.
 
-    Their pixels belong to the nearest of the others.
+    Each of their pixels gets the label of the nearest pixel of a larger piece.
+
+    Returns:
+        The labels, and how many pieces were dissolved.
     """
     dissolved = 0
     for _ in range(_DISSOLVINGS):
-        _, inverse, count = np.unique(_pieces(labels), return_inverse=True, return_counts=True)
-        small = (count < least)[inverse].reshape(labels.shape)
-        dissolved += int((count < least).sum())
+        _, piece, pixels = np.unique(_pieces(labels), return_inverse=True, return_counts=True)
+        is_small = pixels < least
+        dissolved += int(is_small.sum())
+        small = is_small[piece].reshape(labels.shape)
         if small.all():
             return np.zeros_like(labels), dissolved
         if not small.any():
@@ -117,7 +121,7 @@ def _without_small(labels: NDArray[np.int64], least: float) -> tuple[NDArray[np.
 
 
 def _pieces(labels: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Numbers of pieces whose pixels share sides and a label: from 1 of cells, from −1 of air."""
+    """Number the pieces of pixels that share sides and a label: cells 1, 2, …, air −1, −2, …."""
     number = np.arange(labels.size).reshape(labels.shape)
     pairs = []
     for first, second in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
@@ -131,7 +135,7 @@ def _pieces(labels: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _without_enclosed(regions: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
-    """Regions without those whose only neighbour is a cell, which they become a part of."""
+    """Merge regions whose only neighbour is a cell with that cell; also return how many."""
     beside: dict[int, set[int]] = {}
     for first, second in ((regions[:, :-1], regions[:, 1:]), (regions[:-1], regions[1:])):
         differ = first != second
@@ -149,30 +153,29 @@ def _without_enclosed(regions: NDArray[np.int64]) -> tuple[NDArray[np.int64], in
 
 
 def _paths(regions: NDArray[np.int64]) -> list[Path]:
-    """Walls as corners of pixels, from where three or more regions meet to the next such place.
+    """Return walls as corners of pixels, each from where three or more regions meet to the next.
 
     Corners of the image are ends of walls, too. A wall around an island ends where it begins.
     """
-    beside: dict[Point, list[Point]] = {}
-    y, x = np.nonzero(regions[1:] != regions[:-1])
-    level = np.stack([x, y + 1, x + 1, y + 1], axis=1)
-    y, x = np.nonzero(regions[:, 1:] != regions[:, :-1])
-    upright = np.stack([x + 1, y, x + 1, y + 1], axis=1)
-    for ax, ay, bx, by in np.concatenate([level, upright]).tolist():
-        beside.setdefault((ax, ay), []).append((bx, by))
-        beside.setdefault((bx, by), []).append((ax, ay))
+    beside = _neighbours_along_walls(regions)
     rows, columns = regions.shape
     corners = {(x, y) for x in (1, columns - 1) for y in (1, rows - 1)}
     ends = {point for point, others in beside.items() if len(others) > 2 or point in corners}
     paths: list[Path] = []
     walked: set[tuple[Point, Point]] = set()
+    # islands have no ends: they begin at any of their points, after all other walls
     for begin in [*sorted(ends), *sorted(beside.keys() - ends)]:
-        is_on_wall = begin not in ends and any((begin, each) in walked for each in beside[begin])
-        for following in [] if is_on_wall else beside[begin]:
+        is_on_a_path = begin not in ends and any(
+            (begin, other) in walked for other in beside[begin]
+        )
+        if is_on_a_path:
+            continue
+        for following in beside[begin]:
             if (begin, following) in walked:
                 continue
             path = [begin, following]
             while path[-1] not in ends and path[-1] != begin:
+                # a point that is no end has two neighbours; the path came from one of them
                 one, other = beside[path[-1]]
                 path.append(other if one == path[-2] else one)
             for a, b in pairwise(path):
@@ -181,13 +184,36 @@ def _paths(regions: NDArray[np.int64]) -> list[Path]:
     return paths
 
 
+def _neighbours_along_walls(regions: NDArray[np.int64]) -> dict[Point, list[Point]]:
+    """Return, for each corner of pixels on a wall, those one side of a pixel further along walls.
+
+    regions: (rows, columns); a wall lies wherever two neighbouring pixels differ.
+    """
+    y, x = np.nonzero(regions[1:] != regions[:-1])
+    level = np.stack([x, y + 1, x + 1, y + 1], axis=1)
+    y, x = np.nonzero(regions[:, 1:] != regions[:, :-1])
+    upright = np.stack([x + 1, y, x + 1, y + 1], axis=1)
+    beside: dict[Point, list[Point]] = {}
+    for ax, ay, bx, by in np.concatenate([level, upright]).tolist():
+        beside.setdefault((ax, ay), []).append((bx, by))
+        beside.setdefault((bx, by), []).append((ax, ay))
+    return beside
+
+
 def _left_of(regions: NDArray[np.int64], begin: Point, end: Point) -> int:
-    """The region on the left of a step from a corner of pixels to the next."""
+    """Return the region on the left of a step from a corner of pixels to the next.
+
+    Pixel (row, column) has its lower left corner at x = column, y = row.
+    """
     ax, ay = begin
     bx, by = end
-    if ay == by:  # upwards is the left of a step to the right
-        return int(regions[ay if bx > ax else ay - 1, min(ax, bx)])
-    return int(regions[min(ay, by), ax - 1 if by > ay else ax])
+    if ay == by:
+        goes_right = bx > ax
+        row = ay if goes_right else ay - 1
+        return int(regions[row, min(ax, bx)])
+    goes_up = by > ay
+    column = ax - 1 if goes_up else ax
+    return int(regions[min(ay, by), column])
 
 
 Directed = tuple[int, bool]
@@ -195,30 +221,42 @@ Directed = tuple[int, bool]
 
 
 def _directed(paths: list[Path], wall: Directed) -> Path:
+    """Return the points of a wall in the direction in which it is walked."""
     number, is_back = wall
     return paths[number][::-1] if is_back else paths[number]
 
 
 def _loops(regions: NDArray[np.int64], paths: list[Path]) -> Iterator[tuple[int, list[Directed]]]:
-    """Each closed way around a region, which is on its left, with the region, cells first."""
+    """Yield each region, cells first, with each closed way around it that has it on its left."""
+    # walls by the region on their left and the point at which they begin
     leaving: dict[tuple[int, Point], list[Directed]] = {}
     for number in range(len(paths)):
         for wall in ((number, False), (number, True)):
             path = _directed(paths, wall)
-            leaving.setdefault((_left_of(regions, *path[:2]), path[0]), []).append(wall)
-    for region, begin in sorted(leaving, key=lambda key: (key[0] < 0, abs(key[0]), key[1])):
+            region = _left_of(regions, path[0], path[1])
+            leaving.setdefault((region, path[0]), []).append(wall)
+
+    def cells_first(key: tuple[int, Point]) -> tuple[bool, int, Point]:
+        region, begin = key
+        return region < 0, abs(region), begin
+
+    for region, begin in sorted(leaving, key=cells_first):
         while leaving[region, begin]:
-            loop = [leaving[region, begin].pop()]
-            while (path := _directed(paths, loop[-1]))[-1] != begin:
-                following = leaving[region, path[-1]]
-                # where a region meets itself, the way around the same pixel goes on to the left
-                turns = [_turn(path, _directed(paths, wall)) for wall in following]
-                loop.append(following.pop(turns.index(max(turns))))
+            wall = leaving[region, begin].pop()
+            loop = [wall]
+            path = _directed(paths, wall)
+            while path[-1] != begin:
+                candidates = leaving[region, path[-1]]
+                # where a region meets itself, the way around the same pixel turns left
+                turns = [_turn(path, _directed(paths, wall)) for wall in candidates]
+                wall = candidates.pop(turns.index(max(turns)))
+                loop.append(wall)
+                path = _directed(paths, wall)
             yield region, loop
 
 
 def _turn(path: Path, following: Path) -> int:
-    """1 where the second of two walls turns to the left of the first, −1 to the right."""
+    """Return 1 where the second of two walls turns to the left of the first, −1 to the right."""
     ax, ay = path[-2]
     bx, by = path[-1]
     cx, cy = following[1]
@@ -228,9 +266,13 @@ def _turn(path: Path, following: Path) -> int:
 def _check_whole(loops: list[tuple[int, list[Directed]]], paths: list[Path], pixel: float) -> None:
     """Raise InputError for a plant cell that has other regions within it."""
     for region, loop in loops:
-        around = np.array([p for wall in loop for p in _directed(paths, wall)[:-1]], dtype=float)
-        if region > 0 and polygon_area(around) < 0.0:
-            x, y = pixel * (around.mean(axis=0) - 1.0)
+        points: Path = []
+        for wall in loop:
+            points += _directed(paths, wall)[:-1]
+        polygon = np.array(points, dtype=float)
+        # a way with the region on its left runs clockwise only if it is around something within
+        if region > 0 and polygon_area(polygon) < 0.0:
+            x, y = pixel * (polygon.mean(axis=0) - 1.0)
             raise InputError(
                 f"image: the cells about ({x:.4g}, {y:.4g}) µm lie within another cell; merge them "
                 "with it, or label it as 0 if it is an air space"
@@ -239,7 +281,10 @@ def _check_whole(loops: list[tuple[int, list[Directed]]], paths: list[Path], pix
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A wall: the corners at its ends, and points along it (n, 2), pixels; none if it vanished."""
+    """A wall: the corners at its ends, and points (n, 2) along it, pixels.
+
+    A wall has no points if it vanished, as its corners became one.
+    """
 
     begin: Point
     end: Point
@@ -247,38 +292,46 @@ class Line:
 
 
 def _lines(paths: list[Path], shape: tuple[int, ...], near: float) -> list[Line]:
-    """Walls as smooth lines; of corners that are `_NEAR` each other one is left.
+    """Smooth walls, and merge corners that are joined by a wall shorter than `_NEAR` springs.
 
     Args:
-        shape: (rows, columns) of the image. near: length of a spring in pixels.
+        shape: (rows, columns) of the image.
+        near: length of a spring in pixels.
     """
     smooth = [_smoothed(np.array(path, dtype=np.float64)) for path in paths]
-    corner: dict[Point, Point] = {point: point for path in paths for point in (path[0], path[-1])}
+    # each corner points to one that it is merged with; at the end of that way is the one that stays
+    merged: dict[Point, Point] = {}
+    for path in paths:
+        for point in (path[0], path[-1]):
+            merged[point] = point
 
     def root(point: Point) -> Point:
-        while corner[point] != point:
-            point = corner[point]
+        while merged[point] != point:
+            point = merged[point]
         return point
 
-    rows, columns = shape
-    is_short = [length_of(line) < _NEAR * near and path[0] != path[-1]
-                for line, path in zip(smooth, paths, strict=True)]  # fmt: skip
+    is_short = []
+    for path, line in zip(paths, smooth, strict=True):
+        is_short.append(length_of(line) < _NEAR * near and path[0] != path[-1])
     for path, short in zip(paths, is_short, strict=True):
         if short:
-            corner[root(path[0])] = root(path[-1])
+            merged[root(path[0])] = root(path[-1])
     members: dict[Point, list[Point]] = {}
-    for point in corner:
+    for point in merged:
         members.setdefault(root(point), []).append(point)
+    rows, columns = shape
     place: dict[Point, Array] = {}
-    for one, every in members.items():
-        at = np.array(every, dtype=np.float64)
-        # corners on the border of the image stay there, and those of the image where they are
-        on_border = np.sum((at == 1.0) | (at == [columns + 1.0, rows + 1.0]), axis=1)
-        place[one] = at[on_border == on_border.max()].mean(axis=0)
+    for corner, points in members.items():
+        position = np.array(points, dtype=np.float64)
+        # 2 at a corner of the image, 1 on its border, else 0: a merged corner takes the mean of
+        # those that rank highest, so that it stays in the corner or on the border
+        rank = np.sum((position == 1.0) | (position == [columns + 1.0, rows + 1.0]), axis=1)
+        place[corner] = position[rank == rank.max()].mean(axis=0)
     lines = []
     for path, line, short in zip(paths, smooth, is_short, strict=True):
         begin = root(path[0])
         end = root(path[-1])
+        # points in between follow both ends, in proportion to their number along the wall
         along = np.linspace(0.0, 1.0, len(line))[:, None]
         moved = line + (1.0 - along) * (place[begin] - line[0]) + along * (place[end] - line[-1])
         is_gone = short and begin == end
@@ -287,12 +340,12 @@ def _lines(paths: list[Path], shape: tuple[int, ...], near: float) -> list[Line]
 
 
 def length_of(line: Array) -> float:
-    """Length of a line (n, 2)."""
+    """Return the length of a line (n, 2)."""
     return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
 
 
 def _smoothed(path: Array) -> Array:
-    """A path without the steps of pixels; its ends stay where they are."""
+    """Return a path (n, 2) without the steps of pixels; its ends stay where they are."""
     line = path.copy()
     for _ in range(_SMOOTHINGS):
         line[1:-1] = 0.25 * line[:-2] + 0.5 * line[1:-1] + 0.25 * line[2:]
@@ -306,23 +359,32 @@ def _arrange(
     pixel: float,
     length: float,
 ) -> Arrangement:
-    """Divide lines into springs and gather the particles around each polygon."""
+    """Divide lines into springs and gather the particles around each polygon.
+
+    Args:
+        lines: walls as smooth lines, pixels.
+        loops: each region with a closed way around it.
+        shape: (rows, columns) of the image.
+        pixel: side of a pixel, µm. length: length of a spring, µm.
+    """
+    # particles: corners first, then those along walls; pixels
+    places: list[Array] = []
     corners: dict[Point, int] = {}
-    at: list[Array] = []
     for line in lines:
         if not len(line.points):
             continue
-        for point, position in ((line.begin, line.points[0]), (line.end, line.points[-1])):
+        for point, place in ((line.begin, line.points[0]), (line.end, line.points[-1])):
             if point not in corners:
-                corners[point] = len(at)
-                at.append(position)
-    wall_of = [-1] * len(at)
+                corners[point] = len(places)
+                places.append(place)
+    no_wall = -1
+    wall_of = [no_wall] * len(places)
     bonds: list[tuple[int, int]] = []
     wall_of_bond: list[int] = []
-    particles: list[list[int]] = []
+    chains: list[list[int]] = []  # particles along each wall, from end to end
     for number, line in enumerate(lines):
         if not len(line.points):
-            particles.append([])
+            chains.append([])
             continue
         begin = corners[line.begin]
         end = corners[line.end]
@@ -330,59 +392,80 @@ def _arrange(
         if begin == end:
             springs = max(_FEWEST, springs)
         elif springs == 1 and (min(begin, end), max(begin, end)) in bonds:
-            springs = 2  # two walls between the same corners
-        inner = range(len(at), len(at) + springs - 1)
-        at += [*_divided(line.points, springs)]
+            springs = 2  # another wall joins the same corners, and two bonds must not be the same
+        inner = range(len(places), len(places) + springs - 1)
+        places += [*_divided(line.points, springs)]
         wall_of += [number] * len(inner)
         chain = [begin, *inner, end]
         bonds += [(min(i, j), max(i, j)) for i, j in pairwise(chain)]
         wall_of_bond += [number] * springs
+        # a corner is counted to the last of its walls
         for i in (begin, end):
             wall_of[i] = max(wall_of[i], number)
-        particles.append(chain)
+        chains.append(chain)
     # the image begins one pixel within its frame of air
-    position = pixel * (np.array(at) - 1.0)
+    position = pixel * (np.array(places) - 1.0)
     position = _spread(position, np.array(bonds), pixel * np.array(shape[::-1]), length)
-    rims = []
-    for region, loop in loops:
-        rim: list[int] = []
-        for number, is_back in loop:
-            chain = particles[number]
-            rim += (chain[::-1] if is_back else chain)[:-1]
-        if region > 0 and (len(rim) < _FEWEST or polygon_area(position[rim]) <= 0.0):
-            x, y = position[rim].mean(axis=0)
-            raise InputError(
-                f"image: the cell about ({x:.4g}, {y:.4g}) µm is too narrow for springs of "
-                f"{length:.3g} µm; merge it with another one"
-            )
-        rims.append(rim)
-    lattice = 2.0 * pixel * np.diag(shape[::-1]).astype(np.float64)  # only one period is used
+    rims = [_rim_of(region, loop, chains, position, length) for region, loop in loops]
+    no_shift = (0, 0)
     tessellation = Tessellation(
-        lattice,
-        position,
-        tuple(tuple((i, (0, 0)) for i in rim) for rim in rims),
-        tuple((i, j, (0, 0)) for i, j in bonds),
+        # only one period is used, so the lattice may be any that keeps images away
+        lattice=2.0 * pixel * np.diag(shape[::-1]).astype(np.float64),
+        vertices=position,
+        polygons=tuple(tuple((i, no_shift) for i in rim) for rim in rims),
+        edges=tuple((i, j, no_shift) for i, j in bonds),
     )
     return Arrangement(
-        tessellation,
-        position,
-        np.array([(i, j, 0, 0) for i, j in bonds], dtype=np.int32),
-        tuple(np.array([(i, 0, 0) for i in rim], dtype=np.int32) for rim in rims),
-        (),
-        np.array(wall_of, dtype=np.int32),
-        np.zeros(len(at), dtype=np.int32),
-        np.array(wall_of_bond, dtype=np.int32),
+        tessellation=tessellation,
+        wall_position=position,
+        bonds=np.array([(i, j, *no_shift) for i, j in bonds], dtype=np.int32),
+        rims=tuple(np.array([(i, *no_shift) for i in rim], dtype=np.int32) for rim in rims),
+        fluid_counts=(),
+        wall_edge=np.array(wall_of, dtype=np.int32),
+        outer=np.zeros(len(places), dtype=np.int32),
+        wall_of_bond=np.array(wall_of_bond, dtype=np.int32),
     )
+
+
+def _rim_of(
+    region: int, loop: list[Directed], chains: list[list[int]], position: Array, length: float
+) -> list[int]:
+    """Return the particles around a region, along one of its loops.
+
+    Args:
+        chains: particles along each wall.
+        position: (n, 2) of the particles, µm. length: length of a spring, µm.
+
+    Raises:
+        InputError: a plant cell is too narrow for the springs.
+    """
+    rim: list[int] = []
+    for number, is_back in loop:
+        chain = chains[number]
+        if is_back:
+            chain = chain[::-1]
+        rim += chain[:-1]  # the last one is the first of the next wall
+    is_cell = region > 0
+    if is_cell and (len(rim) < _FEWEST or polygon_area(position[rim]) <= 0.0):
+        x, y = position[rim].mean(axis=0)
+        raise InputError(
+            f"image: the cell about ({x:.4g}, {y:.4g}) µm is too narrow for springs of "
+            f"{length:.3g} µm; merge it with another one"
+        )
+    return rim
 
 
 def _spread(position: Array, bonds: Index, size: Array, length: float) -> Array:
-    """Positions (n, 2) where particles that no spring joins are not much nearer than a spring.
+    """Move particles that no spring joins apart, until none are nearer than `_APART` springs.
 
     In sharp corners walls would repel each other more than they bear. Particles on the border of
     the image stay there.
 
     Args:
+        position: (n, 2) µm; it is not changed.
+        bonds: (b, 2) pairs that springs join, the smaller number first.
         size: (2,) width and height of the image, µm.
+        length: length of a spring, µm.
     """
     least = _APART * length
     stays = ((position == 0.0) | (position == size)).any(axis=1)
@@ -390,23 +473,28 @@ def _spread(position: Array, bonds: Index, size: Array, length: float) -> Array:
     position = position.copy()
     for _ in range(_SPREADINGS):
         pairs = scipy.spatial.cKDTree(position).query_pairs(least)
-        apart = np.array([pair for pair in sorted(pairs) if pair not in joined], dtype=np.int64)
-        apart = apart.reshape(-1, 2)
-        apart = apart[~stays[apart].all(axis=1)]
-        if not len(apart):
+        # sorted, as a set has no order and sums of moves round differently in another one
+        near = np.array([pair for pair in sorted(pairs) if pair not in joined], dtype=np.int64)
+        near = near.reshape(-1, 2)
+        near = near[~stays[near].all(axis=1)]
+        if not len(near):
             break
-        way = position[apart[:, 1]] - position[apart[:, 0]]
-        distance = np.linalg.norm(way, axis=1)
+        first, second = near.T
+        apart = position[second] - position[first]
+        distance = np.linalg.norm(apart, axis=1)
         lacking = (least - distance) / np.maximum(distance, _TINY * least)
-        moves = (~stays[apart]).astype(np.float64)
+        # half of what is lacking is shared by the particles of a pair that may move
+        moves = (~stays[near]).astype(np.float64)
         moves *= (0.5 * lacking / moves.sum(axis=1))[:, None]
-        np.add.at(position, apart[:, 0], -moves[:, :1] * way)
-        np.add.at(position, apart[:, 1], moves[:, 1:] * way)
+        np.add.at(position, first, -moves[:, :1] * apart)
+        np.add.at(position, second, moves[:, 1:] * apart)
     return position
 
 
 def _divided(line: Array, parts: int) -> Array:
-    """(parts − 1, 2) points that divide a line (n, 2) into parts of equal length."""
-    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
-    places = way[-1] * np.arange(1, parts) / parts
-    return np.stack([np.interp(places, way, each) for each in line.T], axis=1)
+    """Return the points (parts − 1, 2) that divide a line (n, 2) into parts of equal length."""
+    lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    along = np.append(0.0, np.cumsum(lengths))
+    places = along[-1] * np.arange(1, parts) / parts
+    x, y = line.T
+    return np.stack([np.interp(places, along, x), np.interp(places, along, y)], axis=1)

@@ -18,6 +18,7 @@ from surrofe2.base.simd import inverse_root, where_less
 from surrofe2.plant_cell.parameters import CellParameters
 
 SIGMA = 10.0 / (7.0 * np.pi)
+"""Factor σ by which the spline W has the integral 1 in the plane."""
 _SPRING = 2.5
 """Length of the paper's wall springs, µm."""
 
@@ -25,8 +26,8 @@ _SPRING = 2.5
 class Constants(NamedTuple):
     """What the pair laws need of `CellParameters`, ready for use in kernels (µm, µs, ng).
 
-    scale: by which solvers multiply the lengths that bound their steps: a wall spring's over 2.5 µm
-        with a uniform fluid; 1 with SPH fluid, whose particles would meet.
+    scale: factor of the lengths that bound the steps of solvers. With a uniform fluid, the length
+        of a wall spring over the paper's; with SPH fluid 1, for its particles would meet otherwise.
     """
 
     wall_stiffness: float
@@ -66,23 +67,29 @@ def make_constants(cell: CellParameters, rest_length: float) -> Constants:
 
 @pair_law
 def wall(length, c):
-    """(t, ∂t/∂|r|, γ, ∂γ/∂|r|) of a bond, whose tension is t + γ n·w, µN; µm, µm/µs."""
+    """Return (t, ∂t/∂|r|, γ, ∂γ/∂|r|) of a bond, whose tension is t + γ n·w, µN (eq. 1).
+
+    length: |r|, lanes, µm. c: `Constants`.
+    """
     tension = c.wall_stiffness * (length - c.rest_length)
     return tension, c.wall_stiffness, c.wall_damping, 0.0
 
 
 @pair_law
 def wall_energy(length, c):
-    """Stored energy of a bond, pJ."""
+    """Return the stored energy of a bond, ½ k (|r| − l₀)², pJ."""
     stretch = length - c.rest_length
     return 0.5 * c.wall_stiffness * stretch * stretch
 
 
 @pair_law
 def contact(length, inverse, c):
-    """As `wall` for a contact at |r| = `length`, its reciprocal `inverse`, within the cut-off.
+    """Return (t, ∂t/∂|r|, γ, ∂γ/∂|r|) of a contact within the cut-off x₀, as `wall` does (eq. 2).
 
-    What a kernel does not use of the four costs nothing.
+    t = λ (x₀⁻⁶ − |r|⁻⁶), γ = γ₀ |r|^(−7/2) (1 − (|r|/x₀)⁶). What a kernel does not use of the four
+    costs nothing.
+
+    length, inverse: |r| and 1/|r|, lanes.
     """
     inverse_3 = inverse * inverse * inverse
     inverse_6 = inverse_3 * inverse_3
@@ -99,26 +106,30 @@ def contact(length, inverse, c):
 
 @pair_law
 def tension(law, rate):
-    """Of a bond or contact whose `law` is as of `wall`, µN, at n·w = rate."""
-    return law[0] + law[2] * rate
+    """Return the tension t + γ n·w of a bond or contact, µN; `rate` is n·w.
+
+    law: (t, ∂t/∂|r|, γ, ∂γ/∂|r|), as `wall` and `contact` return it.
+    """
+    t, _, damping, _ = law
+    return t + damping * rate
 
 
 @pair_law
 def within(length, value, c):
-    """The value where a contact acts, 0 beyond the cut-off."""
+    """Return the value where a contact acts, and 0 beyond the cut-off."""
     return where_less(length, c.cutoff, value, 0.0)
 
 
 @pair_law
 def contact_bend(inverse, c):
-    """∂²t/∂|r|² of a contact without its dashpot, within the cut-off."""
+    """Return ∂²t/∂|r|² = −42 λ |r|⁻⁸ of a contact's elastic tension, within the cut-off."""
     inverse_4 = inverse * inverse * inverse * inverse
     return -42.0 * c.repulsion * inverse_4 * inverse_4
 
 
 @pair_law
 def contact_energy(length, inverse, c):
-    """Stored energy of a contact, pJ: λ [r⁻⁵/5 + r x₀⁻⁶ − 6/5 x₀⁻⁵]."""
+    """Return the stored energy of a contact, pJ: λ [r⁻⁵/5 + r x₀⁻⁶ − 6/5 x₀⁻⁵]."""
     inverse_5 = inverse * inverse * inverse * inverse * inverse
     energy = c.repulsion * (0.2 * inverse_5 + length * (1.0 / c.cutoff**6) - 1.2 / c.cutoff**5)
     return within(length, energy, c)
@@ -126,7 +137,12 @@ def contact_energy(length, inverse, c):
 
 @pair_law
 def fluid_coefficients(slope_over_length, volume_i, volume_j, c):
-    """(a, b) of f = a r + b w, with volume = 1/ρ in µm²/ng and slope_over_length = W′/|r|."""
+    """Return (a, b) of the force f = a r + b w on the first particle of a fluid pair (eq. 8).
+
+    The pressure gives a = m² c_s² (W′/|r|) (V_i + V_j), the viscosity b = −2 m² µ (W′/|r|) V_i V_j.
+
+    slope_over_length: W′/|r|. volume_i, volume_j: V = 1/ρ, µm²/ng.
+    """
     weight = c.fluid_mass * c.fluid_mass * slope_over_length
     pressure = weight * c.sound_speed_squared * (volume_i + volume_j)
     viscous = -2.0 * weight * c.viscosity * volume_i * volume_j
@@ -135,14 +151,14 @@ def fluid_coefficients(slope_over_length, volume_i, volume_j, c):
 
 @pair_law
 def fluid_volume_slopes(slope_over_length, other_volume, c):
-    """∂(a, b)/∂(1/ρ_i) at fixed positions, with other_volume = 1/ρ_j."""
+    """Return ∂(a, b)/∂V_i of `fluid_coefficients` at fixed positions; other_volume is V_j."""
     weight = c.fluid_mass * c.fluid_mass * slope_over_length
     return weight * c.sound_speed_squared, -2.0 * weight * c.viscosity * other_volume
 
 
 @pair_law
 def spline(s, h):
-    """W in 1/µm² at s = r/h; lanes."""
+    """Return the smoothing kernel W (eq. 5) at s = r/h, lanes, 1/µm²."""
     outer = where_less(s, 2.0, 2.0 - s, 0.0)
     inner = where_less(s, 1.0, 1.0 - s, 0.0)
     return SIGMA / (h * h) * (0.25 * outer * outer * outer - inner * inner * inner)
@@ -150,7 +166,7 @@ def spline(s, h):
 
 @pair_law
 def spline_slope(s, h):
-    """dW/dr in 1/µm³."""
+    """Return dW/dr at s = r/h, lanes, 1/µm³."""
     outer = where_less(s, 2.0, 2.0 - s, 0.0)
     inner = where_less(s, 1.0, 1.0 - s, 0.0)
     return SIGMA / (h * h * h) * (3.0 * inner * inner - 0.75 * outer * outer)
@@ -158,7 +174,7 @@ def spline_slope(s, h):
 
 @pair_law
 def spline_curvature(s, h):
-    """d²W/dr² in 1/µm⁴."""
+    """Return d²W/dr² at s = r/h, lanes, 1/µm⁴."""
     outer = where_less(s, 2.0, 2.0 - s, 0.0)
     inner = where_less(s, 1.0, 1.0 - s, 0.0)
     return SIGMA / (h * h * h * h) * (1.5 * outer - 6.0 * inner)
@@ -166,5 +182,5 @@ def spline_curvature(s, h):
 
 @pair_law
 def spline_bend(slope_over_length, length, inverse, h):
-    """d(W′/|r|)/d|r| in 1/µm⁵, of W′/|r|, |r| and 1/|r|."""
+    """Return d(W′/|r|)/d|r| = (W″ − W′/|r|)/|r|, 1/µm⁵, from W′/|r|, |r| and 1/|r|."""
     return (spline_curvature(length * (1.0 / h), h) - slope_over_length) * inverse

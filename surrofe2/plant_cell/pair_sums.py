@@ -16,12 +16,18 @@ from surrofe2.base.simd import TILE, inverse_root, load, store
 
 FIELDS = 4
 """Fields that are handled at once, such as the weights of four components of the stress."""
+BY_F = 0
+BY_RATE = 4
+"""First of the four columns of slopes by the entries xx, xy, yx, yy of F, and of those by Ḟ."""
 
 
 class Workspace(NamedTuple):
-    """Scratch of one tile: local material positions z, x, v, f (2, local, TILE), and its fluid.
+    """Scratch of one tile: its local particles, and its SPH fluid.
 
-    slope: (pairs, TILE) W′/|r| of fluid pairs; volume: (fluid, TILE) 1/ρ.
+    z, x: (2, local, TILE) material and current positions, µm.
+    v, f: (2, local, TILE) velocities, µm/µs, and forces, µN.
+    slope: (pairs, TILE) W′/|r| of fluid pairs, 1/µm⁴.
+    volume: (fluid, TILE) specific volume 1/ρ, µm²/ng.
     """
 
     z: Array
@@ -34,7 +40,7 @@ class Workspace(NamedTuple):
 
 @kernel
 def make_workspace(topology):
-    """Uninitialised scratch for one tile."""
+    """Return a `Workspace` for one tile; its arrays are not initialised."""
     local = topology.particles + topology.owner.shape[0]
     return Workspace(
         np.empty((2, local, TILE)),
@@ -47,9 +53,10 @@ def make_workspace(topology):
 
 
 class Pair(NamedTuple):
-    """r = x_j − x_i and w = v_j − v_i, lanes each.
+    """Geometry of a pair of particles, every field as lanes.
 
-    length is |r|, inverse 1/|r|, (nx, ny) = r/|r|, rate n·w.
+    r = x_j − x_i, µm, and w = v_j − v_i, µm/µs. With |r| = `length` and 1/|r| = `inverse`, the unit
+    vector is n = r/|r|, and `rate` = n·w is the rate at which the pair lengthens.
     """
 
     rx: float
@@ -65,13 +72,13 @@ class Pair(NamedTuple):
 
 @pair_law
 def difference(x, i, j):
-    """x_j − x_i, both components."""
+    """Return both components of x_j − x_i; x (2, local, TILE)."""
     return load(x, 0, j) - load(x, 0, i), load(x, 1, j) - load(x, 1, i)
 
 
 @pair_law
 def norm(rx, ry):
-    """(|r|, 1/|r|)."""
+    """Return |r| and 1/|r|."""
     square = rx * rx + ry * ry
     inverse = inverse_root(square)
     return square * inverse, inverse
@@ -79,7 +86,10 @@ def norm(rx, ry):
 
 @pair_law
 def pair_at(x, v, i, j):
-    """The `Pair` of particles i and j; what a kernel does not use of it costs nothing."""
+    """Return the `Pair` of local particles i and j; x, v (2, local, TILE).
+
+    What a kernel does not use of it costs nothing: the compiler leaves it out.
+    """
     rx, ry = difference(x, i, j)
     wx, wy = difference(v, i, j)
     length, inverse = norm(rx, ry)
@@ -89,7 +99,7 @@ def pair_at(x, v, i, j):
 
 @pair_law
 def add_pair(f, i, j, fx, fy):
-    """f on i, −f on j."""
+    """Add the force (fx, fy) on i and its opposite on j to f (2, local, TILE)."""
     store(load(f, 0, i) + fx, f, 0, i)
     store(load(f, 1, i) + fy, f, 1, i)
     store(load(f, 0, j) - fx, f, 0, j)
@@ -98,13 +108,13 @@ def add_pair(f, i, j, fx, fy):
 
 @pair_law
 def add_to(array, row, value):
-    """array[row] += value."""
+    """array[row] += value; array (rows, TILE)."""
     store(load(array, row) + value, array, row)
 
 
 @pair_law
 def add_at(array, row, column, value):
-    """array[row, column] += value."""
+    """array[row, column] += value; array (rows, columns, TILE)."""
     store(load(array, row, column) + value, array, row, column)
 
 
@@ -113,19 +123,28 @@ def add_at(array, row, column, value):
 
 @pair_law
 def add_block(matrix, block, stride, i, j, entries):
-    """Add entries (xx, xy, yx, yy) at particles (i, j), unless one is held or there is no block."""
-    upper = block[i, j]
-    if upper >= 0:
-        lower = upper + stride[i]
-        add_to(matrix, upper, entries[0])
-        add_to(matrix, upper + 1, entries[1])
-        add_to(matrix, lower, entries[2])
-        add_to(matrix, lower + 1, entries[3])
+    """Add a 2 × 2 block of entries (xx, xy, yx, yy) at particles (i, j) to matrix (size, TILE).
+
+    Nothing is added where one of the two is held or where the pattern has no block for them.
+    """
+    first_row = block[i, j]
+    if first_row >= 0:
+        second_row = first_row + stride[i]
+        add_to(matrix, first_row, entries[0])
+        add_to(matrix, first_row + 1, entries[1])
+        add_to(matrix, second_row, entries[2])
+        add_to(matrix, second_row + 1, entries[3])
 
 
 @pair_law
 def add_pair_jacobian(matrix, block, stride, L, i, j, rr, rw):
-    """Spread ∂f/∂r = rr and ∂f/∂w = rw over own particles i and j."""
+    """Add K = ∂f/∂r + ∂f/∂w L of a pair to the matrix, at own particles i and j.
+
+    f is the force on i, which falls as x_i grows and rises with x_j; that on j is its opposite.
+
+    L: (2, 2, TILE) velocity gradient, by which w = L r.
+    rr, rw: (xx, xy, yx, yy) entries of ∂f/∂r and ∂f/∂w.
+    """
     lxx = load(L, 0, 0)
     lxy = load(L, 0, 1)
     lyx = load(L, 1, 0)
@@ -142,7 +161,7 @@ def add_pair_jacobian(matrix, block, stride, L, i, j, rr, rw):
 
 @pair_law
 def add_load(columns, row, column, kx, ky, zx, zy):
-    """Add (kx, ky) ⊗ (zx, zy) to four columns of a row."""
+    """Add (kx, ky) ⊗ (zx, zy) to the four columns of a row from `column` on."""
     add_at(columns, row, column, kx * zx)
     add_at(columns, row, column + 1, kx * zy)
     add_at(columns, row, column + 2, ky * zx)
@@ -151,16 +170,21 @@ def add_load(columns, row, column, kx, ky, zx, zy):
 
 @pair_law
 def add_pair_load(columns, Z, i, j, j_own, rr, rw):
-    """Spread ∂f/∂F = rr ⊗ Z and ∂f/∂Ḟ = rw ⊗ Z over own particles."""
+    """Add ∂f/∂F = ∂f/∂r ⊗ Z and ∂f/∂Ḟ = ∂f/∂w ⊗ Z of a pair to columns (2n, 8, TILE).
+
+    Rows 2i and 2i + 1 are the components of the force on i; j_own owns j, which may be an image.
+
+    Z: (2, local, TILE) material positions. rr, rw: as of `add_pair_jacobian`.
+    """
     zx, zy = difference(Z, i, j)
-    add_load(columns, 2 * i, 0, rr[0], rr[1], zx, zy)
-    add_load(columns, 2 * i + 1, 0, rr[2], rr[3], zx, zy)
-    add_load(columns, 2 * i, 4, rw[0], rw[1], zx, zy)
-    add_load(columns, 2 * i + 1, 4, rw[2], rw[3], zx, zy)
-    add_load(columns, 2 * j_own, 0, -rr[0], -rr[1], zx, zy)
-    add_load(columns, 2 * j_own + 1, 0, -rr[2], -rr[3], zx, zy)
-    add_load(columns, 2 * j_own, 4, -rw[0], -rw[1], zx, zy)
-    add_load(columns, 2 * j_own + 1, 4, -rw[2], -rw[3], zx, zy)
+    add_load(columns, 2 * i, BY_F, rr[0], rr[1], zx, zy)
+    add_load(columns, 2 * i + 1, BY_F, rr[2], rr[3], zx, zy)
+    add_load(columns, 2 * i, BY_RATE, rw[0], rw[1], zx, zy)
+    add_load(columns, 2 * i + 1, BY_RATE, rw[2], rw[3], zx, zy)
+    add_load(columns, 2 * j_own, BY_F, -rr[0], -rr[1], zx, zy)
+    add_load(columns, 2 * j_own + 1, BY_F, -rr[2], -rr[3], zx, zy)
+    add_load(columns, 2 * j_own, BY_RATE, -rw[0], -rw[1], zx, zy)
+    add_load(columns, 2 * j_own + 1, BY_RATE, -rw[2], -rw[3], zx, zy)
 
 
 # Fields
@@ -168,14 +192,14 @@ def add_pair_load(columns, Z, i, j, j_own, rr, rw):
 
 @pair_law
 def field_difference(fields, m, i, j):
-    """Field m at j less that at i, both components."""
+    """Return both components of field m at j less those at i; fields (FIELDS, 2, local, TILE)."""
     dx = load(fields, m, 0, j) - load(fields, m, 0, i)
     return dx, load(fields, m, 1, j) - load(fields, m, 1, i)
 
 
 @pair_law
 def add_field_pair(fields, m, i, j, fx, fy):
-    """(fx, fy) to field m at i, its negative at j."""
+    """Add (fx, fy) to field m at i and its opposite at j; fields (FIELDS, 2, local, TILE)."""
     store(load(fields, m, 0, i) + fx, fields, m, 0, i)
     store(load(fields, m, 1, i) + fy, fields, m, 1, i)
     store(load(fields, m, 0, j) - fx, fields, m, 0, j)
@@ -184,7 +208,7 @@ def add_field_pair(fields, m, i, j, fx, fy):
 
 @pair_law
 def add_transposed(fields, m, i, j, slopes, px, py):
-    """slopesᵀ p to field m at i, its negative at j."""
+    """Add Sᵀ p to field m at i and its opposite at j; `slopes` are S (xx, xy, yx, yy)."""
     fx = slopes[0] * px + slopes[2] * py
     fy = slopes[1] * px + slopes[3] * py
     add_field_pair(fields, m, i, j, fx, fy)

@@ -25,17 +25,27 @@ SYMMETRIES = {"square": "D4", "hexagon": "D6", "voronoi": "none"}
 """Arrangements of plant cells in an RVE, and the point group of each."""
 FLUIDS = ("sph", "uniform")
 USUAL_FLUID = {"square": "sph", "hexagon": "uniform", "voronoi": "uniform"}
-"""What fluid = "auto" means."""
+"""Fluid that "auto" stands for in each arrangement."""
 FEWEST_VORONOI = 4
+"""Fewest Voronoi cells of an RVE."""
 _ARRANGEMENT = ("arrangement", "cells", "arrangement_seed")
 _UNIFORM = ("fluid", "sap_bulk_modulus")
 _SHAPE = ("area_variation", "elongation", "elongation_direction")
+"""Fields that a fingerprint leaves out where they are as before they existed."""
 _AS_LAID_OUT = {"area_variation": 0.0, "elongation": 1.0, "elongation_direction": 0.0}
+"""Values of the fields of a shape that leave Voronoi cells as they are laid out."""
 LEAST_VARIATION = 0.1
+"""Smallest variation of areas, beside 0, that can be asked for."""
 
 
 def _constant(default: Any, unit: str, about: str, section: str = "6", **bounds: Any) -> Any:
-    """A field whose source is a section of the paper, and after a colon what stands there."""
+    """Make a field with its unit, its bounds and its source.
+
+    Args:
+        section: section of the paper, and after a colon what is printed there; empty: the constant
+            is not of the paper.
+        bounds: bounds as of `setting`; without any, the value must be positive.
+    """
     source = f"{_PAPER}, section {section}" if section else about
     return setting(default, about, unit, source=source, **(bounds or {"above": 0.0}))
 
@@ -152,12 +162,12 @@ class CellParameters:
                 "cell.sap_bulk_modulus",
                 f"{self.sap_bulk_modulus}; with fluid sph it must be 0: take fluid uniform",
             )
-        for name in _SHAPE:
-            if getattr(self, name) != _AS_LAID_OUT[name] and self.arrangement != "voronoi":
+        for name, usual in _AS_LAID_OUT.items():
+            value = getattr(self, name)
+            if value != usual and self.arrangement != "voronoi":
                 raise InputError(
                     f"cell.{name}",
-                    f"{getattr(self, name)}; with arrangement {self.arrangement} it must be "
-                    f"{_AS_LAID_OUT[name]}",
+                    f"{value}; with arrangement {self.arrangement} it must be {usual}",
                 )
         if 0.0 < self.area_variation < LEAST_VARIATION:
             raise InputError(
@@ -178,10 +188,13 @@ class CellParameters:
 
     @classmethod
     def preset(cls, name: str, **changes: Any) -> CellParameters:
-        """The parameters called `name`, a key of `PRESETS`, with single fields changed.
+        """Return the parameters called `name`, a key of `PRESETS`, with single fields changed.
 
         Living plant cells have a uniform fluid unless `fluid` is "sph", which has its own sound
         speed for the same turgor.
+
+        Raises:
+            InputError: there is no such preset or field, or a value is out of bounds.
         """
         if not isinstance(name, str) or name not in PRESETS:
             raise InputError(
@@ -193,15 +206,18 @@ class CellParameters:
                 raise InputError(f"cell.{key}", f"unknown; known are {', '.join(sorted(known))}")
         if name in LIVING:
             fluid = changes.get("fluid", "auto")
-            usual = LIVING[name][0].parameters(**({} if fluid == "auto" else {"fluid": fluid}))
+            tissue, _ = LIVING[name]
+            usual = tissue.parameters() if fluid == "auto" else tissue.parameters(fluid)
             return replace(usual, **{**changes, "fluid": usual.fluid})
         return replace(PRESETS[name], **{"fluid": "auto", **changes})
 
     @property
     def preset_name(self) -> str:
-        """Name of the preset that it is, or that it has constants of its own, and fingerprint."""
-        name = next((name for name, known in PRESETS.items() if known == self), "its own constants")
-        return f"{name} ({self.fingerprint})"
+        """Name of the preset that these constants are, or "its own constants"; and fingerprint."""
+        for name, preset in PRESETS.items():
+            if preset == self:
+                return f"{name} ({self.fingerprint})"
+        return f"its own constants ({self.fingerprint})"
 
     @property
     def symmetry(self) -> str:
@@ -225,18 +241,18 @@ class CellParameters:
 
     @property
     def fluid_particles(self) -> int:
-        """SPH particles of a plant cell, of which Voronoi cells have more or less by their area.
+        """Number of SPH particles of a plant cell; 0 with a uniform fluid.
 
-        A hexagon has the next centred hexagonal number (19 for 16), which its symmetry D6 bears. A
-        uniform fluid has none.
+        Voronoi cells have this number on average. A hexagon has the nearest centred hexagonal
+        number (19 for 16), for which there is a pattern with its symmetry D6.
         """
         if self.has_uniform_fluid:
             return 0
         wanted = self.fluid_particles_per_side**2
         if self.arrangement != "hexagon":
             return wanted
-        centred = (3 * k * (k + 1) + 1 for k in range(wanted))
-        return min(centred, key=lambda number: abs(number - wanted))
+        centred_hexagonal = (3 * k * (k + 1) + 1 for k in range(wanted))
+        return min(centred_hexagonal, key=lambda number: abs(number - wanted))
 
     @property
     def fluid_mass(self) -> float:
@@ -252,7 +268,8 @@ class CellParameters:
 
     @property
     def shape(self) -> Shape:
-        """What Voronoi cells are to be like."""
+        """Statistics that Voronoi cells are to have."""
+        # without an elongation its direction makes no difference
         direction = self.elongation_direction if self.elongation > 1.0 else 0.0
         return Shape(self.area_variation, self.elongation, direction)
 
@@ -265,7 +282,7 @@ class CellParameters:
 
     @property
     def mass(self) -> float:
-        """Mass of one cell in a tissue (the mean), shared wall particles counted once, ng."""
+        """Mean mass of a plant cell in a tissue, shared wall particles counted once, ng."""
         walls = self.tessellation.wall_particles(self.spring_length)
         fluid = self.fluid_density * self.cell_side**2
         if not self.has_uniform_fluid:
@@ -281,30 +298,34 @@ class CellParameters:
     def fingerprint(self) -> str:
         """16 hexadecimal digits that two sets of parameters share if their RVEs are equal.
 
-        `outer_wall` is not of the RVE.
+        Fields that came later are left out at the values that stand for the state before, so that
+        files of that time still fit.
         """
-        values = asdict(self)
-        del values["outer_wall"]
-        if self.is_one_square:  # as before there were arrangements
-            values = {k: v for k, v in values.items() if k not in _ARRANGEMENT}
-        if not self.has_uniform_fluid:  # as before there was another fluid
-            values = {k: v for k, v in values.items() if k not in _UNIFORM}
-        if self.shape == AS_THEY_COME:  # as before cells could be shaped
-            values = {k: v for k, v in values.items() if k not in _SHAPE}
-        text = json.dumps({k: repr(v) for k, v in sorted(values.items())})
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
+        left_out = ["outer_wall"]  # no part of the RVE
+        if self.is_one_square:
+            left_out += _ARRANGEMENT
+        if not self.has_uniform_fluid:
+            left_out += _UNIFORM
+        if self.shape == AS_THEY_COME:
+            left_out += _SHAPE
+        values = {}
+        for name, value in sorted(asdict(self).items()):
+            if name not in left_out:
+                values[name] = repr(value)
+        return hashlib.sha256(json.dumps(values).encode()).hexdigest()[:16]
 
     def to_dict(self) -> dict[str, Any]:
-        """All fields by name, for files."""
+        """Return all fields by name, for files."""
         return asdict(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LivingTissue:
-    """What experiments tell of a parenchyma, in their units; docs/cells.md says how to read each.
+    """Measurements of a parenchyma, in the units of experiments; docs/cells.md explains each.
 
-    `parameters` translates. Masses, stiffnesses and the viscosity are those of a layer as thick as
-    `CellParameters.tissue_thickness`; a stress in MPa does not depend on that thickness.
+    `parameters` translates them. The masses, stiffnesses and the viscosity that it returns are
+    those of a layer as thick as `CellParameters.tissue_thickness`; a stress in MPa does not depend
+    on that thickness.
     """
 
     cell_size: float = setting(
@@ -326,10 +347,11 @@ class LivingTissue:
         check_settings(self, "tissue")
 
     def parameters(self, fluid: str = "uniform") -> CellParameters:
-        """Constants of the square plant cell: docs/cells.md, “Translation”.
+        """Return the constants of the square plant cell; see docs/cells.md, “Translation”.
 
         Args:
-            fluid: the sound speed follows from the turgor, and is lower with SPH particles.
+            fluid: "uniform" or "sph". The sound speed follows from the turgor, and is lower with
+                SPH particles.
 
         Raises:
             InputError: the walls alone weigh more than the tissue.
@@ -339,43 +361,57 @@ class LivingTissue:
         thickness = usual.tissue_thickness
         springs = usual.wall_springs_per_side
         spring = side / springs
+        # a wall is that of two plant cells
         cross_section = 2.0 * self.wall_thickness * thickness
         wall_particle = _WALL_DENSITY * cross_section * spring
-        weight = 1e-6 * self.density * side**2 * thickness - (2 * springs - 1) * wall_particle
+        # two of the four walls of a square and one of its corners are its own; 1 kg/m³ is
+        # 1e-6 ng/µm³
+        fluid_mass = 1e-6 * self.density * side**2 * thickness - (2 * springs - 1) * wall_particle
         tension = self.turgor * thickness * side
         carried = _CARRIED if fluid == "sph" else 1.0
+        # without fluid left, CellParameters rejects the mass; any sound speed does until then
+        sound_speed = 1.0
+        if fluid_mass > 0.0:
+            sound_speed = sqrt(tension * side / (carried * fluid_mass))
         return replace(
             usual,
             cell_side=side,
-            fluid_particle_mass=weight / usual.fluid_particles_per_side**2,
+            fluid_particle_mass=fluid_mass / usual.fluid_particles_per_side**2,
             wall_particle_mass=wall_particle,
             wall_stiffness=self.wall_modulus * cross_section / spring,
             repulsion_strength=_REPULSION * tension * spring**6,
             repulsion_cutoff=_CUTOFF * side,
             smoothing_length=_SMOOTHING * side,
-            sound_speed=sqrt(tension * side / (carried * weight)) if weight > 0.0 else 1.0,
+            sound_speed=sound_speed,
             fluid=fluid,
             viscosity=1e-3 * self.sap_viscosity * thickness,
         )
 
 
 _WALL_DENSITY = 1.1e-3
-"""Of a wet wall, ng/µm³: two thirds water, one third polysaccharides of 1500 kg/m³."""
+"""Density of a wet wall, ng/µm³: two thirds water, one third polysaccharides of 1500 kg/m³."""
 _REPULSION = 1.2
+"""Contact force at the length of a spring, over the tension of the walls."""
 _CUTOFF = 0.37
+"""Reach of contacts, over the side of a plant cell."""
 _SMOOTHING = 0.22
-"""Contact force a spring's length away over the walls' tension; lengths over the side."""
+"""Smoothing length of SPH fluid, over the side of a plant cell."""
 _CARRIED = 1.1484
 """Turgor that the walls carry over c_s² times the mass of SPH fluid per area, at these three."""
 
-_STORED = json.loads(files(__package__).joinpath("living_tissues.json").read_text("utf-8"))
-LIVING: dict[str, tuple[LivingTissue, dict[str, str]]] = {
-    name: (
-        LivingTissue(**{key: entry["value"] for key, entry in entries.items()}),
-        {key: entry["source"] for key, entry in entries.items()},
-    )
-    for name, entries in _STORED.items()
-}
+
+def _read_living_tissues() -> dict[str, tuple[LivingTissue, dict[str, str]]]:
+    """Read the measurements of each living tissue, and the source of each value."""
+    text = files(__package__).joinpath("living_tissues.json").read_text("utf-8")
+    tissues = {}
+    for name, entries in json.loads(text).items():
+        values = {key: entry["value"] for key, entry in entries.items()}
+        sources_of_values = {key: entry["source"] for key, entry in entries.items()}
+        tissues[name] = LivingTissue(**values), sources_of_values
+    return tissues
+
+
+LIVING = _read_living_tissues()
 """Parenchymas by the name of their preset, and the source of each measured value."""
 
 PRESETS = {
@@ -386,8 +422,13 @@ PRESETS = {
 
 
 def sources(preset: str) -> dict[str, str]:
-    """Where the constants of a preset come from, or the measurements that they follow from."""
-    CellParameters.preset(preset)
+    """Return the source of each constant of a preset, or of the measurements it is made of.
+
+    Raises:
+        InputError: there is no such preset.
+    """
+    CellParameters.preset(preset)  # refuses names that are unknown
     if preset in LIVING:
-        return LIVING[preset][1]
+        _, sources_of_values = LIVING[preset]
+        return sources_of_values
     return {item.name: str(item.metadata["source"]) for item in fields(CellParameters)}

@@ -33,15 +33,17 @@ from surrofe2.plant_cell.pair_sums import (
 )
 
 STEP = 1e-6
-"""Of the fastest particle to either side, in smoothing lengths: K is then exact to 1e-12 by its
-curvature, and to 1e-9 by rounding; of a longer step, more pairs pass a knot of the spline."""
+"""Step of the central difference of K: how far the fastest particle moves to either side, in
+smoothing lengths. K's curvature then makes an error of 1e-12, rounding one of 1e-9; with a longer
+step more pairs would pass a knot of the spline."""
 
 
 @kernel
 def add_sph_forces(x, v, f, topology, c, slope, volume):
-    """Add pressure and viscous forces (eq. 8) to f.
+    """Add pressure and viscous forces (eq. 8) to f (2, local, TILE), µN.
 
-    Scratch, filled here: slope (pairs, TILE) W′/|r|; volume (fluid, TILE) 1/ρ.
+    x, v: (2, local, TILE) positions, µm, and velocities, µm/µs.
+    slope, volume: scratch that is filled here, see `fluid_specific_volume`.
     """
     pairs = topology.fluid_pairs
     first = topology.walls
@@ -59,7 +61,10 @@ def add_sph_forces(x, v, f, topology, c, slope, volume):
 
 @kernel
 def fluid_specific_volume(x, topology, c, slope, volume):
-    """volume = 1/ρ of eq. (7) and slope = W′/|r| of every fluid pair."""
+    """Fill volume (fluid, TILE) with 1/ρ of eq. (7), and slope (pairs, TILE) with W′/|r|.
+
+    ρ_p = m Σ_q W(|x_p − x_q|) over the fluid particles q of p's plant cell, p itself included.
+    """
     pairs = topology.fluid_pairs
     first = topology.walls
     h = c.smoothing_length
@@ -82,7 +87,10 @@ def fluid_specific_volume(x, topology, c, slope, volume):
 
 @kernel
 def add_sph_energy(x, topology, c, slope, volume, energy):
-    """Add the stored energy Σ m c_s² ln ρ, pJ, to energy (1, TILE); scratch as above."""
+    """Add the stored energy Σ m c_s² ln ρ, pJ, to energy (1, TILE).
+
+    slope, volume: scratch that is filled here, see `fluid_specific_volume`.
+    """
     fluid_specific_volume(x, topology, c, slope, volume)
     for p in range(volume.shape[0]):
         for lane in range(TILE):
@@ -91,7 +99,11 @@ def add_sph_energy(x, topology, c, slope, volume, energy):
 
 @pair_law
 def fluid_slopes(pair, steep, volume_i, volume_j, c):
-    """(∂f/∂r, ∂f/∂w, ∂f/∂V_i, ∂f/∂V_j) of a fluid pair, W′/|r| = steep, V = 1/ρ."""
+    """Return (∂f/∂r, ∂f/∂w, ∂f/∂V_i, ∂f/∂V_j) of a fluid pair whose force on i is f = a r + b w.
+
+    steep: W′/|r|. volume_i, volume_j: V = 1/ρ. The first two slopes are (xx, xy, yx, yy) with V
+    held, the others (x, y).
+    """
     rx = pair.rx
     ry = pair.ry
     wx = pair.wx
@@ -105,13 +117,14 @@ def fluid_slopes(pair, steep, volume_i, volume_j, c):
     rw = (b, spread(0.0), spread(0.0), b)
     ai, bi = fluid_volume_slopes(steep, volume_j, c)
     aj, bj = fluid_volume_slopes(steep, volume_i, c)
-    at_i = (ai * rx + bi * wx, ai * ry + bi * wy)
-    return rr, rw, at_i, (aj * rx + bj * wx, aj * ry + bj * wy)
+    by_volume_i = (ai * rx + bi * wx, ai * ry + bi * wy)
+    by_volume_j = (aj * rx + bj * wx, aj * ry + bj * wy)
+    return rr, rw, by_volume_i, by_volume_j
 
 
 @kernel
 def add_sph_jacobian(work, L, topology, c, matrix, columns):
-    """Add to matrix and columns; see `force_jacobian`."""
+    """Add the slopes of the fluid's forces to matrix and columns; see `force_jacobian`."""
     fluid_specific_volume(work.x, topology, c, work.slope, work.volume)
     for cell in range(topology.fluid_start.shape[0] - 1):
         _add_cell_jacobian(cell, work, L, topology, c, matrix, columns)
@@ -119,7 +132,11 @@ def add_sph_jacobian(work, L, topology, c, matrix, columns):
 
 @kernel
 def _add_cell_jacobian(cell, work, L, topology, c, matrix, columns):
-    """Pressure and viscous forces of one plant cell, work.slope and work.volume given."""
+    """Add the slopes of the forces in one plant cell; work.slope and work.volume are filled.
+
+    A motion changes forces directly, pair by pair, and through the densities, which couples all
+    fluid of the plant cell. The second part is a product, Σ_s ∂f/∂ρ_s ∂ρ_s/∂x.
+    """
     pairs = topology.fluid_pairs
     first = topology.walls + topology.fluid_start[cell]
     fluid = topology.fluid_start[cell + 1] - topology.fluid_start[cell]
@@ -137,12 +154,14 @@ def _add_cell_jacobian(cell, work, L, topology, c, matrix, columns):
         steep = load(work.slope, k)
         volume_i = load(work.volume, i - topology.walls)
         volume_j = load(work.volume, j - topology.walls)
-        rr, rw, at_i, at_j = fluid_slopes(pair, steep, volume_i, volume_j, c)
+        rr, rw, by_volume_i, by_volume_j = fluid_slopes(pair, steep, volume_i, volume_j, c)
         add_pair_jacobian(matrix, block, stride, L, i, j, rr, rw)
+        # ∂V/∂ρ = −V²
         by_i = -volume_i * volume_i
         by_j = -volume_j * volume_j
-        add_pair_column(by_density, 2 * p, 2 * q, p, by_i * at_i[0], by_i * at_i[1])
-        add_pair_column(by_density, 2 * p, 2 * q, q, by_j * at_j[0], by_j * at_j[1])
+        add_pair_column(by_density, 2 * p, 2 * q, p, by_i * by_volume_i[0], by_i * by_volume_i[1])
+        add_pair_column(by_density, 2 * p, 2 * q, q, by_j * by_volume_j[0], by_j * by_volume_j[1])
+        # ∂ρ_i/∂x_j = m W′/|r| r, and the opposite by x_i; the same for ρ_j
         gx = c.fluid_mass * steep * pair.rx
         gy = c.fluid_mass * steep * pair.ry
         add_pair_row(density_by_x, p, 2 * p, 2 * q, gx, gy)
@@ -156,16 +175,17 @@ def _add_cell_jacobian(cell, work, L, topology, c, matrix, columns):
     g = topology.group[first]
     width = topology.width[g]
     column = topology.column[first]
-    at = topology.start[g] + column * width + topology.offset[g, g] + column
-    add_product(by_density, density_by_x, matrix, at, width)
+    begin = topology.start[g] + column * width + topology.offset[g, g] + column
+    add_product(by_density, density_by_x, matrix, begin, width)
     if columns.shape[0] > 0:
+        # each particle has two rows of 8 columns; density does not depend on Ḟ, the last four
         rows = columns.reshape(-1, TILE)
         add_product(by_density, density_by_load, rows, 8 * 2 * first, 8)
 
 
 @pair_law
 def add_pair_column(array, row_i, row_j, column, gx, gy):
-    """(gx, gy) on the rows of i, its negative on those of j."""
+    """Add (gx, gy) to the two rows of i, and its opposite to those of j, in one column."""
     add_at(array, row_i, column, gx)
     add_at(array, row_i + 1, column, gy)
     add_at(array, row_j, column, -gx)
@@ -174,7 +194,7 @@ def add_pair_column(array, row_i, row_j, column, gx, gy):
 
 @pair_law
 def add_pair_row(array, row, column_i, column_j, gx, gy):
-    """(gx, gy) on the columns of j, its negative on those of i."""
+    """Add (gx, gy) to the two columns of j, and its opposite to those of i, in one row."""
     add_at(array, row, column_j, gx)
     add_at(array, row, column_j + 1, gy)
     add_at(array, row, column_i, -gx)
@@ -182,24 +202,27 @@ def add_pair_row(array, row, column_i, column_j, gx, gy):
 
 
 @kernel
-def add_product(left, right, values, at, width):
-    """values[at + m · width + n] += Σ_s left[m, s] right[s, n], an even number of n."""
-    for m in range(left.shape[0]):
-        row = at + m * width
-        for n in range(0, right.shape[1], 2):
+def add_product(A, B, values, begin, width):
+    """values[begin + m · width + n] += Σ_s A[m, s] B[s, n]; A (·, ·, TILE), B (·, even, TILE).
+
+    Two columns are summed at a time, so that each entry of A is read half as often.
+    """
+    for m in range(A.shape[0]):
+        row = begin + m * width
+        for n in range(0, B.shape[1], 2):
             even = load(values, row + n)
             odd = load(values, row + n + 1)
-            for s in range(left.shape[1]):
-                factor = load(left, m, s)
-                even += factor * load(right, s, n)
-                odd += factor * load(right, s, n + 1)
+            for s in range(A.shape[1]):
+                factor = load(A, m, s)
+                even += factor * load(B, s, n)
+                odd += factor * load(B, s, n + 1)
             store(even, values, row + n)
             store(odd, values, row + n + 1)
 
 
 @kernel
 def add_sph_gradients(work, weights, by_x, by_v, topology, c):
-    """Add to by_x and by_v; see `add_force_gradients`."""
+    """Add the slopes of Σ φ·f of the fluid to by_x and by_v; see `add_force_gradients`."""
     pairs = topology.fluid_pairs
     first = topology.walls
     slope = work.slope
@@ -215,18 +238,19 @@ def add_sph_gradients(work, weights, by_x, by_v, topology, c):
         steep = load(slope, k)
         volume_i = load(volume, p)
         volume_j = load(volume, q)
-        rr, rw, at_i, at_j = fluid_slopes(pair, steep, volume_i, volume_j, c)
+        rr, rw, by_volume_i, by_volume_j = fluid_slopes(pair, steep, volume_i, volume_j, c)
         for m in range(FIELDS):
             px, py = field_difference(weights, m, i, j)
             add_transposed(by_x, m, i, j, rr, px, py)
+            # ∂f/∂w is a multiple of the unit matrix
             add_field_pair(by_v, m, i, j, rw[0] * px, rw[0] * py)
-            add_at(by_volume, m, p, -(at_i[0] * px + at_i[1] * py))
-            add_at(by_volume, m, q, -(at_j[0] * px + at_j[1] * py))
-    # from slopes by V to slopes by ρ, and through ∂ρ/∂x to the particles
+            add_at(by_volume, m, p, -(by_volume_i[0] * px + by_volume_i[1] * py))
+            add_at(by_volume, m, q, -(by_volume_j[0] * px + by_volume_j[1] * py))
+    # from slopes by V to slopes by ρ, ∂V/∂ρ = −V², and through ∂ρ/∂x to the particles
     for m in range(FIELDS):
         for p in range(volume.shape[0]):
-            here = load(volume, p)
-            store(-here * here * load(by_volume, m, p), by_volume, m, p)
+            V = load(volume, p)
+            store(-V * V * load(by_volume, m, p), by_volume, m, p)
     for k in range(pairs.shape[0]):
         i = pairs[k, 0]
         j = pairs[k, 1]
@@ -239,7 +263,12 @@ def add_sph_gradients(work, weights, by_x, by_v, topology, c):
 
 @kernel
 def add_sph_rates(work, f_rate, volume_rate, topology, c):
-    """With α = m² c_s² (W′/|r|) (V_i + V_j) of eq. (8): f = α r and ḟ = α̇ r + α w."""
+    """Add pressure forces to work.f and their rates along work.v to f_rate (2, local, TILE).
+
+    With α = m² c_s² (W′/|r|) (V_i + V_j) of eq. (8), f = α r and ḟ = α̇ r + α w.
+
+    volume_rate: (fluid, TILE) scratch, V̇ = −V² ρ̇.
+    """
     slope = work.slope
     volume = work.volume
     pairs = topology.fluid_pairs
@@ -255,8 +284,8 @@ def add_sph_rates(work, f_rate, volume_rate, topology, c):
         add_to(volume_rate, i - first, density_rate)
         add_to(volume_rate, j - first, density_rate)
     for p in range(volume_rate.shape[0]):
-        here = load(volume, p)
-        store(-here * here * load(volume_rate, p), volume_rate, p)
+        V = load(volume, p)
+        store(-V * V * load(volume_rate, p), volume_rate, p)
     strength = c.fluid_mass * c.fluid_mass * c.sound_speed_squared
     for k in range(pairs.shape[0]):
         i = pairs[k, 0]
@@ -279,15 +308,16 @@ def add_sph_rates(work, f_rate, volume_rate, topology, c):
 
 @kernel
 def add_sph_stiffness_rates(work, u, f, topology, c):
-    """By central differences of K u along v, for K changes without jumps as fluid particles move.
+    """Add K̇ u to f for the FIELDS fields u, by central differences of K u along work.v.
 
-    That of contacts jumps at the cut-off, where pairs like to stay: a difference over it is wrong.
+    u, f: (FIELDS, 2, local, TILE). A difference will do here, for K of the fluid is continuous. K
+    of contacts jumps at the cut-off, where pairs tend to stay, so it is differentiated exactly.
     """
     if topology.fluid_pairs.shape[0] == 0:
         return
     x = work.x.copy()
     v = work.v.copy()
-    speed = np.full(TILE, 1e-300)
+    speed = np.full(TILE, 1e-300)  # not 0, by which the step would be divided
     for axis in range(2):
         for i in range(v.shape[1]):
             for k in range(TILE):
@@ -296,7 +326,7 @@ def add_sph_stiffness_rates(work, u, f, topology, c):
     by_x = np.empty_like(u)
     by_v = np.empty_like(u)
     work.v[:] = 0.0  # dashpots off, and K is symmetric: gradients of Σ u·f by x are K u
-    for side in range(2):
+    for side in range(2):  # ahead, then behind: signs 1 and −1
         work.x[:] = x + (1.0 - 2.0 * side) * step * v
         by_x[:] = 0.0
         by_v[:] = 0.0

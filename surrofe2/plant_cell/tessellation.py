@@ -20,19 +20,27 @@ from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError
 
 Shift = tuple[int, int]
+"""Lattice vectors a₁ and a₂ by which an image is shifted."""
 Corner = tuple[int, Shift]
+"""A vertex, and the shift of its image."""
 Edge = tuple[int, int, Shift]
+"""The vertices at both ends, and the shift of the second."""
 
 LLOYD_STEPS = 3
-"""Voronoi points move so often to the centroids of their polygons."""
+"""Number of times that Voronoi points move to the centroids of their polygons."""
 _MOST_STEPS = 200
+"""Moves of Voronoi points after which a variation of areas counts as out of reach."""
 _APART = -0.1
-"""Moves of points after which a variation of areas is out of reach; the fraction of the way to
-their centroids by which they move if areas are to differ more."""
+"""Fraction of the way to their centroids by which points move if areas are to differ more;
+negative, since they move away from them."""
 _MOST_STRETCH = 40.0
+"""Largest stretch among which that with the elongation wanted is sought."""
 _CLOSE = 1e-6
+"""Tolerance on the stretch, and on the length of the last move of points."""
 _SHORTEST = 1e-3
+"""Shortest edge, µm: corners that are nearer to each other are one vertex."""
 _IMAGES = np.array([(a, b) for a in range(-2, 3) for b in range(-2, 3)])
+"""Shifts of the images that polygons of a few Voronoi points may reach."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,14 +60,14 @@ class Tessellation:
     edges: tuple[Edge, ...]
 
     def corners(self, polygon: int) -> Array:
-        """(k, 2) corners of a polygon where it lies, µm."""
-        index = [v for v, _ in self.polygons[polygon]]
-        shifts = np.array([s for _, s in self.polygons[polygon]])
-        return self.vertices[index] + shifts @ self.lattice.T
+        """Return the corners (k, 2) of a polygon where it lies, µm."""
+        vertices = [vertex for vertex, _ in self.polygons[polygon]]
+        shifts = np.array([shift for _, shift in self.polygons[polygon]])
+        return self.vertices[vertices] + shifts @ self.lattice.T
 
     @property
     def areas(self) -> Array:
-        """(polygons,) µm²."""
+        """Areas of the polygons (polygons,), µm²."""
         return np.array([polygon_area(self.corners(k)) for k in range(len(self.polygons))])
 
     @property
@@ -73,21 +81,26 @@ class Tessellation:
         return mean_aspect([self.corners(k) for k in range(len(self.polygons))])
 
     def vector(self, edge: Edge) -> Array:
-        """(2,) from one end of an edge to the other, µm."""
+        """Return the vector (2,) from the first end of an edge to the second, µm."""
         v, w, shift = edge
         return self.vertices[w] + self.lattice @ np.array(shift) - self.vertices[v]
 
     def springs(self, edge: Edge, length: float) -> int:
-        """Into how many springs, as near as can be of `length`, µm, an edge is divided."""
+        """Return the number of springs of about `length`, µm, into which an edge is divided."""
         return max(1, round(float(np.linalg.norm(self.vector(edge))) / length))
 
     def wall_particles(self, length: float) -> int:
-        """Number of vertices, and of particles between springs of about `length`, µm."""
+        """Return the number of vertices and of particles between springs of `length`, µm."""
         return len(self.vertices) + sum(self.springs(edge, length) - 1 for edge in self.edges)
 
 
 class Shape(NamedTuple):
-    """What Voronoi polygons are to be like; see `CellParameters`."""
+    """Statistics that Voronoi polygons are to have; see `CellParameters`.
+
+    area_variation: coefficient of variation of the areas; 0: as they come.
+    elongation: mean aspect ratio; 1: as they come.
+    direction: angle of the long axis from x to y, °.
+    """
 
     area_variation: float = 0.0
     elongation: float = 1.0
@@ -101,7 +114,10 @@ AS_THEY_COME = Shape()
 def make_tessellation(
     arrangement: str, side: float, cells: int, seed: int, shape: Shape = AS_THEY_COME
 ) -> Tessellation:
-    """`cells` polygons of side² µm² on average: "square", "hexagon" or "voronoi" (by `seed`)."""
+    """Make `cells` polygons of side² µm² on average: "square", "hexagon" or "voronoi" (by `seed`).
+
+    cells: a square number for squares and hexagons.
+    """
     if arrangement == "square":
         return squares(side, isqrt(cells), isqrt(cells))
     if arrangement == "hexagon":
@@ -110,37 +126,45 @@ def make_tessellation(
 
 
 def polygon_area(corners: Array) -> float:
-    """Area of a polygon (k, 2), positive when counter-clockwise."""
+    """Return the area of a polygon (k, 2), positive when counter-clockwise."""
     x, y = corners.T
     return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
 
 
 def centroid(corners: Array) -> Array:
-    """(2,) centre of area of a polygon (k, 2)."""
-    there = np.roll(corners, -1, axis=0)
-    cross = corners[:, 0] * there[:, 1] - there[:, 0] * corners[:, 1]
-    return np.asarray((corners + there).T @ cross / (3.0 * cross.sum()))
+    """Return the centre of area (2,) of a polygon (k, 2)."""
+    following = np.roll(corners, -1, axis=0)
+    cross = corners[:, 0] * following[:, 1] - following[:, 0] * corners[:, 1]
+    return np.asarray((corners + following).T @ cross / (3.0 * cross.sum()))
 
 
 def edge_of(a: Corner, b: Corner) -> tuple[Edge, Shift, bool]:
-    """Edge between two corners of a polygon, the shift of its first vertex, whether turned."""
-    v, s = a
-    w, t = b
-    there = (t[0] - s[0], t[1] - s[1])
-    forward = (v, w, there)
-    back = (w, v, (-there[0], -there[1]))
-    turned = _order(back) < _order(forward)
-    return (back, t, True) if turned else (forward, s, False)
+    """Return the edge between two corners of a polygon, its place and its direction.
+
+    Returns:
+        The edge, the shift of its first vertex as the polygon has it, and whether the edge leads
+        from b to a: two polygons that share an edge walk it in opposite directions.
+    """
+    v, shift_v = a
+    w, shift_w = b
+    across = (shift_w[0] - shift_v[0], shift_w[1] - shift_v[1])
+    forward = (v, w, across)
+    back = (w, v, (-across[0], -across[1]))
+    if _order(back) < _order(forward):
+        return back, shift_w, True
+    return forward, shift_v, False
 
 
 def _order(edge: Edge) -> tuple[int, ...]:
-    """Edges are sorted by this; of the two directions of one, the lesser is meant."""
+    """Return the key by which edges are sorted; of an edge's two directions the lesser is used."""
     v, w, (a, b) = edge
-    return (v, w, -a, -b) if v == w else (v, w, a, b)
+    if v == w:
+        return (v, w, -a, -b)
+    return (v, w, a, b)
 
 
 def squares(side: float, n: int, m: int, gap: float = 0.0) -> Tessellation:
-    """n × m squares in a box taller by `gap`, µm, which then hold tissue between free sides."""
+    """Make n × m squares in a box that is taller by `gap`, µm: a gap leaves two free sides."""
     base = side * np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=np.float64)
     places = side * np.array([*np.ndindex(n, m)], dtype=np.float64)
     lattice = np.diag([n * side, m * side + gap])
@@ -148,7 +172,7 @@ def squares(side: float, n: int, m: int, gap: float = 0.0) -> Tessellation:
 
 
 def _hexagons(area: float, n: int) -> Tessellation:
-    """n × n regular hexagons of that area on the rhombic lattice, two sides along y."""
+    """Make n × n regular hexagons of that area on the rhombic lattice, two sides along y."""
     step = np.sqrt(2.0 * area / np.sqrt(3.0))
     lattice = step * np.array([[1.0, 0.5], [0.0, np.sqrt(0.75)]])
     angle = np.pi / 6.0 + np.pi / 3.0 * np.arange(6)
@@ -158,11 +182,12 @@ def _hexagons(area: float, n: int) -> Tessellation:
 
 
 def _voronoi(area: float, cells: int, seed: int, shape: Shape) -> Tessellation:
-    """Voronoi polygons of random points in a square of `cells` times the area.
+    """Make the Voronoi polygons of random points in a square of `cells` times the area.
 
-    After each of `LLOYD_STEPS` the points move to the centroids of their polygons, which makes
-    the polygons rounder and more alike, as the paper's picture of tissue has them. If their areas
-    are to vary by so much, points move until they do. Stretched polygons have a stretched lattice.
+    In each of `LLOYD_STEPS` the points move to the centroids of their polygons, which makes the
+    polygons rounder and more alike, as the paper's picture of tissue has them. If a variation of
+    areas is asked for, the points move until it is reached instead. If the polygons are to be
+    elongated, they and their lattice are stretched.
     """
     side = np.sqrt(area * cells)
     lattice = side * np.eye(2)
@@ -180,29 +205,31 @@ def _voronoi(area: float, cells: int, seed: int, shape: Shape) -> Tessellation:
     return _from_polygons(lattice, polygons)
 
 
-def _moved(points: Array, lattice: Array, part: float) -> Array:
-    """Points moved by a part of the way to the centroids of their polygons; negative: away."""
+def _moved(points: Array, lattice: Array, fraction: float) -> Array:
+    """Return points moved by a fraction of the way to their centroids; negative: away from them."""
     centroids = np.array([centroid(polygon) for polygon in _voronoi_polygons(points, lattice)])
-    return points + part * (centroids - points)
+    return points + fraction * (centroids - points)
 
 
 def _variation(points: Array, lattice: Array) -> float:
+    """Return the coefficient of variation of the areas of the points' Voronoi polygons."""
     areas = np.array([polygon_area(polygon) for polygon in _voronoi_polygons(points, lattice)])
     return float(areas.std() / areas.mean())
 
 
 def _with_variation(points: Array, lattice: Array, wanted: float) -> Array:
-    """Points whose polygons' areas have the variation `wanted`.
+    """Return points whose polygons' areas have the variation `wanted`.
 
     They move to centroids, or away from them, until it is passed; the last move is shortened.
     """
     reached = _variation(points, lattice)
-    too_much = reached > wanted
-    part = 1.0 if too_much else _APART
+    is_too_large = reached > wanted
+    move = 1.0 if is_too_large else _APART
     for _ in range(_MOST_STEPS):
-        after = _moved(points, lattice, part)
+        after = _moved(points, lattice, move)
         reached = _variation(after, lattice)
-        if (reached > wanted) != too_much:
+        has_passed = (reached > wanted) != is_too_large
+        if has_passed:
             break
         points = after
     else:
@@ -213,39 +240,50 @@ def _with_variation(points: Array, lattice: Array, wanted: float) -> Array:
         )
 
     def excess(fraction: float) -> float:
-        return _variation(_moved(points, lattice, fraction * part), lattice) - wanted
+        return _variation(_moved(points, lattice, fraction * move), lattice) - wanted
 
     fraction = scipy.optimize.brentq(excess, 0.0, 1.0, xtol=_CLOSE)
-    return _moved(points, lattice, fraction * part)
+    return _moved(points, lattice, fraction * move)
 
 
 def aspect_ratio(corners: Array) -> float:
-    """Square root of the ratio of a polygon's principal second moments of area, at least 1."""
+    """Return the root of the ratio of a polygon's principal second moments of area, at least 1.
+
+    corners: (k, 2). With r_k the corners from the centroid, the moments are, but for a factor,
+    Σ r_k × r_(k+1) [r_k ⊗ r_k + r_(k+1) ⊗ r_(k+1) + (r_k + r_(k+1)) ⊗ (r_k + r_(k+1))].
+    """
     r = corners - centroid(corners)
-    there = np.roll(r, -1, axis=0)
-    cross = r[:, 0] * there[:, 1] - there[:, 0] * r[:, 1]
-    both = r + there
-    moments = np.einsum("k,ka,kb->ab", cross, r, r) + np.einsum("k,ka,kb->ab", cross, there, there)
-    moments += np.einsum("k,ka,kb->ab", cross, both, both)
-    least, most = np.linalg.eigvalsh(moments)
-    return float(np.sqrt(most / least))
+    following = np.roll(r, -1, axis=0)
+    cross = r[:, 0] * following[:, 1] - following[:, 0] * r[:, 1]
+    total = r + following
+    weighted_squares = "k,ka,kb->ab"
+    moments = np.einsum(weighted_squares, cross, r, r)
+    moments = moments + np.einsum(weighted_squares, cross, following, following)
+    moments += np.einsum(weighted_squares, cross, total, total)
+    smaller, larger = np.linalg.eigvalsh(moments)
+    return float(np.sqrt(larger / smaller))
 
 
 def mean_aspect(polygons: Sequence[Array]) -> float:
-    """Mean of the polygons' `aspect_ratio`."""
+    """Return the mean of the polygons' `aspect_ratio`."""
     return float(np.mean([aspect_ratio(polygon) for polygon in polygons]))
 
 
 def _stretch_to(polygons: Sequence[Array], shape: Shape) -> Array:
-    """(2, 2) that stretches along the direction to the aspect ratio wanted and keeps areas."""
+    """Return the stretch (2, 2) along `shape.direction` that gives the polygons their elongation.
+
+    It keeps areas.
+    """
     angle = np.deg2rad(shape.direction)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
-    def along(ratio: float) -> Array:
-        return np.asarray(turn @ np.diag([np.sqrt(ratio), 1.0 / np.sqrt(ratio)]) @ turn.T)
+    def stretch_by(ratio: float) -> Array:
+        principal = np.diag([np.sqrt(ratio), 1.0 / np.sqrt(ratio)])
+        return np.asarray(turn @ principal @ turn.T)
 
     def excess(ratio: float) -> float:
-        return mean_aspect([polygon @ along(ratio).T for polygon in polygons]) - shape.elongation
+        stretch = stretch_by(ratio)
+        return mean_aspect([polygon @ stretch.T for polygon in polygons]) - shape.elongation
 
     if excess(1.0) > 0.0:
         raise InputError(
@@ -253,18 +291,20 @@ def _stretch_to(polygons: Sequence[Array], shape: Shape) -> Array:
             f"{shape.elongation}; Voronoi cells have {excess(1.0) + shape.elongation:.3g} without "
             "being stretched: give more, or 1 to leave them as they are",
         )
-    return along(scipy.optimize.brentq(excess, 1.0, _MOST_STRETCH, xtol=_CLOSE))
+    return stretch_by(scipy.optimize.brentq(excess, 1.0, _MOST_STRETCH, xtol=_CLOSE))
 
 
 def _voronoi_polygons(points: Array, lattice: Array) -> list[Array]:
-    """The polygon of each point among all periodic images, counter-clockwise."""
+    """Return the polygon (k, 2) of each point among all periodic images, counter-clockwise."""
     every = (points + (_IMAGES @ lattice.T)[:, None]).reshape(-1, 2)
     diagram = scipy.spatial.Voronoi(every)
+    # rows of `every` are image after image; the points themselves are the one without a shift
     first = int(np.flatnonzero((_IMAGES == 0).all(axis=1))[0]) * len(points)
     polygons = []
     for k, point in enumerate(points):
         corners = diagram.vertices[diagram.regions[diagram.point_region[first + k]]]
-        corners = corners[np.argsort(np.arctan2(*(corners - point).T[::-1]))]
+        x, y = (corners - point).T
+        corners = corners[np.argsort(np.arctan2(y, x))]
         # where four polygons meet, a corner comes twice
         gap = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
         polygons.append(corners[gap > _SHORTEST])
@@ -278,21 +318,27 @@ def _from_polygons(lattice: Array, polygons: Sequence[Array]) -> Tessellation:
     for polygon in polygons:
         fractions = np.linalg.solve(lattice, polygon.T).T
         numbered.append(tuple(_numbered(vertices, corner, lattice) for corner in fractions))
-    edges = {
-        edge_of(a, b)[0]
-        for corners in numbered
-        for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
-    }
+    edges = set()
+    for corners in numbered:
+        for a, b in zip(corners, corners[1:] + corners[:1], strict=True):
+            edge, _, _ = edge_of(a, b)
+            edges.add(edge)
     return Tessellation(
-        lattice, np.array(vertices) @ lattice.T, tuple(numbered), tuple(sorted(edges, key=_order))
+        lattice=lattice,
+        vertices=np.array(vertices) @ lattice.T,
+        polygons=tuple(numbered),
+        edges=tuple(sorted(edges, key=_order)),
     )
 
 
 def _numbered(vertices: list[Array], corner: Array, lattice: Array) -> Corner:
-    """The vertex at a corner in lattice coordinates, which is added if it is new."""
-    for index, known in enumerate(vertices):
-        shift = np.round(corner - known)
-        if np.abs(lattice @ (corner - known - shift)).max() < _SHORTEST:
+    """Return the vertex at a corner, which is added to the vertices if it is new.
+
+    corner, vertices: (2,) each, in lattice coordinates.
+    """
+    for index, vertex in enumerate(vertices):
+        shift = np.round(corner - vertex)
+        if np.abs(lattice @ (corner - vertex - shift)).max() < _SHORTEST:
             return index, (int(shift[0]), int(shift[1]))
     vertices.append(corner)
     return len(vertices) - 1, (0, 0)

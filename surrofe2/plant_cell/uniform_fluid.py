@@ -34,14 +34,16 @@ import numpy as np
 
 from surrofe2.base.compilation import kernel, pair_law
 from surrofe2.base.simd import TILE, load, spread, store
-from surrofe2.plant_cell.pair_sums import FIELDS, add_block, add_to
+from surrofe2.plant_cell.pair_sums import BY_RATE, FIELDS, add_block, add_to
 
 
 class Fluid(NamedTuple):
-    """The fluid of one plant cell, lanes each.
+    """The fluid of one plant cell, every field as lanes.
 
-    per_area is 1/A, pressure p, slope and bend its first and second derivative by A, L the mean
-    velocity gradient (xx, xy, yx, yy), 1/µs, and stress S (xx, xy, yy), µN/µm.
+    per_area: 1/A, 1/µm².
+    pressure: p, µN/µm; slope, bend: its first and second derivative by A.
+    L: mean velocity gradient (xx, xy, yx, yy), 1/µs.
+    stress: S (xx, xy, yy), µN/µm.
     """
 
     per_area: float
@@ -54,7 +56,10 @@ class Fluid(NamedTuple):
 
 @pair_law
 def normal_at(x, rim, k):
-    """g_k of positions (or any other field) x (2, local, TILE) on the rim."""
+    """Return both components of the normal g_k of positions x, or of any other field.
+
+    x: (2, local, TILE). rim: (count,) local wall particles around the plant cell.
+    """
     count = rim.shape[0]
     before = rim[(k + count - 1) % count]
     after = rim[(k + 1) % count]
@@ -65,9 +70,10 @@ def normal_at(x, rim, k):
 
 @kernel
 def rim_product(u, x, rim):
-    """(xx, xy, yx, yy) of Σ u_k ⊗ g_k(x): A I of u = x, A L of u = v.
+    """Return (xx, xy, yx, yy) of Σ u_k ⊗ g_k(x); it is A I for u = x and A L for u = v.
 
-    Since Σ g_k = 0, u counts from its value at the first particle, which rounds less.
+    u, x: (2, local, TILE). Since Σ g_k = 0, u may count from its value at the first particle, which
+    rounds less.
     """
     xx = spread(0.0)
     xy = spread(0.0)
@@ -88,20 +94,20 @@ def rim_product(u, x, rim):
 
 @kernel
 def rim_area(x, rim):
-    """A of a rim at positions x."""
+    """Return the area A within a rim at positions x (2, local, TILE), µm²."""
     xx, _, _, yy = rim_product(x, x, rim)
     return 0.5 * (xx + yy)
 
 
 @pair_law
 def rim_of(topology, cell):
-    """(k,) local indices of the wall particles around a plant cell."""
+    """Return the local indices (count,) of the wall particles around a plant cell."""
     return topology.rim[topology.rim_start[cell] : topology.rim_start[cell + 1]]
 
 
 @pair_law
 def twice_deviator(L, factor):
-    """(xx, xy, yy) of factor (L + Lᵀ − tr L I); yy is −xx."""
+    """Return (xx, xy, yy) of factor · (L + Lᵀ − tr L I); yy is −xx. L: (xx, xy, yx, yy)."""
     xx = factor * (L[0] - L[3])
     xy = factor * (L[1] + L[2])
     return xx, xy, -xx
@@ -109,7 +115,7 @@ def twice_deviator(L, factor):
 
 @kernel
 def fluid_at(x, v, topology, cell, c):
-    """The `Fluid` of a plant cell at local positions and velocities."""
+    """Return the `Fluid` of a plant cell at positions x and velocities v (2, local, TILE)."""
     rim = rim_of(topology, cell)
     per_area = 1.0 / rim_area(x, rim)
     osmotic = topology.fluid_mass[cell] * c.sound_speed_squared
@@ -125,14 +131,14 @@ def fluid_at(x, v, topology, cell, c):
 
 @pair_law
 def add_vector(f, i, fx, fy):
-    """(fx, fy) to f at i."""
+    """Add (fx, fy) to f (2, local, TILE) at particle i."""
     add_to(f[0], i, fx)
     add_to(f[1], i, fy)
 
 
 @kernel
 def add_uniform_forces(x, v, f, topology, c):
-    """Add pressure and viscous forces S g_k to f."""
+    """Add pressure and viscous forces S g_k to f (2, local, TILE), µN."""
     for cell in range(topology.rim_start.shape[0] - 1):
         rim = rim_of(topology, cell)
         xx, xy, yy = fluid_at(x, v, topology, cell, c).stress
@@ -151,14 +157,17 @@ def add_uniform_energy(x, topology, c, energy):
         rest = topology.rest_area[cell]
         osmotic = mass * c.sound_speed_squared
         for lane in range(TILE):
-            here = area[0, lane]
-            energy[0, lane] += osmotic * np.log(mass / here)
-            energy[0, lane] += c.sap_modulus * (here - rest - rest * np.log(here / rest))
+            A = area[0, lane]
+            energy[0, lane] += osmotic * np.log(mass / A)
+            energy[0, lane] += c.sap_modulus * (A - rest - rest * np.log(A / rest))
 
 
 @kernel
 def add_uniform_jacobian(work, topology, c, matrix, columns):
-    """Add to matrix and columns; see `force_jacobian`."""
+    """Add the slopes of the fluid's forces to matrix and columns; see `force_jacobian`.
+
+    The change of pressure δp is an unknown of its own, as at the head of this file.
+    """
     particles = topology.particles
     owner = topology.owner
     block = topology.block
@@ -168,19 +177,20 @@ def add_uniform_jacobian(work, topology, c, matrix, columns):
         unknown = particles + cell
         fluid = fluid_at(work.x, work.v, topology, cell, c)
         xx, xy, yy = fluid.stress
-        # half of S R, by which the force follows the neighbour after
-        turn = (-0.5 * xy, 0.5 * xx, -0.5 * yy, 0.5 * xy)
-        back = (-turn[0], -turn[1], -turn[2], -turn[3])
-        # the second unknown of this pseudo-particle is idle
+        # slopes of the force S g_k by the neighbour after, ½ S R, and by the one before
+        by_after = (-0.5 * xy, 0.5 * xx, -0.5 * yy, 0.5 * xy)
+        by_before = (-by_after[0], -by_after[1], -by_after[2], -by_after[3])
+        # δp lies like a particle, whose second unknown is idle: its equation is −1 · it = 0
         add_block(matrix, block, stride, unknown, unknown, (-1.0 / fluid.slope, 0.0, 0.0, -1.0))
         for k in range(rim.shape[0]):
             gx, gy = normal_at(work.x, rim, k)
             i = rim[k]
             j = rim[(k + 1) % rim.shape[0]]
+            # matrices have own particles alone: images move as their owners do
             i = i if i < particles else owner[i - particles]
             j = j if j < particles else owner[j - particles]
-            add_block(matrix, block, stride, i, j, turn)
-            add_block(matrix, block, stride, j, i, back)
+            add_block(matrix, block, stride, i, j, by_after)
+            add_block(matrix, block, stride, j, i, by_before)
             add_block(matrix, block, stride, i, unknown, (gx, 0.0, gy, 0.0))
             add_block(matrix, block, stride, unknown, i, (gx, gy, 0.0, 0.0))
     if columns.shape[0] > 0 and topology.rim.shape[0] > 0:
@@ -189,7 +199,11 @@ def add_uniform_jacobian(work, topology, c, matrix, columns):
 
 @kernel
 def _add_columns(work, topology, c, columns):
-    """∂f/∂F_bc and ∂f/∂Ḟ_bc, along the motions e_b z_c of positions and of velocities."""
+    """Add ∂f/∂F_bc and ∂f/∂Ḟ_bc to columns (2n, 8, TILE).
+
+    A change of F_bc moves positions by e_b z_c, one of Ḟ_bc changes velocities so. Columns are
+    those by F_xx, xy, yx, yy, then those by Ḟ.
+    """
     particles = topology.particles
     still = np.zeros_like(work.x)
     change = np.empty_like(work.x)
@@ -200,7 +214,7 @@ def _add_columns(work, topology, c, columns):
         moving[:] = 0.0
         moving[b] = work.z[along]
         change[:] = 0.0
-        if m < 4:
+        if m < BY_RATE:
             _add_change(work.x, work.v, moving, still, topology, c, change)
         else:
             _add_change(work.x, work.v, still, moving, topology, c, change)
@@ -212,7 +226,10 @@ def _add_columns(work, topology, c, columns):
 
 @kernel
 def _add_change(x, v, dx, dv, topology, c, change):
-    """Add how forces change as local positions move by dx and velocities by dv."""
+    """Add to change (2, local, TILE) how forces change with positions by dx, velocities by dv.
+
+    δf_k = (δp I − δτ) g_k + S g_k(dx), with δ(A L) = Σ dv_k ⊗ g_k + Σ v_k ⊗ g_k(dx) in δτ.
+    """
     for cell in range(topology.rim_start.shape[0] - 1):
         rim = rim_of(topology, cell)
         fluid = fluid_at(x, v, topology, cell, c)
@@ -237,7 +254,7 @@ def _add_change(x, v, dx, dv, topology, c, change):
 
 @kernel
 def add_uniform_gradients(work, weights, by_x, by_v, topology, c):
-    """Add to by_x and by_v; see `add_force_gradients`.
+    """Add the slopes of Σ φ·f of the fluid to by_x and by_v; see `add_force_gradients`.
 
     With Φ = Σ φ_k ⊗ g_k and T = µ (Φ + Φᵀ − tr Φ I)::
 
@@ -270,7 +287,7 @@ def add_uniform_gradients(work, weights, by_x, by_v, topology, c):
 
 @kernel
 def add_uniform_rates(work, f_rate, topology, c):
-    """Add the elastic forces f = p g_k to work.f, and ḟ = p′ Ȧ g_k + p ġ_k to f_rate."""
+    """Add the elastic f = p g_k to work.f and ḟ = p′ Ȧ g_k + p ġ_k to f_rate (2, local, TILE)."""
     for cell in range(topology.rim_start.shape[0] - 1):
         rim = rim_of(topology, cell)
         fluid = fluid_at(work.x, work.v, topology, cell, c)
@@ -285,7 +302,10 @@ def add_uniform_rates(work, f_rate, topology, c):
 
 @kernel
 def add_uniform_stiffness_rates(work, u, f, topology, c):
-    """Add K̇ u to f: K u_k = p′ (g·u) g_k + p g_k(u), with g·u = Σ g_k·u_k; and its rate."""
+    """Add K̇ u to f for the FIELDS fields u; u, f (FIELDS, 2, local, TILE).
+
+    It is the rate along work.v of K u_k = p′ (g·u) g_k + p g_k(u), with g·u = Σ g_k·u_k.
+    """
     for cell in range(topology.rim_start.shape[0] - 1):
         rim = rim_of(topology, cell)
         fluid = fluid_at(work.x, work.v, topology, cell, c)
@@ -293,7 +313,7 @@ def add_uniform_stiffness_rates(work, u, f, topology, c):
         area_rate = _trace(rim_product(work.v, work.x, rim))
         for m in range(FIELDS):
             field = u[m]
-            to = f[m]
+            target = f[m]
             across = _trace(rim_product(field, work.x, rim))
             along = fluid.bend * area_rate * across
             along += slope * _trace(rim_product(field, work.v, rim))
@@ -303,9 +323,10 @@ def add_uniform_stiffness_rates(work, u, f, topology, c):
                 nx, ny = normal_at(field, rim, k)
                 fx = along * gx + slope * (across * hx + area_rate * nx)
                 fy = along * gy + slope * (across * hy + area_rate * ny)
-                add_vector(to, rim[k], fx, fy)
+                add_vector(target, rim[k], fx, fy)
 
 
 @pair_law
 def _trace(tensor):
+    """Return the trace of a tensor (xx, xy, yx, yy)."""
     return tensor[0] + tensor[3]
