@@ -1,6 +1,7 @@
-"""A problem made particles: who is held, driven and loaded, and who may touch which body.
+"""A problem translated to particles: which are held, driven and loaded, or may touch which body.
 
-A boundary is the wall particles along the outline whose places on the outline of the mesh it holds.
+Each wall particle along the outline of the tissue stands for a place on the outline of the mesh
+(`outline.on_outline`). A boundary is those particles whose places lie on it.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from surrofe2.problem.rigid_bodies import RigidBody
 from surrofe2.tissue.external_forces import (
     NO_BODIES,
     NO_DRIVEN,
+    NO_MOTION,
     BodyContacts,
     DrivenParticles,
     OutlineForces,
@@ -36,14 +38,18 @@ from surrofe2.tissue.layout import Tissue
 from surrofe2.tissue.outline import area_within, on_outline, outlines, rings_of
 
 _LOADS = (BodyForce, Traction, Pressure, Foundation)
+# Contact, unless a body states its own; without a dashpot, as particles of a boundary have mass.
 STIFFNESS = 4.0
+"""Stiffness of contact, over the wall stiffness per length of a spring. It is eight times that by
+which the wall along a boundary holds its particles."""
 SMOOTHING = 0.002
+"""Depth over which contact sets in, in lengths of a spring."""
 SLIP = 1e-6
-"""Of contact: by the wall stiffness over a spring's length, eight times what the wall along a
-boundary holds its particles by; of a spring's length, over which contact sets in; of the wave
-speed, the slip speed. There is no dashpot unless stated: a boundary of particles has its mass."""
+"""Slip speed of friction, over the wave speed."""
 TOUCHING = 0.01
-"""Of a plant cell: the depth at which a body may begin."""
+"""Depth at which a body may begin, over the side of a plant cell."""
+_LEVEL = 1e-6
+"""Detour by which a place still lies between two points, µm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,24 +64,33 @@ class Conditions:
     tissue: Tissue
 
     def boundary(self, name: str) -> Index:
-        """Numbers of the wall particles of a boundary, increasing."""
+        """Return the numbers of the wall particles of a boundary, increasing.
+
+        Raises:
+            InputError: there are none.
+        """
         indices = np.unique(self._outer[:, 0])
         mesh = self.problem.mesh
         points = self.outline_places[indices]
         part = self.problem.boundaries.get(name)
         if part is not None:
             indices = indices[part.holds(points)]
-        else:  # on a side of the mesh: no detour between its ends
+        else:
+            # a point is on a side of the mesh if the way over it is no detour between the ends
             begin, end = mesh.p.T[mesh.facets[:, boundary(mesh, name)]]
-            by_way = sum(np.linalg.norm(points[:, None] - each, axis=2) for each in (begin, end))
-            detour = by_way - np.linalg.norm(end - begin, axis=1)
-            indices = indices[detour.min(axis=1) < 1e-6]
+            to_begin = np.linalg.norm(points[:, None] - begin, axis=2)
+            to_end = np.linalg.norm(points[:, None] - end, axis=2)
+            detour = to_begin + to_end - np.linalg.norm(end - begin, axis=1)
+            indices = indices[detour.min(axis=1) < _LEVEL]
         if not indices.size:
             raise InputError(f"boundary {name}: it holds no wall particle of the outline")
         return indices
 
     def lengths(self, name: str) -> Array:
-        """(k,) unloaded length of the outline that each particle of a boundary stands for, µm."""
+        """Return the unloaded length of the outline that each particle of a boundary stands for.
+
+        (k,) in the order of `boundary`, µm: half of the bonds on both sides of it.
+        """
         pairs = self._pairs_on(name)
         places = self.outline_places
         halves = 0.5 * np.linalg.norm(places[pairs[:, 1]] - places[pairs[:, 0]], axis=1)
@@ -83,7 +98,7 @@ class Conditions:
         return np.asarray(total[self.boundary(name)])
 
     def places(self, condition: Condition) -> Index:
-        """Numbers of the particles of a boundary or a region, increasing."""
+        """Return the numbers of the particles that a condition acts on, increasing."""
         if condition.on in (self.problem.mesh.boundaries or {}):
             return self.boundary(str(condition.on))
         return np.flatnonzero(self._part_of(condition) > 0.0)
@@ -96,7 +111,7 @@ class Conditions:
 
     @property
     def held(self) -> Flags:
-        """(particles, 2) components that supports take."""
+        """Whether a support takes a component of a particle, (particles, 2)."""
         held = np.zeros((self.tissue.particles, 2), dtype=np.bool_)
         for support in self.supports:
             held.flat[support.unknowns] = True
@@ -120,11 +135,11 @@ class Conditions:
 
     @property
     def load_amplitudes(self) -> list[Amplitude]:
-        """Of the loads; a foundation is always there."""
+        """Amplitudes of the loads; that of a foundation is always 1."""
         return [ONE if isinstance(each, Foundation) else each.amplitude for each in self.loads]
 
     def dead_loads(self) -> Array:
-        """(loads, particles, 2) µN at amplitude 1."""
+        """Return the dead loads (loads, particles, 2) at amplitude 1, µN; 0 for other loads."""
         mass = self.tissue.to_particles(self.tissue.mass)
         forces = np.zeros((len(self.loads), self.tissue.particles, 2))
         for force, load in zip(forces, self.loads, strict=True):
@@ -135,9 +150,10 @@ class Conditions:
         return forces
 
     def driven(self) -> DrivenParticles:
-        """Motion of the supports that move, numbered as in `motions`."""
+        """Return the motion of the supports that move, numbered as in `motions`."""
         if not self.moving:
             return NO_DRIVEN
+        # unknown 2 i + axis is a component of particle i
         i, axis = np.divmod(np.concatenate([each.unknowns for each in self.moving]), 2)
         sizes = [len(each.unknowns) for each in self.moving]
         return DrivenParticles(
@@ -150,22 +166,24 @@ class Conditions:
         )
 
     def bodies(self, offset: Array) -> BodyContacts:
-        """The bodies at t = 0, before they move.
+        """Return the bodies at t = 0, before they move.
 
         Args:
-            offset: (particles, 2) by which the outline that bodies meet is off the particles, µm.
+            offset: (particles, 2) from a particle to its place on the outline that bodies meet, µm.
         """
         bodies = self.problem.bodies
         if not bodies:
             return NO_BODIES
         touching = [self.boundary(body.on) for body in bodies]
-        everyone = np.concatenate(touching)
+        particles = np.concatenate(touching)
         moves = np.array([body.moves for body in bodies])
+        # motions of bodies are numbered behind those of supports
+        motion = len(self.moving) + np.cumsum(moves) - 1
         return BodyContacts(
             starts=np.cumsum([0, *map(len, touching)]),
-            at=self.tissue.address[everyone],
+            at=self.tissue.address[particles],
             length=np.concatenate([self.lengths(body.on) for body in bodies]),
-            offset=offset[everyone],
+            offset=offset[particles],
             outline=np.array([body.shape.outline for body in bodies]),
             law=np.array([self.contact_law(body) for body in bodies]),
             rubs=any(body.friction for body in bodies),
@@ -176,42 +194,45 @@ class Conditions:
             depth=np.zeros(len(bodies)),
             per_mass=np.array([1.0 / body.mass if body.mass else 0.0 for body in bodies]),
             pull=np.array([body.acceleration for body in bodies]),
-            motion=np.where(moves, len(self.moving) + np.cumsum(moves) - 1, -1),
+            motion=np.where(moves, motion, NO_MOTION),
             largest=np.array([body.displacement for body in bodies]),
             work=np.zeros(3),
-            pressed=np.zeros((len(everyone), 3)),
-            lost=np.zeros((len(everyone), 4)),
+            pressed=np.zeros((len(particles), 3)),
+            lost=np.zeros((len(particles), 4)),
         )
 
     def contact_law(self, body: RigidBody) -> tuple[float, float, float, float, float]:
-        """Stiffness, smoothing, damping, friction and slip speed of a body's contact."""
+        """Return stiffness, smoothing, damping, friction and slip speed of a body's contact."""
         cell = self.tissue.cell
-        walls = max(each.wall_stiffness for each in self.tissue.constants)
-        # Waves in tissue: walls in a row, and what they enclose.
-        sound = max(each.sound_speed_squared for each in self.tissue.constants)
-        wave = np.sqrt(walls * cell.spring_length / cell.cell_side / cell.density + sound)
-        usual = STIFFNESS * walls / cell.spring_length
-        return (
-            usual if body.stiffness is None else body.stiffness,
-            SMOOTHING * cell.spring_length if body.smoothing is None else body.smoothing,
-            body.damping or 0.0,
-            body.friction,
-            float(SLIP * wave) if body.slip_speed is None else body.slip_speed,
-        )
+        wall_stiffness = max(each.wall_stiffness for each in self.tissue.constants)
+        sound_speed_squared = max(each.sound_speed_squared for each in self.tissue.constants)
+        stiffness = body.stiffness
+        if stiffness is None:
+            stiffness = STIFFNESS * wall_stiffness / cell.spring_length
+        smoothing = body.smoothing
+        if smoothing is None:
+            smoothing = SMOOTHING * cell.spring_length
+        slip_speed = body.slip_speed
+        if slip_speed is None:
+            # the speed of waves in tissue: of walls in a row, and of the fluid that they enclose
+            walls = wall_stiffness * cell.spring_length / cell.cell_side / cell.density
+            slip_speed = float(SLIP * np.sqrt(walls + sound_speed_squared))
+        return stiffness, smoothing, body.damping or 0.0, body.friction, slip_speed
 
     def stiffest(self) -> tuple[float, float]:
-        """Largest stiffness and damping by mass that act on a particle of the outline.
+        """Return the largest stiffness and damping over mass of a particle of the outline.
 
-        In 1/µs² and 1/µs, of contact and foundations; friction is implicit.
+        They are those of contact and foundations, in 1/µs² and 1/µs; friction is implicit.
         """
         mass = self.tissue.to_particles(self.tissue.mass)
         total = np.zeros((2, self.tissue.particles))
         for body in self.problem.bodies:
             lengths = self.lengths(body.on)
-            k, _, c, *_ = self.contact_law(body)
-            law = np.array([[k], [c]])
+            stiffness_of_body, _, damping_of_body, *_ = self.contact_law(body)
+            law = np.array([[stiffness_of_body], [damping_of_body]])
             total[:, self.boundary(body.on)] += law * lengths
             if body.mass is not None:
+                # a light body oscillates on all particles that it touches
                 total += law * lengths.sum() / body.mass * mass
         for base in self.loads:
             if isinstance(base, Foundation):
@@ -221,48 +242,58 @@ class Conditions:
         return float(stiffness), float(damping)
 
     def outline(self, relaxed: Array, offset: Array) -> OutlineForces:
-        """Follower pressures and foundations; `relaxed` (particles, 2) positions, µm.
+        """Return follower pressures and foundations.
 
-        With a uniform fluid pressure acts on the polygons of the walls, as that of the sap does;
+        With a uniform fluid, pressure acts on the polygons of the walls, as that of the sap does;
         else on the outline that the problem states, as it moves.
+
+        Args:
+            relaxed: (particles, 2) positions at rest without load, µm.
+            offset: (particles, 2) from a particle to its place on the outline, µm.
         """
-        pressed = [
-            (n, load.pressure, *bond)
-            for n, load in enumerate(self.loads) if isinstance(load, Pressure)
-            for bond in self._pairs_on(load.on)
-        ]  # fmt: skip
-        based = [
-            (n, i, *(length * size * float(axis in load.components)
-                     for size in (load.stiffness, load.damping) for axis in "xy"))
-            for n, load in enumerate(self.loads) if isinstance(load, Foundation)
-            for i, length in zip(self.boundary(load.on), self.lengths(load.on), strict=True)
-        ]  # fmt: skip
-        bonds = np.array(pressed).reshape(-1, 4)
-        feet = np.array(based).reshape(-1, 6)
-        bonded = bonds[:, 2:].ravel().astype(np.int64)
-        base = feet[:, 1].astype(np.int64)
-        owners = np.append(np.repeat(bonds[:, 0], 2), feet[:, 0])
-        everyone = np.append(bonded, base)
-        nothing = np.zeros((len(owners), 2))
-        pressed_off = offset[bonded]
+        bonds = [np.empty((0, 2), dtype=np.int64)]
+        loads_of_bonds: list[int] = []
+        pressures: list[float] = []
+        feet = [np.empty(0, dtype=np.int64)]  # particles on springs
+        loads_of_feet: list[int] = []
+        stiffnesses = [np.empty((0, 2))]
+        dampings = [np.empty((0, 2))]
+        for number, load in enumerate(self.loads):
+            if isinstance(load, Pressure):
+                pairs = self._pairs_on(load.on)
+                bonds.append(pairs)
+                loads_of_bonds += [number] * len(pairs)
+                pressures += [load.pressure] * len(pairs)
+            elif isinstance(load, Foundation):
+                particles = self.boundary(load.on)
+                lengths = self.lengths(load.on)
+                acts = np.array([float(axis in load.components) for axis in "xy"])
+                feet.append(particles)
+                loads_of_feet += [number] * len(particles)
+                stiffnesses.append((lengths * load.stiffness)[:, None] * acts)
+                dampings.append((lengths * load.damping)[:, None] * acts)
+        ends = np.concatenate(bonds).ravel()
+        on_springs = np.concatenate(feet)
+        owners = np.append(np.repeat(loads_of_bonds, 2), loads_of_feet).astype(np.int64)
+        offset_of_ends = offset[ends]
         if self.tissue.cell.has_uniform_fluid:
-            pressed_off = np.zeros_like(pressed_off)
+            offset_of_ends = np.zeros_like(offset_of_ends)
         return OutlineForces(
-            at=self.tissue.address[everyone],
-            load=owners.astype(np.int64),
-            pressure=bonds[:, 1].copy(),
-            offset=pressed_off,
-            home=relaxed[base],
-            stiffness=feet[:, 2:4].copy(),
-            damping=feet[:, 4:].copy(),
-            force=nothing,
-            before=nothing.copy(),
+            at=self.tissue.address[np.append(ends, on_springs)],
+            load=owners,
+            pressure=np.array(pressures, dtype=np.float64),
+            offset=offset_of_ends,
+            home=relaxed[on_springs],
+            stiffness=np.concatenate(stiffnesses),
+            damping=np.concatenate(dampings),
+            force=np.zeros((len(owners), 2)),
+            before=np.zeros((len(owners), 2)),
             total=np.zeros((len(self.loads), 2)),
             work=np.zeros(len(self.loads)),
         )
 
     def velocity(self) -> Array:
-        """(particles, 2) at t = 0, µm/µs, of what moves freely."""
+        """Return the velocities (particles, 2) at t = 0 of what moves freely, µm/µs."""
         v = np.zeros((self.tissue.particles, 2))
         for condition in self.problem.conditions:
             if isinstance(condition, InitialVelocity):
@@ -271,7 +302,13 @@ class Conditions:
         return v
 
     def _part_of(self, condition: Condition) -> Array:
-        """(particles,) part of each that belongs to plant cells of a region; without one, all."""
+        """Return which fraction of a particle is of the plant cells that a condition acts on.
+
+        (particles,); it is 1 for all if the condition names no region.
+
+        Raises:
+            InputError: a region holds no plant cell.
+        """
         tissue = self.tissue
         name = condition.on
         if name is None:
@@ -281,27 +318,33 @@ class Conditions:
         inside[is_there] = self.problem.cells_inside(str(name), tissue.middles[is_there])
         if not inside.any():
             raise InputError(f"region {name}: it holds the middle of no plant cell")
-        mine, whole = (tissue.shares(each) for each in (inside, is_there))
-        return tissue.to_particles(pack(mine)) / tissue.to_particles(pack(whole))
+        inside_share = tissue.to_particles(pack(tissue.shares(inside)))
+        present_share = tissue.to_particles(pack(tissue.shares(is_there)))
+        return inside_share / present_share
 
     def _pairs_on(self, name: str) -> Index:
-        """(k, 2) bonds along the outline whose two particles are on a boundary."""
+        """Return the bonds (k, 2) along the outline whose two particles are on a boundary."""
         return self._outer[np.isin(self._outer, self.boundary(name)).all(axis=1)]
 
     @cached_property
     def outline_places(self) -> Array:
-        """(particles, 2) places on the outline that particles along it stand for; of other walls,
-        where they are laid out, µm."""
+        """Places on the outline of the mesh that particles stand for, (particles, 2), µm.
+
+        Those of walls that are not along the outline are where they are laid out.
+        """
         places = self.tissue.laid_out
-        stated = outlines(self.problem.mesh)
-        around_holes = {area_within([ring]) < 0.0 for ring in stated}
+        rings_of_mesh = outlines(self.problem.mesh)
+        mesh_has_outside = any(area_within([ring]) >= 0.0 for ring in rings_of_mesh)
+        mesh_has_holes = any(area_within([ring]) < 0.0 for ring in rings_of_mesh)
         for ring in rings_of(self._outer):
+            is_hole = area_within([places[ring]]) < 0.0
             # an air space that the mesh does not have is on none of its sides
-            if (area_within([places[ring]]) < 0.0) in around_holes:
-                places[ring] = on_outline(places[ring], stated)
+            has_counterpart = mesh_has_holes if is_hole else mesh_has_outside
+            if has_counterpart:
+                places[ring] = on_outline(places[ring], rings_of_mesh)
         return places
 
     @cached_property
     def _outer(self) -> Index:
-        """(k, 2) bonds along the outline, the tissue on their left."""
+        """Bonds along the outline (k, 2), the tissue on their left."""
         return self.tissue.outline()

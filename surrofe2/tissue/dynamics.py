@@ -12,6 +12,9 @@ from surrofe2.base.arrays import Array, Flags
 from surrofe2.base.errors import SimulationError
 from surrofe2.base.simd import TILE
 from surrofe2.tissue.external_forces import (
+    BY_MOTION,
+    BY_PULL,
+    LOST,
     NO_BODIES,
     NO_DRIVEN,
     NO_OUTLINE,
@@ -24,16 +27,18 @@ from surrofe2.tissue.layout import NOWHERE, Tissue
 from surrofe2.tissue.pair_lists import DAMPING, ELASTIC, WHOLE, Factors, PairLister
 
 TILES_PER_THREAD = 4
-"""For fewer, another thread is not worth the waiting for each other, twice a step."""
+"""Least tiles per thread; with fewer, threads wait too long for each other, twice per step."""
 
 
 class Works(NamedTuple):
     """Works since they were last taken, pJ.
 
     Attributes:
-        loads: (loads,) of the loads. bodies: of `acceleration` on bodies.
-        motion: of what moves supports and bodies.
-        contact_dissipated: lost in contact. dissipated: lost in the tissue.
+        loads: (loads,) work of each load.
+        bodies: work of the acceleration of bodies, such as gravity.
+        motion: work of what moves supports and bodies.
+        contact_dissipated: energy lost in contact.
+        dissipated: energy lost in the tissue.
     """
 
     loads: Array
@@ -44,27 +49,28 @@ class Works(NamedTuple):
 
     @property
     def row(self) -> Array:
-        """(loads + 4,) all of them, in this order."""
-        lost = self.contact_dissipated, self.dissipated
-        return np.array([*self.loads, self.bodies, self.motion, *lost])
+        """All of them in the order of the fields, (loads + 4,)."""
+        return np.array(
+            [*self.loads, self.bodies, self.motion, self.contact_dissipated, self.dissipated]
+        )
 
 
 class TissueDynamics:
-    """Positions and velocities, moved in place by leapfrog steps.
+    """Positions and velocities of all particles, moved in place by leapfrog steps.
 
     Args:
         tissue: the particles.
-        skin: by how much pair lists reach beyond the cut-off, µm; it changes the cost only.
+        skin: how far pair lists reach beyond the cut-off, µm; it changes the cost only.
         held: (particles, 2) which components do not move by their forces; None: none.
-        loads: (loads, particles, 2) forces on each at amplitude 1, µN; None: none.
-        driven: motion of some that are held.
+        loads: (loads, particles, 2) dead loads at amplitude 1, µN; None: none.
+        driven: prescribed motion of components that are held.
 
     Attributes:
         counts: `force_evaluations` and `list_builds` so far.
         free: (particles, 2) which components move freely.
         mass: (particles,) ng.
-        loads, driven: as above.
-        bodies, outline: rigid bodies, and what acts on the outline; at first there are none.
+        loads, driven: see the arguments.
+        bodies, outline: rigid bodies, and forces on the outline; at first there are none.
     """
 
     def __init__(
@@ -99,53 +105,56 @@ class TissueDynamics:
 
     @property
     def x(self) -> Array:
-        """(particles, 2) positions, µm."""
+        """Positions (particles, 2), µm."""
         return self.tissue.to_particles(self._particles.x)
 
     @property
     def v(self) -> Array:
-        """(particles, 2) velocities, µm/µs."""
+        """Velocities (particles, 2), µm/µs."""
         return self.tissue.to_particles(self._particles.v)
 
     @property
     def f(self) -> Array:
-        """(particles, 2) forces of the last step, without dead loads, µN."""
+        """Forces of the last step (particles, 2), without dead loads, µN."""
         return self.tissue.to_particles(self._particles.f)
 
     def take_works(self) -> Works:
         """Return the works since they were last taken, without what is lost in the tissue."""
-        of_bodies, moving_bodies, in_contact = self.bodies.work
         works = Works(
             loads=self._particles.work.sum(axis=(1, 2)) + self.outline.work,
-            bodies=of_bodies,
-            motion=moving_bodies + self.driven.work[0],
-            contact_dissipated=in_contact,
+            bodies=self.bodies.work[BY_PULL],
+            motion=self.bodies.work[BY_MOTION] + self.driven.work[0],
+            contact_dissipated=self.bodies.work[LOST],
         )
-        for each in (self._particles, self.driven, self.bodies, self.outline):
-            each.work[:] = 0.0
+        for part in (self._particles, self.driven, self.bodies, self.outline):
+            part.work[:] = 0.0
         return works
 
     def place(self, x: Array, v: Array | None = None) -> None:
-        """Put particles at x with velocities v (None: at rest)."""
+        """Put particles at x (particles, 2) with velocities v; None: at rest."""
         self._put(x, np.zeros_like(x) if v is None else v, self._watch.listed)
-        # lists stay until they may miss a pair; this measures how far particles are from there
+        # The present lists are kept if they miss no pair; forces measure how far particles are
+        # from where they were listed, and make new lists otherwise.
         self.forces(with_outline=False)
 
     def start(self, velocity: Array, rates: Array) -> float:
-        """Set particles, at rest until now, into motion; the work of the impulse on driven ones.
+        """Set particles that have been at rest into motion.
 
         Args:
-            velocity: (particles, 2) of those that move freely, µm/µs.
-            rates: (motions,) of prescribed motion, 1/µs. An impulse acts at the mean velocity.
+            velocity: (particles, 2) velocities of those that move freely, µm/µs.
+            rates: (motions,) rates of prescribed amplitudes, 1/µs.
+
+        Returns:
+            Work of the impulse on driven particles, pJ: ½ m v², as it acts at the mean velocity.
         """
         driven = self.driven
         bodies = self.bodies
         self._particles.v[:-1, :, : self.tissue.own] = self.tissue.to_tiles(velocity)
-        led = rates[driven.motion] * driven.largest
-        self._particles.v[tuple(driven.at.T)] = led
-        moved = bodies.motion >= 0
-        bodies.v[moved] = rates[bodies.motion[moved], None] * bodies.largest[moved]
-        return 0.5 * float(driven.mass @ led**2)
+        v_driven = rates[driven.motion] * driven.largest
+        self._particles.v[tuple(driven.at.T)] = v_driven
+        is_driven = bodies.motion >= 0
+        bodies.v[is_driven] = rates[bodies.motion[is_driven], None] * bodies.largest[is_driven]
+        return 0.5 * float(driven.mass @ v_driven**2)
 
     def leap(
         self,
@@ -158,12 +167,17 @@ class TissueDynamics:
         retained: float = 1.0,
         with_outline: bool = True,
     ) -> None:
-        """Steps v += kicks[k] a(x, v), x += drifts[k] v; each leaves the part `retained` of v.
+        """Make the steps v += kicks[k] a(x, v), x += drifts[k] v.
+
+        Pair lists are made again whenever they could miss a pair.
 
         Args:
-            amplitudes: (steps, loads). speeds: (steps, motions). None: all zero.
-            factors: on elastic and damping forces between particles.
-            with_outline: whether bodies and what acts on the outline are there.
+            kicks, drifts: (steps,) µs.
+            amplitudes: (steps, loads) amplitudes of loads; None: all zero.
+            speeds: (steps, motions) mean rates of prescribed amplitudes, 1/µs; None: all zero.
+            factors: factors on elastic and damping forces between particles.
+            retained: part of v that a step leaves before its kick.
+            with_outline: whether bodies and forces on the outline act.
 
         Raises:
             SimulationError: positions are no longer finite, or the tissue has collapsed.
@@ -184,15 +198,15 @@ class TissueDynamics:
             while len(steps[0]):
                 if renewed:
                     self._put(self.x, self.v)
-                taken = leap(
+                completed = leap(
                     self._particles, self._lists, self._constants[factors], self._lister.cells,
                     self.driven, bodies, outline, self._watch, steps, retained,
                 )  # fmt: skip
-                self.counts["force_evaluations"] += taken
-                if renewed and taken == 0:
+                self.counts["force_evaluations"] += completed
+                if renewed and completed == 0:
                     raise SimulationError("tissue: particles fly apart within a step")
-                steps = tuple(each[taken:] for each in steps)
-                renewed = True
+                steps = tuple(values[completed:] for values in steps)
+                renewed = True  # steps that remain need new lists
         finally:
             numba.set_num_threads(allowed)
 
@@ -203,24 +217,27 @@ class TissueDynamics:
         with_outline: bool = True,
         amplitudes: Array | None = None,
     ) -> Array:
-        """(particles, 2) forces without dead loads, µN.
+        """Compute forces (particles, 2) without dead loads, µN, by a step of no length.
 
         Args:
-            factors, with_outline: as of `leap`. amplitudes: (loads,) of follower pressures.
+            factors, with_outline: as for `leap`.
+            amplitudes: (loads,) amplitudes of follower pressures; None: all zero.
         """
-        at_once = None if amplitudes is None else amplitudes[None]
-        nothing = np.zeros(1)
-        self.leap(nothing, nothing, at_once, factors=factors, with_outline=with_outline)
+        amplitudes_of_step = None if amplitudes is None else amplitudes[None]
+        no_length = np.zeros(1)
+        self.leap(
+            no_length, no_length, amplitudes_of_step, factors=factors, with_outline=with_outline
+        )
         return self.f
 
     def dissipation_rate(self) -> float:
-        """Power that dashpots and viscosity take, pJ/µs: −Σ v·f of those forces alone."""
+        """Compute the power that dashpots and viscosity take, −Σ v·f of their forces, pJ/µs."""
         return -float(np.sum(self.v * self.forces(DAMPING, with_outline=False)))
 
     def elastic_energy(self, amplitudes: Array | None = None) -> float:
-        """Stored energy, pJ; fluid's part is counted from ρ = 1 ng/µm². Arguments as of `forces`.
+        """Compute the stored energy, pJ; that of the fluid is counted from ρ = 1 ng/µm².
 
-        Also sets the forces, those on bodies and on the outline.
+        It sets the forces, too, also those on bodies and on the outline. Arguments as for `forces`.
         """
         self.forces(amplitudes=amplitudes)
         energy = np.empty((self.tissue.tiles, TILE))
@@ -230,14 +247,18 @@ class TissueDynamics:
         return float(energy.sum())
 
     def kinetic_energy(self) -> float:
-        """½ Σ m v² of particles and free bodies, pJ."""
+        """Compute the kinetic energy ½ Σ m v² of particles and free bodies, pJ."""
         bodies = self.bodies
         free = bodies.per_mass > 0.0
         of_bodies = np.sum(bodies.v[free] ** 2 / bodies.per_mass[free, None])
         return 0.5 * float(np.sum(self.mass[:, None] * self.v**2) + of_bodies)
 
     def _put(self, x: Array, v: Array, listed: Array | None = None) -> None:
-        """Put particles with the lists made at `listed` (tiles, 2, own, TILE), or new ones."""
+        """Put particles at x with velocities v, both (particles, 2), and set up their lists.
+
+        listed: (tiles, 2, own, TILE) positions at which the present lists were made, which are
+            kept; None: new lists are made.
+        """
         tissue = self.tissue
         tiles = self.tissue.tiles
         particles = self.tissue.own
@@ -248,12 +269,16 @@ class TissueDynamics:
             every = WHOLE, ELASTIC, DAMPING
             self._constants = {factors: constants.times(factors) for factors in every}
             self.counts["list_builds"] += 1
+        # a tile more than there are, which never changes: see `kernels`
         shape = (tiles + 1, 2, self._lists.local, TILE)
-        there = np.full(shape, NOWHERE)
-        rate = np.zeros(shape)
-        there[:-1, :, :particles] = own_x
-        rate[:-1, :, :particles] = tissue.to_tiles(v)
-        self._particles = self._particles._replace(x=there, v=rate, f=np.zeros(shape))
-        mean = np.zeros((tiles, 2, TILE))
-        nothing = np.zeros((tiles, TILE))
-        self._watch = Watch(listed, mean, nothing, nothing.copy())
+        local_x = np.full(shape, NOWHERE)
+        local_v = np.zeros(shape)
+        local_x[:-1, :, :particles] = own_x
+        local_v[:-1, :, :particles] = tissue.to_tiles(v)
+        self._particles = self._particles._replace(x=local_x, v=local_v, f=np.zeros(shape))
+        self._watch = Watch(
+            listed=listed,
+            mean=np.zeros((tiles, 2, TILE)),
+            spread=np.zeros((tiles, TILE)),
+            apart=np.zeros((tiles, TILE)),
+        )

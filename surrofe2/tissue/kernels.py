@@ -1,15 +1,16 @@
 """Kernels of all particles of a tissue: its time step and its elastic energy.
 
-A step gathers images, sums forces, folds them back, kicks and drifts; in between the outline is
-acted on and driven particles get their velocity.
+A step copies images from their owners (gathers them), sums forces, adds those on images to their
+owners (folds them), kicks velocities and lets positions drift. In between, forces act on the
+outline, and driven particles get their velocities.
 
-Arrays hold a tile after the other, and one more that stays as it is: there lie the images of
-cells that do not exist, at rest and far away, and there is the force that is always zero::
+Arrays hold one tile after the other, and one more that never changes: in it are the images of
+cells that do not exist, at rest and far away, and a force that is always zero::
 
     x, v, f  (tiles + 1, 2, local, TILE)     own particles first, then images
 
-A step has two parts, each parallel over tiles, so that its result does not depend on how many
-threads there are: a tile writes its own images and f; then its own f, v and x.
+A step has two parts, each parallel over tiles: a tile writes its own images and f; then its own f,
+v and x. Its result does therefore not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -49,18 +50,33 @@ from surrofe2.tissue.external_forces import (
     drive_particles,
     move_bodies,
 )
-from surrofe2.tissue.pair_lists import bond_at, contact_at, fluid_at, sap_at
+from surrofe2.tissue.pair_lists import (
+    OF_BONDS,
+    OF_CONTACTS,
+    OF_FOLDS,
+    OF_IMAGES,
+    FluidConstants,
+    bond_at,
+    contact_at,
+    fluid_at,
+    sap_at,
+)
+
+_FLUID_MASS = FluidConstants._fields.index("fluid_mass")
+_SOUND_SPEED_SQUARED = FluidConstants._fields.index("sound_speed_squared")
+"""Rows of `PairConstants.fluid`."""
 
 
 class Particles(NamedTuple):
-    """All particles, what they are moved by, and the work of that.
+    """All particles, the dead loads on them, and the work of these.
 
     Attributes:
-        x, v, f: (tiles + 1, 2, local, TILE) µm, µm/µs, µN.
-        per_mass: (tiles, 2, own, TILE) 1/ng, 0 where missing and where v does not follow forces.
-        loads: (loads, tiles, 2, own, TILE) µN at amplitude 1.
-        work: (loads, tiles, TILE) of these, pJ, to which each step adds: kick · force · mean of the
-            velocities before and after.
+        x, v, f: (tiles + 1, 2, local, TILE) positions, µm, velocities, µm/µs, and forces, µN.
+        per_mass: (tiles, 2, own, TILE) 1/mass, 1/ng; 0 for missing particles, and for components
+            that do not follow forces.
+        loads: (loads, tiles, 2, own, TILE) forces of dead loads at amplitude 1, µN.
+        work: (loads, tiles, TILE) work of these so far, pJ. Each step adds
+            kick · force · mean of the velocities before and after.
     """
 
     x: Array
@@ -72,13 +88,13 @@ class Particles(NamedTuple):
 
 
 class Watch(NamedTuple):
-    """Motion since lists were made.
+    """Motion since lists were made, by which it is known when they must be made again.
 
     Attributes:
         listed: (tiles, 2, own, TILE) positions at that time, µm.
         mean: (tiles, 2, TILE) mean displacement ū of each plant cell since then, µm.
         spread: (tiles, TILE) largest |u − ū|² within it, µm².
-        apart: (tiles, TILE) largest |ū_B − ū|² to its neighbours, µm².
+        apart: (tiles, TILE) largest |ū_B − ū|² of its neighbours B, µm².
     """
 
     listed: Array
@@ -89,14 +105,14 @@ class Watch(NamedTuple):
 
 @parallel_kernel
 def leap(particles, lists, constants, cells, driven, bodies, outline, watch, steps, retained):
-    """Leapfrog steps in place; how many were taken before lists could miss a pair.
+    """Make leapfrog steps in place, until lists could miss a pair; return how many were made.
 
-    A step takes forces at x with the velocities at hand, then v += kick a, x += drift v. One
+    A step computes forces at x with the current velocities, then v += kick a, x += drift v. A step
     without a kick leaves all velocities as they are.
 
     Args:
-        steps: (n, 2) by which v is kicked and x drifts, µs; (n, loads) amplitudes; (n, motions)
-            mean rate of each amplitude in the step, 1/µs.
+        steps: (n, 2) kick and drift of each step, µs; (n, loads) amplitudes; (n, motions) mean rate
+            of each prescribed amplitude in the step, 1/µs.
         retained: part of the velocity that a step leaves; 1, or less with drag.
     """
     lengths, amplitudes, speeds = steps
@@ -115,6 +131,7 @@ def leap(particles, lists, constants, cells, driven, bodies, outline, watch, ste
         if kick != 0.0:
             drive_particles(particles.v, driven, speed)
         if bodies.rubs:
+            # friction needs all other forces, so they are folded before it
             for k in numba.prange(tiles):
                 _fold(cells.order[k], particles.f, lists)
             add_friction(particles, bodies, kick, amplitude, speed)
@@ -132,25 +149,27 @@ def leap(particles, lists, constants, cells, driven, bodies, outline, watch, ste
 
 @kernel
 def _sum_forces(t, particles, lists, constants, cells):
-    """Images of tile t and the forces on its local particles, not folded."""
+    """Set the images of tile t and the forces on its local particles, not folded yet."""
     own_particles = cells.particles
-    here = lists.starts[t]
+    begin = lists.starts[t]
     end = lists.starts[t + 1]
-    _gather_images(particles.x, t, own_particles, here[0], end[0], lists.source)
-    _gather_images(particles.v, t, own_particles, here[0], end[0], lists.source)
+    first = begin[OF_IMAGES]
+    last = end[OF_IMAGES]
+    _gather_images(particles.x, t, own_particles, first, last, lists.source)
+    _gather_images(particles.v, t, own_particles, first, last, lists.source)
     x = particles.x[t]
     v = particles.v[t]
     f = particles.f[t]
-    for i in range(own_particles + end[0] - here[0]):
+    for i in range(own_particles + last - first):
         store(0.0, f, 0, i)
         store(0.0, f, 1, i)
-    for k in range(here[1], end[1]):
+    for k in range(begin[OF_BONDS], end[OF_BONDS]):
         i = lists.bonds[k, 0]
         j = lists.bonds[k, 1]
         pair = pair_at(x, v, i, j)
         a = tension(wall(pair.length, bond_at(constants.bonds, k)), pair.rate) * pair.inverse
         add_pair(f, i, j, a * pair.rx, a * pair.ry)
-    for k in range(here[2], end[2]):
+    for k in range(begin[OF_CONTACTS], end[OF_CONTACTS]):
         i = lists.contacts[k, 0]
         j = lists.contacts[k, 1]
         pair = pair_at(x, v, i, j)
@@ -161,6 +180,7 @@ def _sum_forces(t, particles, lists, constants, cells):
     if t < cells.fluid_tiles:
         slope = np.empty((cells.fluid_pairs.shape[0], TILE))
         volume = np.empty((own_particles - cells.walls, TILE))
+        # one row for all tiles if there is one type of plant cell
         row = min(np.int64(t), constants.fluid.shape[0] - 1)
         add_sph_forces(x, v, f, cells, fluid_at(constants.fluid, row), slope, volume)
         for k in range(cells.rim_start.shape[0] - 1):
@@ -170,13 +190,16 @@ def _sum_forces(t, particles, lists, constants, cells):
 
 @kernel
 def _sap_area(x, rim, sap):
-    """Area within a rim, µm²; 1 where there is no plant cell."""
+    """Return the area within a rim, µm²; 1 where there is no plant cell, so that 1/A is finite."""
     return sap.is_there * rim_area(x, rim) + (1.0 - sap.is_there)
 
 
 @kernel
 def _add_sap_forces(x, v, f, rim, sap):
-    """Add pressure and viscous forces S g_k of a uniform fluid to f."""
+    """Add pressure and viscous forces S g_k of a uniform fluid to f (2, local, TILE).
+
+    See `plant_cell.uniform_fluid`. rim: local wall particles around it. sap: its `Sap`.
+    """
     per_area = 1.0 / _sap_area(x, rim, sap)
     osmotic = sap.fluid_mass * sap.sound_speed_squared
     pressure = (osmotic + sap.sap_modulus * sap.rest_area) * per_area - sap.sap_modulus
@@ -192,42 +215,47 @@ def _add_sap_forces(x, v, f, rim, sap):
 
 @kernel
 def _gather_images(x, t, particles, start, end, source):
-    """Copy the owners of tile t's images."""
+    """Copy x (tiles + 1, 2, local, TILE) of their owners to the images of tile t.
+
+    start, end: entries of the tile in `source`. particles: number of own particles.
+    """
     flat = x.reshape(-1)
-    y = x.shape[2] * TILE
+    to_y = x.shape[2] * TILE  # from an x component to the y component in a flat array
     for k in range(start, end):
         local = particles + k - start
         for lane in range(TILE):
-            s = source[k, lane]
-            x[t, 0, local, lane] = flat[s]
-            x[t, 1, local, lane] = flat[s + y]
+            owner = source[k, lane]
+            x[t, 0, local, lane] = flat[owner]
+            x[t, 1, local, lane] = flat[owner + to_y]
 
 
 @kernel
 def _fold(t, f, lists):
-    """Fold image forces back to tile t's own particles."""
+    """Add to the forces f of tile t's own particles those on their images."""
     flat = f.reshape(-1)
-    y = f.shape[2] * TILE
-    for k in range(lists.starts[t, 3], lists.starts[t + 1, 3]):
+    to_y = f.shape[2] * TILE
+    for k in range(lists.starts[t, OF_FOLDS], lists.starts[t + 1, OF_FOLDS]):
         i = lists.fold[k]
         for lane in range(TILE):
-            s = lists.fold_source[k, lane]
-            f[t, 0, i, lane] += flat[s]
-            f[t, 1, i, lane] += flat[s + y]
+            image = lists.fold_source[k, lane]
+            f[t, 0, i, lane] += flat[image]
+            f[t, 1, i, lane] += flat[image + to_y]
 
 
 @kernel
 def _kick_and_drift(t, particles, lists, cells, watch, amplitude, step):
-    """v += kick a, x += drift v of tile t's own particles; how far they are from where listed.
+    """Set v ← retained v + kick a and x ← x + drift v of the own particles of tile t.
 
-    step: kick, drift, the part of v that is retained, whether f is folded.
+    It adds to the works of loads, and sets `watch.mean` and `watch.spread` of the tile.
+
+    step: kick, drift, retained, and whether f is folded already.
     """
     x = particles.x
     v = particles.v
     f = particles.f
     loads = particles.loads
-    kick, drift, retained, folded = step
-    if not folded:
+    kick, drift, retained, is_folded = step
+    if not is_folded:
         _fold(t, f, lists)
     mean_x = spread(0.0)
     mean_y = spread(0.0)
@@ -246,17 +274,17 @@ def _kick_and_drift(t, particles, lists, cells, watch, amplitude, step):
         for n in range(loads.shape[0]):
             power = load(loads, n, t, 0, i) * (old_x + speed_x)
             power += load(loads, n, t, 1, i) * (old_y + speed_y)
-            done = load(particles.work, n, t) + 0.5 * kick * amplitude[n] * power
-            store(done, particles.work, n, t)
+            work = load(particles.work, n, t) + 0.5 * kick * amplitude[n] * power
+            store(work, particles.work, n, t)
         new_x = load(x, t, 0, i) + drift * speed_x
         new_y = load(x, t, 1, i) + drift * speed_y
         store(new_x, x, t, 0, i)
         store(new_y, x, t, 1, i)
         mean_x += new_x - load(watch.listed, t, 0, i)
         mean_y += new_y - load(watch.listed, t, 1, i)
-    share = load(cells.per_count, t)
-    mean_x = mean_x * share
-    mean_y = mean_y * share
+    per_count = load(cells.per_count, t)
+    mean_x = mean_x * per_count
+    mean_y = mean_y * per_count
     store(mean_x, watch.mean, t, 0)
     store(mean_y, watch.mean, t, 1)
     largest = spread(0.0)
@@ -270,52 +298,58 @@ def _kick_and_drift(t, particles, lists, cells, watch, amplitude, step):
 
 @kernel
 def _measure_apart(t, cells, watch):
-    """watch.apart of tile t: mean displacements against those of the next cells."""
+    """Set watch.apart of tile t, by the mean displacements of neighbouring periods."""
     for lane in range(TILE):
         largest = 0.0
         for s in cells.next_shifts:
-            there = cells.place[t, s, lane]
-            if there >= 0:
-                tile = there // TILE
-                other = there % TILE
-                dx = watch.mean[tile, 0, other] - watch.mean[t, 0, lane]
-                dy = watch.mean[tile, 1, other] - watch.mean[t, 1, lane]
+            neighbour = cells.place[t, s, lane]
+            is_there = neighbour >= 0
+            if is_there:
+                tile = neighbour // TILE
+                lane_of_neighbour = neighbour % TILE
+                dx = watch.mean[tile, 0, lane_of_neighbour] - watch.mean[t, 0, lane]
+                dy = watch.mean[tile, 1, lane_of_neighbour] - watch.mean[t, 1, lane]
                 largest = max(largest, dx * dx + dy * dy)
         watch.apart[t, lane] = largest
 
 
 @kernel
 def _largest_motion(watch):
-    """2 d + |ū_B − ū_A|, the largest anywhere, µm."""
-    within = 0.0
-    apart = 0.0
+    """Return 2 d + |ū_B − ū_A|, a bound of the motion of one particle against another, µm.
+
+    See the head of `pair_lists`. It is infinite where a position is not finite.
+    """
+    largest_spread = 0.0
+    largest_apart = 0.0
     for t in range(watch.spread.shape[0]):
         for lane in range(TILE):
-            if not watch.spread[t, lane] < np.inf:
+            if not watch.spread[t, lane] < np.inf:  # True for NaN, too
                 return np.inf
-            within = max(within, watch.spread[t, lane])
-            apart = max(apart, watch.apart[t, lane])
-    return 2.0 * np.sqrt(within) + np.sqrt(apart)
+            largest_spread = max(largest_spread, watch.spread[t, lane])
+            largest_apart = max(largest_apart, watch.apart[t, lane])
+    return 2.0 * np.sqrt(largest_spread) + np.sqrt(largest_apart)
 
 
 @parallel_kernel
 def elastic_energy(x, lists, constants, cells, energy):
-    """energy (tiles, TILE) of which the forces at rest are the negative gradient, in pJ.
+    """Fill energy (tiles, TILE) with that of which forces at rest are the negative gradient, pJ.
 
-    Springs ½ k (|r| − l₀)², contacts, SPH fluid Σ m c_s² ln ρ, or that of `uniform_fluid`.
-    x: (tiles + 1, 2, local, TILE) with images set.
+    It is that of springs, ½ k (|r| − l₀)², of contacts, and of the fluid, Σ m c_s² ln ρ with SPH,
+    else that of `plant_cell.uniform_fluid`.
+
+    x: (tiles + 1, 2, local, TILE) positions, with images set, µm.
     """
     for t in numba.prange(energy.shape[0]):
-        here = lists.starts[t]
+        begin = lists.starts[t]
         end = lists.starts[t + 1]
-        there = x[t]
+        x_of_tile = x[t]
         total = spread(0.0)
-        for k in range(here[1], end[1]):
-            rx, ry = difference(there, lists.bonds[k, 0], lists.bonds[k, 1])
+        for k in range(begin[OF_BONDS], end[OF_BONDS]):
+            rx, ry = difference(x_of_tile, lists.bonds[k, 0], lists.bonds[k, 1])
             length, _ = norm(rx, ry)
             total += wall_energy(length, bond_at(constants.bonds, k))
-        for k in range(here[2], end[2]):
-            rx, ry = difference(there, lists.contacts[k, 0], lists.contacts[k, 1])
+        for k in range(begin[OF_CONTACTS], end[OF_CONTACTS]):
+            rx, ry = difference(x_of_tile, lists.contacts[k, 0], lists.contacts[k, 1])
             length, inverse = norm(rx, ry)
             total += contact_energy(length, inverse, contact_at(constants, k))
         store(total, energy, t)
@@ -323,31 +357,33 @@ def elastic_energy(x, lists, constants, cells, energy):
             slope = np.empty((cells.fluid_pairs.shape[0], TILE))
             volume = np.empty((cells.particles - cells.walls, TILE))
             row = min(np.int64(t), constants.fluid.shape[0] - 1)
-            fluid_specific_volume(there, cells, fluid_at(constants.fluid, row), slope, volume)
+            fluid_specific_volume(x_of_tile, cells, fluid_at(constants.fluid, row), slope, volume)
             for p in range(volume.shape[0]):
                 for lane in range(TILE):
-                    weight = constants.fluid[row, 1, lane] * constants.fluid[row, 2, lane]
+                    mass = constants.fluid[row, _FLUID_MASS, lane]
+                    weight = mass * constants.fluid[row, _SOUND_SPEED_SQUARED, lane]
                     weight *= cells.exists[t, cells.walls + p, lane]
                     energy[t, lane] -= weight * np.log(volume[p, lane])
             for k in range(cells.rim_start.shape[0] - 1):
                 rim = lists.rim[t, cells.rim_start[k] : cells.rim_start[k + 1]]
-                _add_sap_energy(there, rim, sap_at(constants.sap, t, k), energy[t])
+                _add_sap_energy(x_of_tile, rim, sap_at(constants.sap, t, k), energy[t])
 
 
 @kernel
 def _add_sap_energy(x, rim, sap, energy):
     """Add the stored energy of a uniform fluid, pJ, to energy (TILE,)."""
-    sums = np.empty((5, TILE))
-    store(_sap_area(x, rim, sap), sums, 0)
-    store(sap.fluid_mass, sums, 1)
-    store(sap.fluid_mass * sap.sound_speed_squared, sums, 2)
-    store(sap.sap_modulus, sums, 3)
-    store(sap.rest_area, sums, 4)
+    # lanes have no logarithm, so they are taken apart: rows as they are read below
+    rows = np.empty((5, TILE))
+    store(_sap_area(x, rim, sap), rows, 0)
+    store(sap.fluid_mass, rows, 1)
+    store(sap.fluid_mass * sap.sound_speed_squared, rows, 2)
+    store(sap.sap_modulus, rows, 3)
+    store(sap.rest_area, rows, 4)
     for lane in range(TILE):
-        area = sums[0, lane]
-        mass = sums[1, lane]
-        osmotic = sums[2, lane]
-        modulus = sums[3, lane]
-        rest = sums[4, lane]
+        area = rows[0, lane]
+        mass = rows[1, lane]
+        osmotic = rows[2, lane]
+        modulus = rows[3, lane]
+        rest = rows[4, lane]
         energy[lane] += osmotic * np.log(mass / area)
         energy[lane] += modulus * (area - rest - rest * np.log(area / rest))

@@ -9,9 +9,9 @@ plant cell may be owned by the next periods, so that some have walls only. Of sq
     (n × m)              ├──┼──┼·
                          └──┴──┴·
 
-Periods are lanes of tiles, called places: those with plant cells first, then those with walls only,
-each group filled up to whole tiles with empty places. A particle that does not exist lies far away,
-where it meets no one.
+Each period is a lane of a tile, called its place: those with plant cells first, then those with
+walls only, each group filled up to whole tiles with empty places. A particle that does not exist
+lies far away, where it meets no other.
 
 What two cells share is halved where one of them is missing (docs/theory.md, walls at a free
 boundary): the mass of a wall particle is its share, (cells present)/(cells that share it), so a
@@ -45,16 +45,20 @@ _ALIKE = (
 """What all types of plant cells of a tissue must share, so that their walls meet."""
 
 NOWHERE = 1e6
-"""Where particles lie that do not exist, µm; far beyond every cut-off."""
+"""Coordinate of particles that do not exist, µm; far beyond every cut-off."""
+_APART = 100.0
+"""Distance between particles that do not exist, µm, so that these do not meet each other either."""
+NONE = -1
+"""Type of a plant cell that is missing, and number of a place or particle that is."""
 
 
 class Members(NamedTuple):
-    """Plant cells that the particles of a period belong to.
+    """Pairs of a particle and a plant cell that it belongs to, of the particles of one period.
 
     Attributes:
-        particle: (k,) own. cell: (k,) number within its period.
-        shift: (k, 2) a particle at a place belongs to that plant cell of the period so many columns
-            and rows before.
+        particle: (k,) own particle of the period.
+        cell: (k,) number of the plant cell within its own period.
+        shift: (k, 2) columns and rows from the period of that plant cell to the particle's.
     """
 
     particle: Index
@@ -66,10 +70,10 @@ class Walls(NamedTuple):
     """Bonds of a period and the two plant cells that each lies between.
 
     Attributes:
-        bonds: (b, 4) i, j, columns and rows from i to j, of two opposite ways the one that does not
-            lead back.
+        bonds: (b, 4) particles i and j, columns and rows from i to j. Of the two directions of a
+            bond it is the one that does not lead back to earlier columns or rows.
         cell: (b, 2) plant cells on the left and on the right of the way from i to j.
-        shift: (b, 2, 2) as of `Members`, seen from the place of i.
+        shift: (b, 2, 2) columns and rows from the periods of these plant cells to that of i.
     """
 
     bonds: Index
@@ -79,16 +83,19 @@ class Walls(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Tissue:
-    """Plant cells with single walls at the boundary.
+    """Plant cells with single walls at the boundary, and the layout of their particles in tiles.
 
     Attributes:
-        types: of plant cells; references: their reference states; constants: of their pair laws.
-        arrangement: of the plant cells of a period.
-        kind: (columns, rows, cells) type of each plant cell of each period, −1 where there is none.
+        types: types of plant cells.
+        references: reference state of each type.
+        constants: constants of the pair laws of each type.
+        arrangement: arrangement of the plant cells of a period.
+        kind: (columns, rows, cells) type of each plant cell of each period, or NONE.
         origin: (2,) column and row of kind[0, 0] in the plane.
-        lowest: (2,) column and row of the first place, counted from there.
-        column_row: (places, 2) of the period in each lane, from the first, −1 for an empty place.
-        place: (columns, rows) the place of each, −1 where there is none.
+        lowest: (2,) column and row of the first place, counted from kind[0, 0].
+        column_row: (places, 2) column and row of the period in each lane, counted from the first
+            place; NONE for an empty place.
+        place: (columns, rows) place of each period, or NONE.
         start: (tiles, 2, own, TILE) positions from the repeated reference state, µm.
         mass: (tiles, own, TILE) ng; 0 where there is no particle.
         walls: number of a period's own wall particles; they come first.
@@ -131,32 +138,40 @@ class Tissue:
 
     @property
     def is_wall(self) -> Flags:
-        """(particles,)."""
+        """Whether each particle is a wall particle, (particles,)."""
         return self.address[:, 1] < self.walls
 
     @property
     def laid_out(self) -> Array:
-        """(particles, 2) where wall particles are laid out, stretched as the lattice at rest is,
-        µm; infinite for fluid."""
+        """Places of wall particles as they are laid out, (particles, 2), µm; infinite for fluid.
+
+        They are stretched as the lattice at rest is.
+        """
         lattice = self.references[0].lattice
-        at = (self.column_row + self.lowest + self.origin) @ lattice.T
-        places = np.full((len(at), 2, self.own), np.inf)
+        period = (self.column_row + self.lowest + self.origin) @ lattice.T
+        places = np.full((len(period), 2, self.own), np.inf)
         walls = self.arrangement.wall_position @ stretch_of(self.arrangement, lattice).T
-        places[..., : self.walls] = walls.T + at[:, :, None]
+        places[..., : self.walls] = walls.T + period[:, :, None]
         return self.to_particles(pack(places))
 
     @property
     def middles(self) -> Array:
-        """(columns, rows, cells, 2) middles of plant cells, as `middles_of` has them, µm."""
+        """Middles of plant cells (columns, rows, cells, 2), as `middles_of` has them, µm."""
         return middles_of(self.arrangement, self.references[0], self.origin, self.kind.shape[:2])
 
     def to_particles(self, tiles: Array) -> Array:
-        """(tiles, own, TILE) → (particles,), and (tiles, 2, own, TILE) → (particles, 2)."""
+        """Take values out of tiles: (tiles, own, TILE) becomes (particles,).
+
+        (tiles, 2, own, TILE) becomes (particles, 2).
+        """
         tile, own, lane = self.address.T
         return np.ascontiguousarray(tiles[tile, ..., own, lane])
 
     def to_tiles(self, values: Array, missing: Array | float = 0.0) -> Array:
-        """(particles, 2) → (tiles, 2, own, TILE) with `missing` where there is no particle."""
+        """Put values (particles, 2) into tiles (tiles, 2, own, TILE).
+
+        missing: value where there is no particle.
+        """
         tiles = np.empty(self.start.shape)
         tiles[:] = missing
         tile, own, lane = self.address.T
@@ -165,63 +180,71 @@ class Tissue:
 
     @property
     def number(self) -> Index:
-        """(places, own) number of each particle, −1 where there is none."""
+        """Number of each particle (places, own), NONE where there is none."""
         tile, own, lane = self.address.T
-        number = np.full((len(self.column_row), self.own), -1)
+        number = np.full((len(self.column_row), self.own), NONE)
         number[tile * TILE + lane, own] = np.arange(len(self.address))
         return number
 
     def kinds_at(self, cell: Index, shift: Index) -> Index:
-        """(places, …) type of the plant cells `cell` (…) in the periods `shift` (…, 2) before each
-        place, −1 where there is none."""
+        """Return types (places, …) of plant cells around each place, NONE where there is none.
+
+        They are the plant cells `cell` (…) of the periods `shift` (…, 2) columns and rows before.
+        """
         return _kinds_at(self.kind, self.column_row, self.lowest, cell, shift)
 
     def places_at(self, shift: Index) -> Index:
-        """(places, …) places `shift` (…, 2) columns and rows further, −1 where there is none."""
-        at = self.column_row.reshape(-1, *np.ones(shift.ndim - 1, int), 2) + shift
-        found = _looked_up(self.place, at)
-        found[self.column_row[:, 0] < 0] = -1
-        return found
+        """Return the places (places, …) `shift` (…, 2) columns and rows further on, or NONE."""
+        column_row = self.column_row.reshape(-1, *np.ones(shift.ndim - 1, int), 2) + shift
+        places = _looked_up(self.place, column_row)
+        places[self.column_row[:, 0] < 0] = NONE
+        return places
 
     @property
     def fluid_tiles(self) -> int:
-        """How many tiles, the first ones, have plant cells."""
+        """Number of tiles, the first ones, that have plant cells."""
         return tiles_for(int((self.kind >= 0).any(axis=2).sum()))
 
     def shares(self, filled: Flags) -> Array:
-        """(places, own) part of a particle that plant cells `filled` have; 0 where none has.
+        """Return which fraction of its plant cells a particle has in `filled`, (places, own).
 
         Args:
             filled: (columns, rows, cells).
         """
-        kind = np.where(filled, 0, -1)
+        kind = np.where(filled, 0, NONE)
         return _shares(self.arrangement, kind, self.column_row, self.lowest)
 
     def bonds(self) -> Index:
-        """(b, 2) numbers of the particles that wall springs join."""
+        """Return the numbers (b, 2) of particles that wall springs join."""
         i, j, kinds = self._joined()
         return np.stack([i, j], axis=-1)[(kinds >= 0).any(axis=2)]
 
     def outline(self) -> Index:
-        """(k, 2) bonds along the outline, the tissue on their left."""
+        """Return the bonds (k, 2) along the outline, the tissue on their left."""
         i, j, kinds = self._joined()
         pairs = np.stack([i, j], axis=-1)
-        is_filled = kinds >= 0
-        forth = pairs[is_filled[..., 0] & ~is_filled[..., 1]]
-        back = pairs[is_filled[..., 1] & ~is_filled[..., 0]]
+        has_left = kinds[..., 0] >= 0
+        has_right = kinds[..., 1] >= 0
+        forth = pairs[has_left & ~has_right]
+        back = pairs[has_right & ~has_left]
         return np.concatenate([forth, back[:, ::-1]])
 
     def _joined(self) -> tuple[Index, Index, Index]:
-        """(places, b) particles of each bond, (places, b, 2) types of the cells on both sides."""
+        """Return the particles i, j (places, b) of all bonds, and the types of cells beside them.
+
+        The types are (places, b, 2), on the left and on the right of the way from i to j.
+        """
         walls = walls_of(self.arrangement)
+        i, j, *_ = walls.bonds.T
         number = self.number
-        there = self.places_at(walls.bonds[:, 2:])
-        j = np.where(there >= 0, number[there, walls.bonds[:, 1]], -1)
-        return number[:, walls.bonds[:, 0]], j, self.kinds_at(walls.cell, walls.shift)
+        place_of_j = self.places_at(walls.bonds[:, 2:])
+        number_of_j = np.where(place_of_j >= 0, number[place_of_j, j], NONE)
+        return number[:, i], number_of_j, self.kinds_at(walls.cell, walls.shift)
 
 
 def members_of(arrangement: Arrangement) -> Members:
-    """The plant cells of all particles: walls by the rims, fluid by its plant cell."""
+    """Return the plant cells of all particles: of walls by the rims, of fluid its own."""
+    # rows: particle, cell, columns, rows; those of a rim lack the cell
     rows = [np.insert(rim, 1, cell, axis=1) for cell, rim in enumerate(arrangement.rims)]
     counts = np.array(arrangement.fluid_counts, dtype=np.int64)
     fluid = np.zeros((counts.sum(), 4), dtype=np.int64)
@@ -232,37 +255,48 @@ def members_of(arrangement: Arrangement) -> Members:
 
 
 def walls_of(arrangement: Arrangement) -> Walls:
-    """Bonds and the plant cells on both sides of each."""
-    sides: dict[tuple[int, ...], dict[int, tuple[int, ...]]] = {}
-    # Two rims have each bond: on the left of its way from i to j, and on the right, the other way.
+    """Return the bonds of a period and the plant cells on both sides of each."""
+    # Each bond is in two rims, once from i to j, with that plant cell on its left, and once back.
+    on_left: dict[tuple[int, ...], tuple[int, ...]] = {}
+    on_right: dict[tuple[int, ...], tuple[int, ...]] = {}
     for cell, rim in enumerate(arrangement.rims):
-        for (i, *s), (j, *t) in zip(rim.tolist(), np.roll(rim, -1, axis=0).tolist(), strict=True):
-            forth = (t[0] - s[0], t[1] - s[1], j) > (0, 0, i)
-            way = (t[0] - s[0], t[1] - s[1]) if forth else (s[0] - t[0], s[1] - t[1])
-            bond = (i, j, *way) if forth else (j, i, *way)
-            sides.setdefault(bond, {})[0 if forth else 1] = (cell, *(s if forth else t))
-    bonds = sorted(sides)
-    every = np.array([[sides[bond][0], sides[bond][1]] for bond in bonds])
-    return Walls(np.array(bonds), every[:, :, 0], every[:, :, 1:])
+        following = np.roll(rim, -1, axis=0)
+        for (i, *shift_i), (j, *shift_j) in zip(rim.tolist(), following.tolist(), strict=True):
+            columns = shift_j[0] - shift_i[0]
+            rows = shift_j[1] - shift_i[1]
+            leads_forth = (columns, rows, j) > (0, 0, i)
+            if leads_forth:
+                on_left[i, j, columns, rows] = (cell, *shift_i)
+            else:
+                on_right[j, i, -columns, -rows] = (cell, *shift_j)
+    bonds = sorted(on_left)
+    sides = np.array([[on_left[bond], on_right[bond]] for bond in bonds])
+    return Walls(bonds=np.array(bonds), cell=sides[:, :, 0], shift=sides[:, :, 1:])
 
 
 def stretch_of(arrangement: Arrangement, lattice: Array) -> Array:
-    """(2, 2) by which the lattice as it is laid out has become that at rest."""
+    """Return the stretch (2, 2) that takes the lattice as it is laid out to that at rest."""
     return np.asarray(lattice @ np.linalg.inv(arrangement.tessellation.lattice))
 
 
 def middles_of(
     arrangement: Arrangement, reference: ReferenceState, origin: Index, periods: Sequence[int]
 ) -> Array:
-    """(columns, rows, cells, 2) middles of plant cells, laid out and stretched as the lattice at
-    rest is, µm, from column and row `origin` on."""
+    """Return the middles of plant cells (columns, rows, cells, 2), µm.
+
+    They are those as laid out, stretched as the lattice at rest is.
+
+    Args:
+        origin: (2,) column and row of the first period.
+        periods: numbers of columns and rows.
+    """
     tessellation = arrangement.tessellation
     every = range(len(tessellation.polygons))
     within = np.array([centroid(tessellation.corners(k)) for k in every])
-    columns, rows = periods
-    at = np.stack(np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"), axis=-1)
     within = within @ stretch_of(arrangement, reference.lattice).T
-    return np.asarray(((at + origin) @ reference.lattice.T)[:, :, None] + within)
+    columns, rows = periods
+    column_row = np.stack(np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"), axis=-1)
+    return np.asarray(((column_row + origin) @ reference.lattice.T)[:, :, None] + within)
 
 
 def make_tissue(
@@ -272,13 +306,15 @@ def make_tissue(
     origin: Sequence[int] = (0, 0),
     arrangement: Arrangement | None = None,
 ) -> Tissue:
-    """A tissue whose plant cell c of the period (a, b) is of the type kind[a, b, c].
+    """Make a tissue whose plant cell c of the period (a, b) is of the type kind[a, b, c].
 
     Args:
-        references: of each type, free of stress as part of a tissue.
-        kind: (columns, rows, cells), or (columns, rows) of periods with one plant cell; −1: none.
+        types: types of plant cells.
+        references: reference state of each type, free of stress as part of a tissue.
+        kind: (columns, rows, cells), or (columns, rows) of periods with one plant cell; NONE where
+            there is no plant cell.
         origin: column and row of kind[0, 0].
-        arrangement: of the plant cells of a period; None: that of the types.
+        arrangement: arrangement of the plant cells of a period; None: that of the types.
 
     Raises:
         InputError: a type is not arranged as the first, or not as large or as finely divided.
@@ -296,39 +332,31 @@ def make_tissue(
         )
     arrangement = arrangement or make_arrangement(cell)
     members = members_of(arrangement)
-    lowest, highest = (of(members.shift, axis=0, initial=0) for of in (np.min, np.max))
+    # walls of a plant cell may be owned by periods around its own
+    lowest = np.min(members.shift, axis=0, initial=0)
+    highest = np.max(members.shift, axis=0, initial=0)
     shape = np.array(kind.shape[:2]) + highest - lowest
-    # rows of periods run along the lanes
-    every = np.array([(a, b) for b in range(shape[1]) for a in range(shape[0])])
-    cells = np.arange(kind.shape[2])
-    here = _kinds_at(kind, every, lowest, cells, np.zeros((len(cells), 2), dtype=np.int64))
-    has_cells = (here >= 0).any(axis=1)
-    has_walls = (_shares(arrangement, kind, every, lowest) > 0.0).any(axis=1)
-    groups = every[has_cells], every[has_walls & ~has_cells]
-    empty = np.full((TILE, 2), -1)
-    column_row = np.concatenate(
-        [each for group in groups for each in (group, empty[: -len(group) % TILE])]
-    )
+    column_row = _filled_places(arrangement, kind, lowest, shape)
     filled = np.flatnonzero(column_row[:, 0] >= 0)
-    place = np.full(shape, -1)
+    place = np.full(shape, NONE)
     place[tuple(column_row[filled].T)] = filled
 
     walls = arrangement.walls
     own = arrangement.particles
     mass = _masses(types, arrangement, members, kind, column_row, lowest)
     types_of = _kinds_at(kind, column_row, lowest, members.cell, members.shift)
-    of_place = np.zeros((len(column_row), own), dtype=np.int64)
+    type_of_particle = np.zeros((len(column_row), own), dtype=np.int64)
     # a wall between two types starts where that of the first of its plant cells does
     for row in reversed(range(len(members.particle))):
         is_there = types_of[:, row] >= 0
-        of_place[is_there, members.particle[row]] = types_of[is_there, row]
+        type_of_particle[is_there, members.particle[row]] = types_of[is_there, row]
     at_rest = np.stack([reference.position for reference in references])
     shift = (column_row + lowest + np.array(origin)) @ references[0].lattice.T
-    start = at_rest[of_place, np.arange(own)] + shift[:, None]
+    start = at_rest[type_of_particle, np.arange(own)] + shift[:, None]
     missing = mass == 0.0
-    start[missing] = -NOWHERE - 100.0 * np.arange(missing.sum())[:, None]  # nor near one another
-    there, particle = np.nonzero(~missing)
-    address = np.stack([there // TILE, particle, there % TILE], axis=1)
+    start[missing] = -NOWHERE - _APART * np.arange(missing.sum())[:, None]
+    place_of, particle = np.nonzero(~missing)
+    address = np.stack([place_of // TILE, particle, place_of % TILE], axis=1)
     return Tissue(
         types=tuple(types),
         references=tuple(references),
@@ -349,14 +377,41 @@ def make_tissue(
     )
 
 
+def _filled_places(arrangement: Arrangement, kind: Index, lowest: Index, shape: Index) -> Index:
+    """Return column and row (places, 2) of the period in each place, NONE in an empty one.
+
+    Periods with plant cells come first, then those with walls only; each group is filled up to
+    whole tiles.
+
+    Args:
+        kind, lowest: as of `Tissue`. shape: numbers of columns and rows that may have particles.
+    """
+    columns, rows = shape
+    # row after row, so that neighbouring lanes are neighbouring periods of a row
+    every = np.array([(a, b) for b in range(rows) for a in range(columns)])
+    cells = np.arange(kind.shape[2])
+    no_shift = np.zeros((len(cells), 2), dtype=np.int64)
+    has_cells = (_kinds_at(kind, every, lowest, cells, no_shift) >= 0).any(axis=1)
+    has_walls = (_shares(arrangement, kind, every, lowest) > 0.0).any(axis=1)
+    empty = np.full((TILE, 2), NONE)
+    parts = []
+    for group in (every[has_cells], every[has_walls & ~has_cells]):
+        lacking = -len(group) % TILE
+        parts += [group, empty[:lacking]]
+    return np.concatenate(parts)
+
+
 def fluid_masses(cell: CellParameters, arrangement: Arrangement) -> Array:
-    """(cells,) uniform fluid of the plant cells of a period, ng; none with SPH."""
+    """Return the mass of uniform fluid in each plant cell of a period, (cells,), ng.
+
+    It is empty with SPH fluid.
+    """
     areas = arrangement.tessellation.areas
     return cell.fluid_density * areas if cell.has_uniform_fluid else np.zeros(0)
 
 
 def rest_areas(cell: CellParameters, reference: ReferenceState, arrangement: Arrangement) -> Array:
-    """(cells,) areas of the plant cells of a period at rest, µm²; none with SPH."""
+    """Return the area of each plant cell of a period at rest, (cells,), µm²; empty with SPH."""
     rims = arrangement.rims if cell.has_uniform_fluid else ()
     if not rims:
         return np.zeros(0)
@@ -364,11 +419,14 @@ def rest_areas(cell: CellParameters, reference: ReferenceState, arrangement: Arr
 
 
 def _check_alike(cell: CellParameters, first: CellParameters) -> None:
+    """Raise InputError unless two types of plant cells share all that makes their walls meet."""
     for name in _ALIKE:
-        here = cell.to_dict()[name]
-        there = first.to_dict()[name]
-        if here != there:
-            both = f"{here} and {there}" if isinstance(here, str) else f"{here:g} and {there:g}"
+        value = cell.to_dict()[name]
+        value_of_first = first.to_dict()[name]
+        if value != value_of_first:
+            both = f"{value} and {value_of_first}"
+            if not isinstance(value, str):
+                both = f"{value:g} and {value_of_first:g}"
             raise InputError(f"cell.{name}: {both}; plant cells of one tissue must share it")
 
 
@@ -380,43 +438,46 @@ def _masses(
     column_row: Index,
     lowest: Index,
 ) -> Array:
-    """(places, own) ng."""
+    """Return the mass of each particle (places, own), ng; 0 where there is none.
+
+    kind, column_row, lowest: as of `Tissue`.
+    """
     is_wall = np.arange(arrangement.particles) < arrangement.walls
     mass = np.zeros((len(column_row), arrangement.particles))
-    for k, each in enumerate(types):
-        masses = np.where(is_wall, each.wall_particle_mass, each.fluid_mass)
-        mass += _shares(arrangement, np.where(kind == k, k, -1), column_row, lowest) * masses
-    whole = _shares(arrangement, kind, column_row, lowest)
-    on_outline = is_wall & (whole > 0.0) & (whole < 1.0)
+    for k, cell in enumerate(types):
+        masses = np.where(is_wall, cell.wall_particle_mass, cell.fluid_mass)
+        of_this_type = np.where(kind == k, k, NONE)
+        mass += _shares(arrangement, of_this_type, column_row, lowest) * masses
+    present = _shares(arrangement, kind, column_row, lowest)
+    on_outline = is_wall & (present > 0.0) & (present < 1.0)
     mass[on_outline] *= types[0].outer_wall
     if types[0].has_uniform_fluid:
-        around = np.array([len(rim) for rim in arrangement.rims])
-        nothing = np.zeros(len(around))  # where there is no plant cell
-        of_fluid = np.array(
-            [*(fluid_masses(each, arrangement) / around for each in types), nothing]
-        )
-        here = _kinds_at(kind, column_row, lowest, members.cell, members.shift)
-        mass += of_fluid[here, members.cell] @ _belongs(arrangement, members)
+        walls_around = np.array([len(rim) for rim in arrangement.rims])
+        # mass for each wall particle; the last row, which NONE refers to, is of no plant cell
+        of_fluid = [fluid_masses(cell, arrangement) / walls_around for cell in types]
+        of_fluid.append(np.zeros(len(walls_around)))
+        types_of = _kinds_at(kind, column_row, lowest, members.cell, members.shift)
+        mass += np.array(of_fluid)[types_of, members.cell] @ _belongs(arrangement, members)
     return mass
 
 
 def _kinds_at(kind: Index, column_row: Index, lowest: Index, cell: Index, shift: Index) -> Index:
-    """See `Tissue.kinds_at`."""
-    at = column_row.reshape(-1, *np.ones(shift.ndim - 1, int), 2) + lowest - shift
-    found = _looked_up(kind, at, cell)
-    found[column_row[:, 0] < 0] = -1
-    return found
+    """Return what `Tissue.kinds_at` does, before there is a `Tissue`."""
+    wanted = column_row.reshape(-1, *np.ones(shift.ndim - 1, int), 2) + lowest - shift
+    types = _looked_up(kind, wanted, cell)
+    types[column_row[:, 0] < 0] = NONE
+    return types
 
 
-def _looked_up(table: Index, at: Index, *further: Index) -> Index:
-    """table[at, further], −1 outside; `at` (…, 2)."""
-    inside = np.asarray(((at >= 0) & (at < table.shape[:2])).all(axis=-1))
-    a, b = np.moveaxis(np.where(inside[..., None], at, 0), -1, 0)
-    return np.where(inside, table[(a, b, *further)], -1)
+def _looked_up(table: Index, column_row: Index, *further: Index) -> Index:
+    """Return table[column, row, further], and NONE outside the table; column_row (…, 2)."""
+    inside = np.asarray(((column_row >= 0) & (column_row < table.shape[:2])).all(axis=-1))
+    column, row = np.moveaxis(np.where(inside[..., None], column_row, 0), -1, 0)
+    return np.where(inside, table[(column, row, *further)], NONE)
 
 
 def _shares(arrangement: Arrangement, kind: Index, column_row: Index, lowest: Index) -> Array:
-    """See `Tissue.shares`."""
+    """Return, as `Tissue.shares`, which fraction of its plant cells each particle has in `kind`."""
     members = members_of(arrangement)
     is_there = _kinds_at(kind, column_row, lowest, members.cell, members.shift) >= 0
     belongs = _belongs(arrangement, members)
@@ -424,7 +485,11 @@ def _shares(arrangement: Arrangement, kind: Index, column_row: Index, lowest: In
 
 
 def _belongs(arrangement: Arrangement, members: Members) -> scipy.sparse.csr_array:
-    """(members, own) 1 where a member is of that particle."""
+    """Return a matrix (members, own) with a 1 where a member is of that particle.
+
+    Its product with values of members sums them over those of each particle.
+    """
     count = len(members.particle)
-    at = np.arange(count), members.particle
-    return scipy.sparse.csr_array((np.ones(count), at), shape=(count, arrangement.particles))
+    rows = np.arange(count)
+    entries = np.ones(count), (rows, members.particle)
+    return scipy.sparse.csr_array(entries, shape=(count, arrangement.particles))

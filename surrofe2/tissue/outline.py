@@ -16,19 +16,23 @@ from surrofe2.problem.mesh import facet_nodes
 _CORNER = 0.3
 """Sine of the turn from which on a vertex of an outline is a corner."""
 _LEVEL = 1e-9
-"""Of the extent: particles as near to the outline lie on it."""
+"""Distance from the outline, over its extent, up to which particles lie on it."""
 _HAIR = 1e-6
-"""Of the way around: between a corner and all particles but the one that stands for it."""
+"""Least distance between a corner and all particles but the one that stands for it, over the length
+of the outline."""
 
 
 def outlines(mesh: skfem.Mesh) -> list[Array]:
-    """(k, 2) corners of each closed outline of a mesh, the tissue on the left, µm."""
+    """Return the corners (k, 2) of each closed outline of a mesh, the tissue on the left, µm."""
     ends = facet_nodes(mesh, mesh.boundary_facets())[:, :2]
     return [mesh.p.T[ring] for ring in rings_of(ends)]
 
 
 def rings_of(pairs: Index) -> list[Index]:
-    """Closed rings of the pairs (k, 2), each of which leads from its first number to its second."""
+    """Join pairs (k, 2), each of which leads from its first number to its second, to closed rings.
+
+    Each number must come as often first as second.
+    """
     following: dict[int, list[int]] = {}
     for begin, end in pairs.tolist():
         following.setdefault(begin, []).append(end)
@@ -40,57 +44,70 @@ def rings_of(pairs: Index) -> list[Index]:
             ring.append(ends.pop())
             if not ends:
                 del following[ring[-2]]
-        rings.append(np.array(ring[:-1]))
+        rings.append(np.array(ring[:-1]))  # the last one is the first again
     return rings
 
 
 def area_within(rings: list[Array]) -> float:
-    """Area within outlines, µm²."""
-    return sum(0.5 * float(np.sum(_cross(ring, np.roll(ring, -1, axis=0)))) for ring in rings)
+    """Return the area within outlines, µm²; those around holes, clockwise, count negative."""
+    area = 0.0
+    for ring in rings:
+        area += 0.5 * float(np.sum(_cross(ring, np.roll(ring, -1, axis=0))))
+    return area
 
 
 def are_within(points: Array, rings: list[Array]) -> Flags:
-    """(n,) whether points (n, 2) lie within: a way to the right crosses outlines oddly often."""
+    """Return (n,) whether points (n, 2) lie within outlines.
+
+    That is where a ray from the point to the right crosses outlines an odd number of times.
+    """
     inside = np.zeros(len(points), dtype=np.bool_)
+    x, y = points.T
     for ring in rings:
-        for begin, end in zip(ring, np.roll(ring, -1, axis=0), strict=True):
-            passes = (begin[1] > points[:, 1]) != (end[1] > points[:, 1])
-            along = np.divide(
-                points[:, 1] - begin[1], end[1] - begin[1], out=np.zeros(len(points)), where=passes
-            )
-            inside ^= passes & (begin[0] + along * (end[0] - begin[0]) > points[:, 0])
+        for (x0, y0), (x1, y1) in zip(ring, np.roll(ring, -1, axis=0), strict=True):
+            passes = (y0 > y) != (y1 > y)
+            along = np.divide(y - y0, y1 - y0, out=np.zeros(len(points)), where=passes)
+            inside ^= passes & (x0 + along * (x1 - x0) > x)
     return inside
 
 
 def on_outline(walls: Array, rings: list[Array]) -> Array:
-    """(n, 2) places on the nearest of outlines of the particles around a tissue, in their order.
+    """Return places (n, 2) on the nearest outline for the particles around a tissue, in order.
 
     Args:
-        walls: (n, 2) where they are laid out, µm, the tissue on the left of the way around.
+        walls: (n, 2) particles as they are laid out, one after the other around the tissue, which
+            is on the left, µm.
+        rings: corners of the outlines, as of `outlines`.
     """
-    ring, distance, way = min(
-        ((ring, *_nearest(walls, ring)) for ring in rings), key=lambda each: float(each[1].mean())
-    )
+    ring = min(rings, key=lambda ring: _mean_distance(walls, ring))
+    distance, way = _nearest(walls, ring)
     lengths = np.linalg.norm(np.roll(ring, -1, axis=0) - ring, axis=1)
     starts = np.append(0.0, np.cumsum(lengths))
     around = float(lengths.sum())
-    exact = distance < _LEVEL * np.ptp(ring, axis=0).max()
-    # in their order, without the jump to where the outline begins anew
+    is_on_it = distance < _LEVEL * np.ptp(ring, axis=0).max()
+    # ways in the order of the particles, without the jump back to 0 where the outline begins again
     steps = np.mod(np.diff(way, append=way[0]) + 0.5 * around, around) - 0.5 * around
     unrolled = way[0] + np.append(0.0, np.cumsum(steps[:-1]))
-    if abs(steps.sum() - around) < 0.5 * around:  # they go around it once
+    goes_around_once = abs(steps.sum() - around) < 0.5 * around
+    if goes_around_once:
         unrolled = _ascending(unrolled, around)
     for corner in _corners(ring):
         unrolled = _with_one_at(starts[corner], unrolled, around)
-    place = np.mod(unrolled, around)
-    side = np.clip(np.searchsorted(starts, place, side="right") - 1, 0, len(ring) - 1)
-    along = ((place - starts[side]) / lengths[side])[:, None]
-    corners = ring[side] + along * (np.roll(ring, -1, axis=0) - ring)[side]
-    return np.where(exact[:, None], walls, corners)
+    way = np.mod(unrolled, around)
+    side = np.clip(np.searchsorted(starts, way, side="right") - 1, 0, len(ring) - 1)
+    along = ((way - starts[side]) / lengths[side])[:, None]
+    places = ring[side] + along * (np.roll(ring, -1, axis=0) - ring)[side]
+    return np.where(is_on_it[:, None], walls, places)
+
+
+def _mean_distance(points: Array, ring: Array) -> float:
+    """Return the mean distance of points (n, 2) to an outline."""
+    distance, _ = _nearest(points, ring)
+    return float(distance.mean())
 
 
 def _nearest(points: Array, ring: Array) -> tuple[Array, Array]:
-    """(n,) distances to an outline, and how far along it the nearest places lie."""
+    """Return distances (n,) to an outline, and ways (n,) along it to the nearest places."""
     distance = np.full(len(points), np.inf)
     way = np.zeros(len(points))
     start = 0.0
@@ -98,40 +115,48 @@ def _nearest(points: Array, ring: Array) -> tuple[Array, Array]:
         along = end - begin
         length = float(np.linalg.norm(along))
         part = np.clip((points - begin) @ along / length**2, 0.0, 1.0)
-        there = np.linalg.norm(points - begin - part[:, None] * along, axis=1)
-        nearer = there < distance
-        distance[nearer] = there[nearer]
-        way[nearer] = start + length * part[nearer]
+        distance_to_side = np.linalg.norm(points - begin - part[:, None] * along, axis=1)
+        is_nearer = distance_to_side < distance
+        distance[is_nearer] = distance_to_side[is_nearer]
+        way[is_nearer] = start + length * part[is_nearer]
         start += length
     return distance, way
 
 
 def _ascending(way: Array, around: float) -> Array:
-    """Ways along a closed outline that nowhere go back: means of the bounds on both sides."""
+    """Return ways (n,) along a closed outline that nowhere go back, near those that may.
+
+    Each is the mean of the largest way up to it and the smallest from it on.
+    """
+    # with one turn before and one after, as the outline is closed
     every = np.concatenate([way - around, way, way + around])
-    above = np.maximum.accumulate(every)
-    below = np.minimum.accumulate(every[::-1])[::-1]
-    return np.asarray(0.5 * (above + below)[len(way) : 2 * len(way)])
+    largest_before = np.maximum.accumulate(every)
+    smallest_after = np.minimum.accumulate(every[::-1])[::-1]
+    return np.asarray(0.5 * (largest_before + smallest_after)[len(way) : 2 * len(way)])
 
 
 def _with_one_at(corner: float, way: Array, around: float) -> Array:
-    """Ways of which one ends at a corner, and no other within `_HAIR`, so that each bond is on one
-    side of it."""
-    off = np.mod(way - corner + 0.5 * around, around) - 0.5 * around
-    nearest = off[abs(off).argmin()]
-    ties = np.flatnonzero(abs(off - nearest) < _LEVEL * around)
-    # the last of those before the corner, or the first of those behind it
-    beside = 1 if nearest < 0.0 else -1
-    one = next(k for k in ties.tolist() if (k + beside) % len(way) not in ties)
-    is_before = np.mod(np.arange(len(way)) - one, len(way)) > len(way) // 2
+    """Return ways (n,) of which the nearest to a corner ends at it.
+
+    No other ends within `_HAIR` of it, so that each bond is on one side of the corner.
+
+    corner: way along the outline to the corner. around: length of the outline.
+    """
+    from_corner = np.mod(way - corner + 0.5 * around, around) - 0.5 * around
+    nearest = from_corner[abs(from_corner).argmin()]
+    ties = np.flatnonzero(abs(from_corner - nearest) < _LEVEL * around)
+    # of several at one place, the last one before the corner, or the first one behind it
+    towards_corner = 1 if nearest < 0.0 else -1
+    chosen = next(k for k in ties.tolist() if (k + towards_corner) % len(way) not in ties)
+    is_before = np.mod(np.arange(len(way)) - chosen, len(way)) > len(way) // 2
     hair = _HAIR * around
-    moved = np.where(abs(off) < hair, np.where(is_before, -hair, hair), off)
-    moved[one] = 0.0
-    return np.asarray(way + moved - off)
+    moved = np.where(abs(from_corner) < hair, np.where(is_before, -hair, hair), from_corner)
+    moved[chosen] = 0.0
+    return np.asarray(way + moved - from_corner)
 
 
 def _corners(ring: Array) -> list[int]:
-    """Vertices at which an outline turns sharply."""
+    """Return the vertices at which an outline (k, 2) turns sharply."""
     before = ring - np.roll(ring, 1, axis=0)
     after = np.roll(ring, -1, axis=0) - ring
     sizes = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
@@ -139,4 +164,5 @@ def _corners(ring: Array) -> list[int]:
 
 
 def _cross(a: Array, b: Array) -> Array:
+    """Return the cross products (n,) of vectors a and b (n, 2)."""
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])

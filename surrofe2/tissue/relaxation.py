@@ -1,6 +1,6 @@
-"""The tissue at rest without load, `relax`, and the longest step that it bears, `stable_step`.
+"""The tissue at rest without load, `relax`, and its longest stable step, `stable_step`.
 
-`relax` is adaptive dynamic relaxation: a drag −c m v in place of dashpots and viscosity, critical
+`relax` is adaptive dynamic relaxation: a drag −c m v instead of dashpots and viscosity, critical
 for the slowest mode, c = 2 ω, with ω² = −Δx·Δf/(Δx·m Δx) on the way. Leapfrog with implicit drag:
 v ← [(1 − c Δt/2) v + Δt f/m]/(1 + c Δt/2), x ← x + Δt v.
 
@@ -30,33 +30,43 @@ STRETCH = 50
 LIMIT = 200_000
 """Steps after which relaxation gives up."""
 HALVINGS = 4
-"""How often a step that turns out unstable is halved."""
+"""Most halvings of a step that turns out unstable."""
 _STEP = 0.36
 """Step times √(k/m) of the wall; undamped springs are stable up to 1."""
 _FIRST_DRAG = 0.02
-"""First drag, times √(k/m)."""
+"""First drag over √(k/m)."""
+_LEAST_DRAG = 1e-4
+_LARGEST_DRAG = 0.1
+"""Bounds of later drags over √(k/m), in case an estimate of the slowest mode is far off."""
 
 LONGEST = 2e-3
-"""µs; accuracy needs no less on the paper's cells."""
+"""Longest step that is chosen, µs; accuracy needs no shorter one on the paper's cells."""
 OF_LIMIT = 0.87
-"""Of the limit at rest, as deformed cells are stiffer; `LONGEST` takes as much of `printed`'s."""
+"""Fraction of the stable step at rest that may be taken, as deformed cells are stiffer. `LONGEST`
+is this fraction of the stable step of `printed`."""
 _SIZINGS = 5
+"""Most corrections of rest lengths for the area at rest to be that of an image."""
 _SAME_SIZE = 0.005
+"""Relative difference of these areas that may remain."""
 _ROUGHLY = 1e-4
-"""How often rest lengths are corrected until the area at rest is that of an image, the relative
-difference that is left, and the force left on a particle then, of a wall's tension."""
+"""Force that may remain on a particle in these corrections, over the tension of a wall."""
 _POWERS = 100
-_SHIFT = 1e-6  # µm, of differences
+"""Power iterations for a largest eigenvalue."""
+_SHIFT = 1e-6
+"""Displacement of the differences that stiffness is estimated by, µm."""
 
 _log = logging.getLogger(__name__)
 
 
 def relax(dynamics: TissueDynamics, residual: float) -> Array:
-    """Bring all particles to rest in a stable equilibrium; (particles, 2) positions, µm.
+    """Bring all particles to rest in a stable equilibrium.
 
     Args:
-        dynamics: starts at rest where it is and ends at rest in equilibrium.
+        dynamics: the tissue; it starts at rest where it is and ends at rest in equilibrium.
         residual: largest force that may remain on a free particle, µN.
+
+    Returns:
+        (particles, 2) positions, µm.
 
     Raises:
         SimulationError: no equilibrium within `LIMIT` steps, or the tissue collapses.
@@ -64,7 +74,7 @@ def relax(dynamics: TissueDynamics, residual: float) -> Array:
     tissue = dynamics.tissue
     start = dynamics.x
     stiffest = max(each.wall_stiffness for each in tissue.types)
-    # Of wall particles, which are whole inside; a boundary halves springs and masses alike.
+    # the mass of a whole wall particle: a boundary halves springs and masses alike
     lightest = min(each.wall_particle_mass for each in tissue.types)
     frequency = np.sqrt(stiffest / lightest)
     for halvings in range(HALVINGS + 1):
@@ -80,6 +90,13 @@ def relax(dynamics: TissueDynamics, residual: float) -> Array:
 
 
 def _settle(dynamics: TissueDynamics, residual: float, step: float, frequency: float) -> Array:
+    """Relax with one step, µs; return the positions (particles, 2), µm.
+
+    frequency: √(k/m) of the wall, 1/µs, by which drags are measured.
+
+    Raises:
+        SimulationError: no equilibrium within `LIMIT` steps, or the tissue collapses.
+    """
     mass = dynamics.mass[:, None]
     drag = _FIRST_DRAG * frequency
     x = dynamics.x
@@ -98,20 +115,25 @@ def _settle(dynamics: TissueDynamics, residual: float, step: float, frequency: f
         if np.hypot(*(f * dynamics.free).T).max() <= residual:
             dynamics.place(x)
             return x
+        # critical drag 2 ω of the mode that still moves, ω² = −Δx·Δf/(Δx·m Δx)
         moved = x - x_before
         stiffness = -float(np.sum(moved * (f - f_before)))
-        square = max(stiffness, 0.0) / float(np.sum(mass * moved * moved))
-        drag = float(np.clip(2.0 * np.sqrt(square), 1e-4 * frequency, 0.1 * frequency))
+        omega_squared = max(stiffness, 0.0) / float(np.sum(mass * moved * moved))
+        drag = 2.0 * np.sqrt(omega_squared)
+        drag = float(np.clip(drag, _LEAST_DRAG * frequency, _LARGEST_DRAG * frequency))
     raise SimulationError("no equilibrium within the limit of steps")
 
 
 def rounded_step(limit: float) -> float:
-    """`LONGEST`, or what is borne for sure if that is less, rounded down to two digits, µs."""
-    wanted = OF_LIMIT * limit
-    if wanted >= LONGEST:
+    """Return `LONGEST`, or `OF_LIMIT` of the limit if that is less, rounded down to two digits, µs.
+
+    limit: longest stable step at rest, µs.
+    """
+    longest = OF_LIMIT * limit
+    if longest >= LONGEST:
         return LONGEST
-    unit = 10.0 ** (np.floor(np.log10(wanted)) - 1.0)
-    return float(f"{np.floor(wanted / unit) * unit:.2g}")
+    unit = 10.0 ** (np.floor(np.log10(longest)) - 1.0)  # of the second digit
+    return float(f"{np.floor(longest / unit) * unit:.2g}")
 
 
 def outlined_tissue(
@@ -120,110 +142,127 @@ def outlined_tissue(
     arrangement: Arrangement,
     reference: ReferenceState | None = None,
 ) -> Tissue:
-    """A tissue whose walls follow the outlines of an image, with rest lengths that keep its size.
+    """Make a tissue whose walls follow the outlines of an image, with its size at rest.
 
-    A spring of length l has the rest length r l, with one r for all: that at which the plant cells
-    that are surrounded by others have the area of the image when the tissue has come to rest
-    without load; where there are none, that at which forces have no mean pressure as laid out.
-    Shapes change a little, as walls straighten and those along the outline bulge.
+    A spring of length l has the rest length r l, with one r for all. It is chosen so that plant
+    cells that are surrounded by others have the area of the image when the tissue has come to rest
+    without load; where there are none, so that forces have no mean pressure as laid out. Shapes
+    change a little, as walls straighten and those along the outline bulge.
 
     Args:
         kind: (1, 1, polygons) 0 of plant cells, −1 of air.
-        reference: that of such a tissue, which need not be sought again; None: there is none.
+        reference: reference state of such a tissue, so that r need not be computed again; None:
+            there is none.
 
     Raises:
         SimulationError: the tissue does not come to rest.
     """
 
-    def stretched(part: float) -> Tissue:
-        made = ReferenceState(
+    if reference is not None:
+        return make_tissue([cell], [reference], kind, arrangement=arrangement)
+
+    def tissue_of(ratio: float) -> Tissue:
+        """Return the tissue with the rest length `ratio` over length."""
+        stretched = ReferenceState(
             cell.fingerprint,
             arrangement.wall_position,
             arrangement.tessellation.lattice,
-            part * cell.spring_length,
+            ratio * cell.spring_length,
         )
-        return make_tissue([cell], [reference or made], kind, arrangement=arrangement)
+        return make_tissue([cell], [stretched], kind, arrangement=arrangement)
 
-    if reference is not None:
-        return stretched(0.0)
     is_inside = _surrounded(arrangement, kind[0, 0] == 0)
     wanted = float(arrangement.tessellation.areas[is_inside].sum())
     tension = cell.sound_speed**2 * cell.fluid_density * cell.cell_side
-    part = _without_pressure(stretched)
-    tissue = stretched(part)
-    for _ in range(_SIZINGS if is_inside.any() else 0):
-        rest = np.zeros((tissue.particles, 2))
-        rest[tissue.address[:, 1]] = relax(TissueDynamics(tissue), _ROUGHLY * tension)
-        size = float(rim_areas(arrangement.rims, rest, np.eye(2))[is_inside].sum()) / wanted
-        if abs(size - 1.0) < _SAME_SIZE:
+    ratio = _without_pressure(tissue_of)
+    tissue = tissue_of(ratio)
+    if not is_inside.any():
+        return tissue
+    for _ in range(_SIZINGS):
+        position = np.zeros((tissue.particles, 2))
+        position[tissue.address[:, 1]] = relax(TissueDynamics(tissue), _ROUGHLY * tension)
+        areas = rim_areas(arrangement.rims, position, np.eye(2))
+        relative_area = float(areas[is_inside].sum()) / wanted
+        if abs(relative_area - 1.0) < _SAME_SIZE:
             break
-        part /= sqrt(size)
-        tissue = stretched(part)
+        ratio /= sqrt(relative_area)
+        tissue = tissue_of(ratio)
     return tissue
 
 
 def _surrounded(arrangement: Arrangement, is_cell: Flags) -> Flags:
-    """(polygons,) which plant cells have no particle in common with air."""
+    """Return (polygons,) which plant cells have no particle in common with air."""
     at_air = np.zeros(arrangement.walls, dtype=np.bool_)
-    for rim, there in zip(arrangement.rims, is_cell, strict=True):
-        if not there:
+    for rim, is_plant_cell in zip(arrangement.rims, is_cell, strict=True):
+        if not is_plant_cell:
             at_air[rim[:, 0]] = True
     inside = [not at_air[rim[:, 0]].any() for rim in arrangement.rims]
     return is_cell & np.array(inside)
 
 
-def _without_pressure(stretched: Callable[[float], Tissue]) -> float:
-    """Rest length over length at which forces have no mean pressure as laid out: Σ x·f = 0."""
+def _without_pressure(tissue_of: Callable[[float], Tissue]) -> float:
+    """Return the rest length over length at which forces have no mean pressure, as laid out.
+
+    tissue_of: makes the tissue with such a ratio. The mean pressure is proportional to Σ x·f.
+    """
 
     def virial(tissue: Tissue) -> float:
         dynamics = TissueDynamics(tissue)
         return float(np.sum(dynamics.x * dynamics.forces(ELASTIC)))
 
     # forces are linear in the rest lengths
-    without = virial(stretched(0.0))
-    whole = virial(stretched(1.0))
-    return without / (without - whole)
+    virial_of_none = virial(tissue_of(0.0))
+    virial_of_whole = virial(tissue_of(1.0))
+    return virial_of_none / (virial_of_none - virial_of_whole)
 
 
 def stable_step(
     cell: CellParameters, reference: ReferenceState, outside: tuple[float, float] = (0.0, 0.0)
 ) -> float:
-    """The longest stable step of two by two RVEs at rest, µs.
+    """Return the longest stable step of two by two RVEs at rest, µs.
 
     Args:
-        outside: the largest stiffness and damping by mass that what acts on the outline adds, 1/µs²
-            and 1/µs.
+        outside: largest stiffness and damping, over mass, that contact and foundations add on the
+            outline, 1/µs² and 1/µs.
     """
     kind = np.zeros((2, 2, cell.cells), dtype=np.int64)
     return stable_step_of(make_tissue([cell], [reference], kind), outside)
 
 
 def stable_step_of(tissue: Tissue, outside: tuple[float, float] = (0.0, 0.0)) -> float:
-    """The longest stable step of a tissue where it starts, µs; `outside` as of `stable_step`."""
+    """Return the longest stable step of a tissue where it starts, µs.
+
+    It is the Δt of 4 − 2 c Δt − κ Δt² = 0, with the largest κ and c; `outside` as of `stable_step`.
+    """
     dynamics = TissueDynamics(tissue)
     at_rest = dynamics.x
 
     def stiffness(u: Array) -> Array:
+        """Return K u, by a central difference of the forces."""
         dynamics.place(at_rest + _SHIFT * u)
         ahead = dynamics.forces()
         dynamics.place(at_rest - _SHIFT * u)
         return (dynamics.forces() - ahead) / (2.0 * _SHIFT)
 
     def damping(v: Array) -> Array:
+        """Return C v: forces are linear in velocities."""
         dynamics.place(at_rest, v)
         moving = dynamics.forces()
         dynamics.place(at_rest)
         return dynamics.forces() - moving
 
     mass = dynamics.mass[:, None]
-    kappa, c = (_largest(product, mass) for product in (stiffness, damping))
-    kappa = kappa + outside[0]
-    c = c + outside[1]
+    outside_stiffness, outside_damping = outside
+    kappa = _largest(stiffness, mass) + outside_stiffness
+    c = _largest(damping, mass) + outside_damping
     return (sqrt(c * c + 4.0 * kappa) - c) / kappa
 
 
 def _largest(product: Callable[[Array], Array], mass: Array) -> float:
-    """Largest eigenvalue of a matrix by the masses (n, 1), by power iteration."""
+    """Return the largest eigenvalue of a matrix over the masses (n, 1), by power iteration.
+
+    product: returns the matrix times a vector (n, 2).
+    """
     u = np.random.default_rng(1).standard_normal((len(mass), 2))
     largest = 0.0
     for _ in range(_POWERS):

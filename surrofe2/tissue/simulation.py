@@ -1,9 +1,10 @@
 """The full microscopic tissue under load, from start to end: `simulate_tissue`.
 
-Leapfrog with one force evaluation a step (docs/theory.md, full tissue), begun and ended with half a
-kick where positions and velocities are wanted at one time: at every sample of the energies.
+Time stepping is leapfrog with one force evaluation per step (docs/theory.md, full tissue). It
+begins and ends with half a kick where positions and velocities are needed at one time: at every
+sample of the energies.
 
-Supports are held and bodies are away while the tissue relaxes. Displacements, forces and energies
+While the tissue relaxes, supports are held and bodies are away. Displacements, forces and energies
 count from there. Bodies meet the outline that the problem states: a particle touches one where its
 place on that outline, moved by its displacement, does.
 """
@@ -15,7 +16,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numba
 import numpy as np
@@ -27,6 +28,7 @@ from surrofe2.plant_cell.arrangement import ReferenceState, make_arrangement
 from surrofe2.plant_cell.outlined import Outlined
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tessellation import centroid
+from surrofe2.problem.amplitude import Amplitude
 from surrofe2.problem.mesh import extent
 from surrofe2.problem.problem import Problem, label
 from surrofe2.problem.rigid_bodies import check_outside
@@ -62,21 +64,26 @@ References = ReferenceState | Sequence[ReferenceState]
 
 DEFAULTS = TissueSettings()
 _STATE = 4
-"""Version of what a state holds."""
+"""Version of the contents of a state; a run is not resumed from one of another version."""
+_ROUNDING = 1e-12
+"""Relative difference up to which two times are the same, but for rounding."""
+_ROUNDING_OF_STEPS = 1e-9
+"""The same for steps that a user states, and numbers of steps."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TissueState(RunState):
-    """A run at an output time: all that is needed to carry it on, bit by bit, and its results.
+    """A run at an output time: all that is needed to continue it, bit by bit, and its results.
 
     Attributes:
-        relaxed, x, v: (particles, 2) the unloaded equilibrium, positions and velocities, µm and
-            µm/µs.
-        resting: (k, 2) forces on the unloaded tissue, µN.
-        bodies: (2, b, 2) position and velocity of rigid bodies.
-        journal: ``rows`` (r, c) at the output times passed, the columns of `columns_of`;
-            ``frames.…`` as of `ParticleFrames`.
-        identity: numbers that a run to be resumed must share. seconds, counts: as of `TissueRun`.
+        relaxed: (particles, 2) positions in the unloaded equilibrium, µm.
+        x, v: (particles, 2) positions, µm, and velocities, µm/µs.
+        resting: (k, 2) forces on the unloaded tissue, see `Recorder._forces`, µN.
+        bodies: (2, b, 2) positions and velocities of rigid bodies.
+        journal: ``rows`` (r, c), a row for each output time passed, with the columns of
+            `columns_of`; ``frames.…`` as of `ParticleFrames`.
+        identity: numbers that a run to be resumed must share.
+        seconds, counts: as of `TissueRun`.
     """
 
     SERIES: ClassVar[tuple[str, ...]] = (
@@ -95,13 +102,16 @@ class TissueState(RunState):
 
     @property
     def rows(self) -> int:
-        """Output times passed."""
+        """Number of output times passed."""
         return self.journal.lengths["rows"]
 
 
 @dataclass(frozen=True, slots=True)
 class ParticleFrames:
-    """Particle fields at k times: t (k,) µs; displacement, velocity (k, particles, 2)."""
+    """Particle fields at k times.
+
+    t: (k,) µs. displacement: (k, particles, 2) µm. velocity: (k, particles, 2) µm/µs.
+    """
 
     t: Array
     displacement: Array
@@ -109,8 +119,11 @@ class ParticleFrames:
 
 
 class Particles(NamedTuple):
-    """Where frames are: `position` (particles, 2) of the unloaded equilibrium, µm, `bonds` (b, 2)
-    of wall particles, `is_wall` (particles,)."""
+    """The particles that fields belong to.
+
+    position: (particles, 2) in the unloaded equilibrium, µm. bonds: (b, 2) bonded wall particles.
+    is_wall: (particles,) whether a particle is a wall particle.
+    """
 
     position: Array
     bonds: Index
@@ -118,7 +131,7 @@ class Particles(NamedTuple):
 
 
 KeepFrame = Callable[[ParticleFrames, int, Particles], None]
-"""Takes particle fields at one time, with how many frames there are before it."""
+"""A function that takes particle fields at one time, and the number of frames before it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -126,21 +139,28 @@ class TissueRun(ViewedRun):
     """A run, or with `finished` False the part of it that was computed.
 
     Attributes:
-        curve: displacement of the first watched particle from the unloaded equilibrium; `curves`
-            by name that of all.
-        energies: by name, (m,) pJ at the output times: `kinetic`; `internal`, the work of the
-            internal forces, and of that `elastic`, stored since the unloaded equilibrium; the work
-            of each load, and `motion`, that of what moves supports and bodies; `contact`, stored,
-            and `contact dissipated`; `dissipated` by dashpots and viscosity; `balance`, what work
-            and first kinetic energy exceed the others by, the error of the time integration.
-        history: by name, (m,), as of a finite-element run: forces on the tissue in µN since the
-            unloaded equilibrium, mean displacement of boundaries, position and penetration of
-            bodies in µm.
-        position: (particles, 2) the unloaded equilibrium, µm; walls first.
-        bonds: (b, 2) bonded wall particles. is_wall: (particles,).
-        frames: particle fields at a few times; of those that `keep_frame` took the times alone.
-        wall_time: s, `total`, `relaxation` and `run`.
+        curve: displacement of the first watched particle from the unloaded equilibrium.
+        curves: displacements of all watched particles by name.
+        energies: energies and works at the output times by name, (m,) pJ:
+
+            - `kinetic`;
+            - `internal`, the work of the internal forces, and the parts of it: `elastic`, stored
+              since the unloaded equilibrium, and `dissipated` by dashpots and viscosity;
+            - the work of each load, of `bodies` by their acceleration, and of `motion` by what
+              moves supports and bodies;
+            - `contact`, stored, and `contact dissipated`;
+            - `balance`, works and first kinetic energy less all others: the error of the time
+              integration.
+        history: other results by name, (m,), as in a finite-element run: forces on the tissue
+            since the unloaded equilibrium, µN, mean displacement of boundaries, position and
+            penetration of bodies, µm.
+        position: (particles, 2) positions in the unloaded equilibrium, µm; walls first.
+        bonds: (b, 2) bonded wall particles.
+        is_wall: (particles,) whether a particle is a wall particle.
+        frames: particle fields at a few times; if `keep_frame` took them, their times alone.
+        wall_time: `total`, `relaxation` and `run`, s.
         counts: `steps`, `force_evaluations`, `particles`, `particle_steps`.
+        threads: number of threads.
     """
 
     position: Array
@@ -161,12 +181,15 @@ class TissueRun(ViewedRun):
 
 
 _COUNTS = ("steps", "force_evaluations")
+"""Counts that a state keeps."""
 _WORKS = ("bodies", "motion", "contact dissipated", "dissipated")
 """Names in results of the entries of `Works` behind those of loads."""
+_TAKEN = ("kinetic", "elastic", "contact", "contact dissipated", "dissipated")
+"""Energies that take up works, in the balance of a run."""
 
 
 def columns_of(conditions: Conditions) -> list[str]:
-    """What a row of the history holds: vectors by component, then numbers."""
+    """Return the names of the columns of the history: vectors by component, then numbers."""
     problem = conditions.problem
     supports = [each.name for each in conditions.supports]
     bodies = [body.name for body in problem.bodies]
@@ -182,9 +205,9 @@ def columns_of(conditions: Conditions) -> list[str]:
 
 
 class Recorder:
-    """Takes down what a run finds; its state is replaced as a whole, so no interrupt tears it."""
+    """Recorder of a run's results; its state is replaced as a whole, so no interrupt tears it."""
 
-    may_be_kept = True
+    may_be_kept = True  # a run may be stopped after any record, and resumed
 
     def __init__(
         self,
@@ -201,14 +224,17 @@ class Recorder:
         tissue = conditions.tissue
         self._t = problem.output_times()
         frames = np.linspace(0.0, problem.duration, settings.frames)
-        self._frame_rows = np.searchsorted(self._t * (1.0 + 1e-12), frames)
+        # the first output times that are not before the times of frames
+        self._frame_rows = np.searchsorted(self._t * (1.0 + _ROUNDING), frames)
         start = tissue.to_particles(tissue.start)
-        points = problem.watched.values()
-        self._watched = [np.hypot(*(start - point).T).argmin() for point in points]
-        self._means = [
-            (conditions.boundary(name), conditions.lengths(name))
-            for name in problem.acted_boundaries()
-        ]
+        self._watched = []
+        for point in problem.watched.values():
+            distance = np.hypot(*(start - point).T)
+            self._watched.append(distance.argmin())
+        # particles of boundaries and the lengths by which their displacements are averaged
+        self._averaged = []
+        for name in problem.acted_boundaries():
+            self._averaged.append((conditions.boundary(name), conditions.lengths(name)))
         self._created = clock()
         self.state: TissueState
 
@@ -221,8 +247,11 @@ class Recorder:
         dynamics.counts.clear()
         dynamics.forces()
         resting = self._forces(0.0, np.zeros(len(conditions.loads)))
-        rates = [each.at(0.0, 0.0)[1] for each in conditions.motions]
-        of_impulse = dynamics.start(conditions.velocity(), np.array(rates))
+        rates = []
+        for amplitude in conditions.motions:
+            _, rate, _ = amplitude.at(0.0, 0.0)
+            rates.append(rate)
+        work_of_impulse = dynamics.start(conditions.velocity(), np.array(rates))
         self.state = TissueState(
             relaxed=relaxed,
             x=relaxed,
@@ -234,10 +263,10 @@ class Recorder:
             seconds={"relaxation": self._started - self._created},
             counts={},
         )
-        self.record(0, Works(loads=np.zeros(len(conditions.loads)), motion=of_impulse))
+        self.record(0, Works(loads=np.zeros(len(conditions.loads)), motion=work_of_impulse))
 
     def restore(self, state: TissueState) -> None:
-        """Continue from where `state` was taken."""
+        """Continue from `state`, a checkpoint of this run."""
         dynamics = self._dynamics
         dynamics.bodies.x[:], dynamics.bodies.v[:] = state.bodies
         dynamics.place(state.x, state.v)
@@ -246,25 +275,30 @@ class Recorder:
         self._started = clock() - state.seconds["run"]
 
     def record(self, steps: int, works: Works) -> None:
-        """Record the next output time, `steps` after the last; `works` are those since then."""
+        """Record the next output time.
+
+        steps, works: number of steps and works since the last output time.
+        """
         dynamics = self._dynamics
         before = self.state
         dynamics.counts["steps"] += steps
         row = before.rows
-        t = self._t[before.rows]
+        t = self._t[row]
         x = dynamics.x
         v = dynamics.v
         u = x - before.relaxed
-        since = works.row
-        total = before.journal["rows"][-1:, -since.size :].sum(axis=0) + since  # rows end with them
+        # rows end with the works since t = 0; the first has none before it
+        works_since_last = works.row
+        total = before.journal["rows"][-1:, -works_since_last.size :].sum(axis=0)
+        total = total + works_since_last
         journal = before.journal.written({"rows": self._row(t, u, total)[None]})
         if row in self._frame_rows:
             frame = ParticleFrames(np.array([t]), u[None], v[None])
+            is_taken = self._keep_frame is not None
             if self._keep_frame is not None:
                 count = journal.lengths.get("frames.t", 0)
                 self._keep_frame(frame, count, self._particles(before.relaxed))
-            times_alone = self._keep_frame is not None
-            journal = journal.written(frame_series(frame, times_alone=times_alone))
+            journal = journal.written(frame_series(frame, times_alone=is_taken))
         self.state = replace(
             before,
             x=x,
@@ -276,41 +310,47 @@ class Recorder:
         )
 
     def _particles(self, position: Array) -> Particles:
+        """Return the particles, at these positions (particles, 2) in the unloaded equilibrium."""
         tissue = self._dynamics.tissue
         return Particles(position, tissue.bonds(), tissue.is_wall)
 
     def checkpoint(self) -> TissueState:
-        """The state at the last output time recorded."""
+        """Return the state at the last output time recorded."""
         return replace(self.state, journal=self.state.journal.copy())
 
     def _row(self, t: float, u: Array, works: Array) -> Array:
-        """Return what `columns_of` lists at displacements u; stored energy is not counted from
-        t = 0.
+        """Return a row of the history, with the columns of `columns_of`.
+
+        Stored energy is not counted from t = 0 here.
 
         Args:
-            works: (loads + 4,) since t = 0, pJ.
+            t: time, µs.
+            u: (particles, 2) displacements, µm.
+            works: (loads + 4,) works since t = 0, pJ.
         """
         dynamics = self._dynamics
         bodies = self._dynamics.bodies
         conditions = self._conditions
-        factors = np.array([each.at(t, t)[0] for each in conditions.load_amplitudes])
+        factors = _values_at(conditions.load_amplitudes, t)
         kinetic = dynamics.kinetic_energy()
         elastic = dynamics.elastic_energy(factors)
+        vectors = [*u[self._watched]]
+        for particles, length in self._averaged:
+            vectors.append(length @ u[particles] / length.sum())
+        vectors += [*(self._forces(t, factors) - self.state.resting)]
         start = np.array([body.position for body in conditions.problem.bodies])
-        vectors = [
-            *u[self._watched],
-            *(length @ u[i] / length.sum() for i, length in self._means),
-            *(self._forces(t, factors) - self.state.resting),
-            *(bodies.x - start.reshape(-1, 2)),
-        ]
-        return np.array(
-            [*np.ravel(vectors), *bodies.depth, kinetic, elastic, bodies.stored.sum(), *works]
-        )
+        vectors += [*(bodies.x - start.reshape(-1, 2))]
+        contact = bodies.stored.sum()
+        return np.array([*np.ravel(vectors), *bodies.depth, kinetic, elastic, contact, *works])
 
     def _forces(self, t: float, factors: Array) -> Array:
-        """(k, 2) resultants on the tissue of supports, loads and bodies at the last forces, µN.
+        """Return the resultants (k, 2) on the tissue of supports, loads and bodies, µN.
 
-        Supports give what their particles need: M a − forces − loads.
+        They are at the last forces that were computed. A support exerts what its particles need
+        for their motion, M a − forces − loads.
+
+        Args:
+            t: time, µs. factors: (loads,) amplitudes at that time.
         """
         dynamics = self._dynamics
         needed = -dynamics.f
@@ -322,13 +362,14 @@ class Recorder:
         reactions = []
         for support in self._conditions.supports:
             i, axis = np.divmod(support.unknowns, 2)
-            second = support.amplitude.at(t, t)[2] * support.largest
-            force = needed[i, axis] + dynamics.mass[i] * second
+            _, _, second_derivative = support.amplitude.at(t, t)
+            acceleration = second_derivative * support.largest
+            force = needed[i, axis] + dynamics.mass[i] * acceleration
             reactions.append(np.bincount(axis, force, 2))
         return np.array([*reactions, *pulled, *dynamics.bodies.force])
 
     def run(self, finished: bool) -> TissueRun:
-        """The results so far."""
+        """Return the results so far."""
         state = self.state
         tissue = self._dynamics.tissue
         problem = self._conditions.problem
@@ -336,11 +377,12 @@ class Recorder:
         curves = curves_of(self._t[: state.rows], columns)
         energies = part_of(columns, "energy")
         energies["elastic"] = energies["elastic"] - energies["elastic"][0]
-        lost = ("kinetic", "elastic", "contact", "contact dissipated", "dissipated")
-        balance = np.sum([-e if name in lost else e for name, e in energies.items()], axis=0)
+        signed = [-energy if name in _TAKEN else energy for name, energy in energies.items()]
+        balance = np.sum(signed, axis=0)
         energies["balance"] = balance - balance[0]
         internal = energies["elastic"] + energies["dissipated"]
         energies = {"kinetic": energies["kinetic"], "internal": internal, **energies}
+        # columns that are always zero are left out of results
         if not any(body.mass is not None for body in problem.bodies):
             del energies["bodies"]
         if not self._conditions.motions:
@@ -365,6 +407,15 @@ class Recorder:
         )
 
 
+def _values_at(amplitudes: Sequence[Amplitude], t: float) -> Array:
+    """Return the values (k,) of amplitudes at time t, µs."""
+    values = []
+    for amplitude in amplitudes:
+        value, _, _ = amplitude.at(t, t)
+        values.append(value)
+    return np.array(values)
+
+
 def simulate_tissue(
     problem: Problem,
     cell: Cells,
@@ -379,33 +430,33 @@ def simulate_tissue(
     resume: TissueState | None = None,
     keep_frame: KeepFrame | None = None,
 ) -> TissueRun:
-    """Motion of all particles of a tissue, which is first relaxed without load.
+    """Simulate the motion of all particles of a tissue, which is first relaxed without load.
 
     Args:
-        problem: its mesh is the outline, its elements do not matter; a rectangle of square cells
-            has whole cells. A boundary is the wall particles on its sides, a region the plant cells
-            whose middles it holds, a watched point the nearest particle.
+        problem: what acts on the tissue. The mesh counts as its outline alone; a rectangle of
+            square cells must hold whole cells. A boundary is the wall particles on its sides, a
+            region the plant cells whose middles it holds, a watched point the nearest particle.
         cell: the plant cell that the tissue is made of, or several of one size and arrangement.
-        reference: its reference state, as the RVE law of the same cell has it, or theirs.
-        kind: (columns, rows, cells) which of several each plant cell of each RVE is, −1 where there
-            is none, see `plant_cells_within`; of one cell per RVE also (columns, rows).
+        reference: reference state of the cell, as the RVE law of the same cell has it, or several.
+        kind: (columns, rows, cells) number of the type of each plant cell of each RVE, −1 where
+            there is none, see `plant_cells_within`; (columns, rows) with one cell per RVE.
         outlined: walls along the outlines of an image, instead of `kind`; the tissue has the plant
-            cells whose middles the mesh holds. Its `reference` is sought where there is none.
+            cells whose middles the mesh holds. Its `reference` is computed where there is none.
         progress: called with (t, duration) in µs at every output time.
         checkpoint: called at output times with the state of the run when `checkpoint_interval`
-            seconds have passed since it last was, and upon an interrupt, which then goes its way.
-        resume: a state that `checkpoint` was given by a run of the same tissue, load and step;
-            the results are those of the uninterrupted run, bit by bit.
-        keep_frame: takes particle fields as they come, which are then neither in the results nor in
-            the states of checkpoints, but for their times.
+            seconds have passed since the last call, and upon an interrupt, before it takes effect.
+        resume: a state that `checkpoint` got from a run of the same tissue, load and step; the
+            results are those of the uninterrupted run, bit by bit.
+        keep_frame: called with particle fields at each of their times. Results and states of
+            checkpoints then have their times alone.
 
     Raises:
         InputError: the cells do not fill the mesh, the problem contradicts itself, or the step
-            is longer than the tissue bears.
+            is longer than the stable one.
         SimulationError: the tissue collapses, or the step is too long for it; `partial` is the
             `TissueRun` up to there (None before the loaded run begins).
-        MismatchError: `resume` is of another run, or of one that gave its fields to `keep_frame`,
-            and there is none now; `reference` is of another cell.
+        MismatchError: `resume` is of another run, or of one with `keep_frame` while there is none
+            now; `reference` is of another cell.
     """
     if outlined is None:
         conditions = make_conditions(problem, cell, reference, kind)
@@ -431,6 +482,7 @@ def simulate_tissue(
         )
 
     def steps() -> Iterator[float]:
+        """Move from one output time to the next, record it, and yield it."""
         for start, end in pairwise(problem.output_times().tolist()[recorder.state.rows - 1 :]):
             recorder.record(*advance(dynamics, conditions, settings, start, end))
             yield end
@@ -457,7 +509,10 @@ def simulate_tissue(
 def make_conditions(
     problem: Problem, cell: Cells, reference: References, kind: Index | None = None
 ) -> Conditions:
-    """A problem on the particles of its tissue; arguments as of `simulate_tissue`."""
+    """Make the conditions of a problem on the particles of its tissue.
+
+    Arguments and errors are those of `simulate_tissue`.
+    """
     types = [cell] if isinstance(cell, CellParameters) else cell
     references = [reference] if isinstance(reference, ReferenceState) else reference
     origin, inside = plant_cells_within(problem, types[0], references[0])
@@ -476,12 +531,12 @@ def make_conditions(
 def outlined_conditions(
     problem: Problem, cell: Cells, outlined: Outlined, reference: References = ()
 ) -> Conditions:
-    """A problem on the particles of a tissue with the outlines of an image.
+    """Make the conditions of a problem on the particles of a tissue with the outlines of an image.
 
-    It has the plant cells whose middles the mesh holds.
+    The tissue has the plant cells whose middles the mesh holds.
 
     Args:
-        reference: of such a tissue; none: it is sought.
+        reference: reference state of such a tissue; none: it is computed.
 
     Raises:
         InputError: there are several types of plant cells, or the cells' area is not the mesh's.
@@ -513,7 +568,7 @@ def outlined_conditions(
 
 
 def _with_bodies_outside(conditions: Conditions) -> Conditions:
-    """The conditions; InputError if a body begins within the tissue."""
+    """Return the conditions; raise InputError if a body begins within the tissue."""
     for body in conditions.problem.bodies:
         points = conditions.outline_places[conditions.boundary(body.on)]
         allowed = TOUCHING * conditions.tissue.cell.cell_side
@@ -522,20 +577,21 @@ def _with_bodies_outside(conditions: Conditions) -> Conditions:
 
 
 def step_at_rest(conditions: Conditions) -> float:
-    """The longest step, µs, that each type of plant cell bears, with what acts on the outline."""
+    """Return the longest stable step at rest of all types of plant cells, with outer forces, µs."""
     tissue = conditions.tissue
     outside = conditions.stiffest()
-    if tissue.arrangement.wall_of_bond is not None:  # its plant cells are all different
+    if tissue.arrangement.wall_of_bond is not None:
+        # plant cells along the outlines of an image are all different
         return stable_step_of(tissue, outside)
     types = zip(tissue.types, tissue.references, strict=True)
     return min(stable_step(cell, reference, outside) for cell, reference in types)
 
 
 def step_note(settings: TissueSettings, conditions: Conditions) -> str:
-    """The step that undrained sap makes a tissue take, and why.
+    """Return a note on the step that undrained sap requires, and on the step without it.
 
     Args:
-        settings: with their step, as of `with_step`.
+        settings: settings with a step, as `with_step` returns them.
     """
     tissue = conditions.tissue
     outside = conditions.stiffest()
@@ -546,17 +602,22 @@ def step_note(settings: TissueSettings, conditions: Conditions) -> str:
         return _step_sentence(settings, modulus, step_at_rest(conditions), drained)
     drained = []
     for cell, reference in zip(tissue.types, tissue.references, strict=True):
-        # at rest, where areas are those of the reference, the modulus exerts nothing
-        open_cell = replace(cell, sap_bulk_modulus=0.0)
-        same = replace(reference, fingerprint=open_cell.fingerprint)
-        drained.append(stable_step(open_cell, same, outside))
+        # the reference is the same: at rest the sap is neither compressed nor expanded
+        drained_cell = replace(cell, sap_bulk_modulus=0.0)
+        same = replace(reference, fingerprint=drained_cell.fingerprint)
+        drained.append(stable_step(drained_cell, same, outside))
     return _step_sentence(settings, modulus, step_at_rest(conditions), drained)
 
 
 def _step_sentence(
     settings: TissueSettings, modulus: float, limit: float, drained: Sequence[float]
 ) -> str:
-    """What `step_note` says of a bulk modulus in MPa and of the limits with and without it, µs."""
+    """Return the note of `step_note`.
+
+    Args:
+        modulus: bulk modulus of the sap, MPa.
+        limit: longest stable step with it, µs. drained: those without it, of each type.
+    """
     return (
         f"tissue.micro_step: {settings.micro_step:.3g} µs; undrained sap (sap_bulk_modulus "
         f"{modulus:g} MPa) bears {limit:.3g} µs at rest, drained sap would bear "
@@ -565,22 +626,22 @@ def _step_sentence(
 
 
 def with_step(settings: TissueSettings, conditions: Conditions) -> TissueSettings:
-    """The settings with a step that the tissue bears where they state none.
+    """Return the settings with a stable step where they state none.
 
     Raises:
-        InputError: they state one too close to the limit that it bears at rest: it could grow to
-            any size without an error.
+        InputError: they state a step too close to the limit of stability at rest. With a longer one
+            motion could grow without bound, and without an error.
     """
-    bears = step_at_rest(conditions)
+    limit = step_at_rest(conditions)
     step = settings.micro_step
-    longest = OF_LIMIT * bears
-    default = rounded_step(bears)
+    longest = OF_LIMIT * limit
+    default = rounded_step(limit)
     if step is None:
         return replace(settings, micro_step=default)
-    if step > longest * (1.0 + 1e-9):
+    if step > longest * (1.0 + _ROUNDING_OF_STEPS):
         raise InputError(
             f"tissue.micro_step: {step:.4g} µs; at most {longest:.4g}, as the limit of stability "
-            f"at rest is {bears:.4g} µs with all that acts; leave it out or take {default:g}"
+            f"at rest is {limit:.4g} µs with all that acts; leave it out or take {default:g}"
         )
     return settings
 
@@ -588,10 +649,10 @@ def with_step(settings: TissueSettings, conditions: Conditions) -> TissueSetting
 def plant_cells_within(
     problem: Problem, cell: CellParameters, reference: ReferenceState, section: str = "mesh"
 ) -> tuple[Index, Flags]:
-    """The plant cells at rest whose middles a mesh holds.
+    """Return the plant cells at rest whose middles a mesh holds.
 
     Args:
-        section: of the recipe that states the extent.
+        section: section of the recipe that states the extent, for messages.
 
     Returns:
         Column and row of the first RVE (2,), and (columns, rows, cells) whether each plant cell
@@ -611,12 +672,12 @@ def plant_cells_within(
     rings = outlines(mesh)
     if cell.arrangement == "square" and _is_rectangle(rings, high):
         _check_whole_squares(high, cell, section)
+    # RVEs that may have plant cells within the mesh: those around the corners of its extent
     lattice = reference.lattice
     corners = np.array([(x, y) for x in (low[0], high[0]) for y in (low[1], high[1])])
-    at = np.linalg.solve(lattice, corners.T)
-    first = np.floor(at.min(axis=1)).astype(np.int64) - _MARGIN
-    periods = np.ceil(at.max(axis=1)).astype(np.int64) + _MARGIN - first
-    # a middle on a side of the mesh belongs to one side only
+    in_periods = np.linalg.solve(lattice, corners.T)
+    first = np.floor(in_periods.min(axis=1)).astype(np.int64) - _MARGIN
+    periods = np.ceil(in_periods.max(axis=1)).astype(np.int64) + _MARGIN - first
     arrangement = make_arrangement(cell)
     middles = middles_of(arrangement, reference, first, periods.tolist())
     middles = middles + _ASIDE * cell.cell_side
@@ -627,6 +688,7 @@ def plant_cells_within(
     sides = f"{lattice[0, 0]:.6g} × {lattice[1, 1]:.6g} µm"
     hint = f"take sides of whole RVEs, {sides}, or a larger tissue"
     _check_filled(section, area, int(inside.sum()), filled, hint)
+    # without the columns and rows around that have none
     has_cells = np.asarray(inside.any(axis=2))
     columns = np.flatnonzero(has_cells.any(axis=1))
     rows = np.flatnonzero(has_cells.any(axis=0))
@@ -635,7 +697,12 @@ def plant_cells_within(
 
 
 def _check_filled(section: str, area: float, count: int, filled: float, hint: str) -> None:
-    """Raise InputError unless the area of so many plant cells is nearly that of the mesh, µm²."""
+    """Raise InputError unless the plant cells have nearly the area of the mesh.
+
+    Args:
+        area: area of the mesh, µm². count, filled: number of the plant cells, and their area, µm².
+        hint: what to do.
+    """
     if abs(filled - area) > _MOST_OFF * area:
         raise InputError(
             f"{section}: its {area:.6g} µm² hold the middles of {count} plant cells of "
@@ -646,22 +713,25 @@ def _check_filled(section: str, area: float, count: int, filled: float, hint: st
 _MARGIN = 2
 """RVEs around the extent of a mesh that may have plant cells within."""
 _ASIDE = np.array([1e-7, 0.7e-7])
-"""Of `cell_side`, by which middles are moved before a mesh is asked for them."""
+"""Shift of middles, in sides of a plant cell, so that none lies exactly on a side of a mesh."""
 _MOST_OFF = 0.02
-"""Of a mesh's area, by which that of its plant cells may differ."""
+"""Relative difference by which the area of plant cells may differ from that of the mesh."""
+_LEVEL = 1e-9
+"""Relative difference up to which two lengths or areas are the same, but for rounding."""
 
 
 def _is_rectangle(rings: list[Array], high: Array) -> bool:
-    """Whether the outline is that of [0, width] × [0, height]."""
-    slack = 1e-9 * high.max()
+    """Return whether the outline is that of [0, width] × [0, height]; high: (2,) these two."""
+    slack = _LEVEL * high.max()
     is_within = all((ring > -slack).all() and (ring < high + slack).all() for ring in rings)
-    return is_within and abs(area_within(rings) - high.prod()) < 1e-9 * high.prod()
+    return is_within and abs(area_within(rings) - high.prod()) < _LEVEL * high.prod()
 
 
 def _check_whole_squares(high: Array, cell: CellParameters, section: str) -> None:
+    """Raise InputError unless width and height (2,) are whole numbers of plant cells."""
     for name, length in zip(("width", "height"), high.tolist(), strict=True):
         count = round(length / cell.cell_side)
-        if count < 1 or abs(count * cell.cell_side - length) > 1e-9 * length:
+        if count < 1 or abs(count * cell.cell_side - length) > _LEVEL * length:
             few = int(length / cell.cell_side)
             near = " or ".join(f"{k * cell.cell_side:g}" for k in (few, few + 1) if k)
             hint = ": change it or give --cells N M" if section == "load" else f": take {near}"
@@ -672,7 +742,10 @@ def _check_whole_squares(high: Array, cell: CellParameters, section: str) -> Non
 
 
 def held_and_loaded(conditions: Conditions, settings: TissueSettings) -> TissueDynamics:
-    """The tissue at rest in its repeated reference, with its supports and loads, without bodies."""
+    """Make the dynamics of a tissue in its repeated reference, with supports and dead loads.
+
+    Bodies, follower pressures and foundations come with `meet_bodies`, once it has relaxed.
+    """
     return TissueDynamics(
         conditions.tissue,
         skin=settings.skin,
@@ -683,7 +756,10 @@ def held_and_loaded(conditions: Conditions, settings: TissueSettings) -> TissueD
 
 
 def meet_bodies(dynamics: TissueDynamics, conditions: Conditions, relaxed: Array) -> None:
-    """Let all act on the outline; `relaxed` (particles, 2): where it is unloaded, µm."""
+    """Add bodies, follower pressures and foundations to the dynamics.
+
+    relaxed: (particles, 2) positions at rest without load, µm.
+    """
     offset = conditions.outline_places - relaxed
     dynamics.bodies = conditions.bodies(offset)
     dynamics.outline = conditions.outline(relaxed, offset)
@@ -696,17 +772,19 @@ def advance(
     start: float,
     end: float,
 ) -> tuple[int, Works]:
-    """Move from t = start to end, µs; return how many steps it took, and the works.
+    """Move from t = start to end, µs; return the number of steps, and the works.
 
     Works are summed over the steps; the dissipated power is integrated by the trapezoidal rule over
     samples. Both are of second order in the step.
     """
     longest = settings.micro_step or LONGEST
-    total = int(np.ceil((end - start) / longest * (1.0 - 1e-9)))
-    samples = -(-total // settings.energy_steps)
-    count = -(-total // samples)
+    fewest_steps = int(np.ceil((end - start) / longest * (1.0 - _ROUNDING_OF_STEPS)))
+    # samples of equal numbers of steps; −(−a // b) rounds up
+    samples = -(-fewest_steps // settings.energy_steps)
+    count = -(-fewest_steps // samples)
     length = (end - start) / samples
     step = length / count
+    # a sample begins and ends with half a kick, and the last kick has no drift behind it
     kicks = np.full(count + 1, step)
     drifts = np.full(count + 1, step)
     kicks[[0, -1]] *= 0.5
@@ -716,14 +794,15 @@ def advance(
     dissipated = 0.0
     rate = dynamics.dissipation_rate()
     for k in range(samples):
-        t = start + k * length + step * np.arange(count + 1)
-        amplitudes, values = (
-            np.array([[each.at(at, at)[0] for each in some] for at in t])
-            for some in (conditions.load_amplitudes, motions)
-        )
+        times = start + k * length + step * np.arange(count + 1)
+        amplitudes = np.array([_values_at(conditions.load_amplitudes, t) for t in times])
+        values = np.array([_values_at(motions, t) for t in times])
         # Each drift ends where the motion leads; the last kick, without a drift, at its rate.
-        last = [each.at(t[-1], t[-1])[1] for each in motions]
-        speeds = np.concatenate([np.diff(values, axis=0) / step, [last]])
+        last_rates = []
+        for amplitude in motions:
+            _, last_rate, _ = amplitude.at(times[-1], times[-1])
+            last_rates.append(last_rate)
+        speeds = np.concatenate([np.diff(values, axis=0) / step, [last_rates]])
         dynamics.leap(kicks, drifts, amplitudes, speeds)
         rate_before = rate
         rate = dynamics.dissipation_rate()
@@ -735,15 +814,19 @@ def advance(
 
 
 def identity(conditions: Conditions, settings: TissueSettings) -> Array:
-    """Numbers that two runs share if one may continue where the other stopped."""
+    """Return numbers that two runs share if one may continue where the other stopped.
+
+    They are the bytes of a digest of all that decides a run.
+    """
     problem = conditions.problem
     tissue = conditions.tissue
     outputs = problem.output_interval, *(problem.times or ())
     stated = problem.conditions, problem.bodies, problem.duration, *outputs
     watched = [*problem.watched.items()]
     digest = hashlib.sha256(repr((_STATE, stated, watched, tissue.constants, settings)).encode())
-    sides = [conditions.boundary(name) for name in problem.acted_boundaries()]
-    acts = conditions.held, conditions.dead_loads(), conditions.velocity()
-    for array in (tissue.mass, tissue.kind, tissue.start, *sides, *acts):
+    arrays: list[Any] = [tissue.mass, tissue.kind, tissue.start]
+    arrays += [conditions.boundary(name) for name in problem.acted_boundaries()]
+    arrays += [conditions.held, conditions.dead_loads(), conditions.velocity()]
+    for array in arrays:
         digest.update(array.tobytes())
     return np.array(list(digest.digest()), dtype=np.float64)
