@@ -28,7 +28,10 @@ from surrofe2.rve.rve_state import (
 
 
 class Stepping(NamedTuple):
-    """Euler steps of dt, µs, until the mean force is below `stop`, µN, at most `limit`."""
+    """Settings of the iteration.
+
+    dt: length of an Euler step, µs. stop: mean force at which it ends, µN. limit: most steps.
+    """
 
     dt: float
     stop: float
@@ -37,7 +40,11 @@ class Stepping(NamedTuple):
 
 @parallel_kernel
 def iterate(drive, x, v, mass, topology, c, stepping, answer):
-    """Iterate x, v (tiles, 2, own, TILE) in place; iterations: Euler steps, OPEN at the limit."""
+    """Iterate x, v (tiles, 2, own, TILE) in place until particles rest on the slow manifold.
+
+    drive: F and Ḟ of all tiles. mass: (own,) ng. answer.iterations becomes the number of Euler
+    steps, or OPEN where the limit was reached or forces are not finite.
+    """
     for t in numba.prange(x.shape[0]):
         _iterate_tile(
             drive_of(drive, t), x[t], v[t], mass, topology, c, stepping, answer_of(answer, t)
@@ -46,6 +53,7 @@ def iterate(drive, x, v, mass, topology, c, stepping, answer):
 
 @kernel
 def _iterate_tile(drive, x, v, mass, topology, c, stepping, answer):
+    """Do as `iterate` for one tile."""
     F = drive.F
     rate = drive.rate
     dt = stepping.dt
@@ -60,27 +68,29 @@ def _iterate_tile(drive, x, v, mass, topology, c, stepping, answer):
     for count in range(stepping.limit + 1):
         set_moving_images(F, rate, work.x, work.v, topology)
         measure(work, F, topology, c, sigma, mean)
-        open_lanes = 0
-        for k in range(TILE):
-            if done[k]:
+        under_way = 0
+        for lane in range(TILE):
+            if done[lane]:
                 continue
-            if mean[0, k] < stop or not mean[0, k] < np.inf or count == stepping.limit:
-                done[k] = True
-                answer.iterations[k] = count if mean[0, k] < stop else OPEN
-                answer.residual[0, k] = mean[0, k]
-                keep_lane(sigma, k, answer.stress)
-                keep_lane(work.x, k, x)
-                keep_lane(work.v, k, v)
+            is_at_rest = mean[0, lane] < stop
+            has_diverged = not mean[0, lane] < np.inf  # True for NaN, too
+            if is_at_rest or has_diverged or count == stepping.limit:
+                done[lane] = True
+                answer.iterations[lane] = count if is_at_rest else OPEN
+                answer.residual[0, lane] = mean[0, lane]
+                keep_lane(sigma, lane, answer.stress)
+                keep_lane(work.x, lane, x)
+                keep_lane(work.v, lane, v)
             else:
-                open_lanes += 1
-        if open_lanes == 0:
+                under_way += 1
+        if under_way == 0:
             break
         _euler_step(work, mass, rescale, topology.particles, dt)
 
 
 @kernel
 def _rescaling(F, rate, dt):
-    """P = F (F + Δt Ḟ)⁻¹ (eq. 70), (2, 2, TILE)."""
+    """Return P = F (F + Δt Ḟ)⁻¹ (eq. 70), (2, 2, TILE)."""
     xx, xy, yx, yy = inverse(entries(F + dt * rate))
     P = np.empty((2, 2, TILE))
     for i in range(2):
@@ -91,36 +101,43 @@ def _rescaling(F, rate, dt):
 
 @kernel
 def set_moving_images(F, rate, x, v, topology):
-    """Images at x and v of their owners and the lattice's, which moves with (F, Ḟ)."""
+    """Fill the images in x and v (2, local, TILE), with s the offset of an image from its owner.
+
+    x of an image is that of its owner plus F s, v is that of its owner plus Ḟ s.
+    """
     particles = topology.particles
-    for m in range(topology.owner.shape[0]):
-        i = topology.owner[m]
-        sx = topology.image_offset[m, 0]
-        sy = topology.image_offset[m, 1]
+    for image in range(topology.owner.shape[0]):
+        i = topology.owner[image]
+        sx = topology.image_offset[image, 0]
+        sy = topology.image_offset[image, 1]
         for axis in range(2):
             offset = load(F, axis, 0) * sx + load(F, axis, 1) * sy
-            store(load(x, axis, i) + offset, x, axis, particles + m)
+            store(load(x, axis, i) + offset, x, axis, particles + image)
             drift = load(rate, axis, 0) * sx + load(rate, axis, 1) * sy
-            store(load(v, axis, i) + drift, v, axis, particles + m)
+            store(load(v, axis, i) + drift, v, axis, particles + image)
 
 
 @kernel
 def _euler_step(work, mass, P, particles, dt):
-    """(69), then (72): x ← P (x̂ − x̂₁), v ← v̂ − v̂₁."""
+    """Make an Euler step of own particles, (69), then rescale it, (72); work.x, work.v in place.
+
+    With x̂ = x + Δt v and v̂ = v + Δt f/m, and x̂₁, v̂₁ those of the corner, which is particle 0:
+    x ← P (x̂ − x̂₁), v ← v̂ − v̂₁.
+    """
     x = work.x
     v = work.v
     f = work.f
     corner_x = load(x, 0, 0) + dt * load(v, 0, 0)
     corner_y = load(x, 1, 0) + dt * load(v, 1, 0)
-    pull = dt / mass[0]
-    corner_u = load(v, 0, 0) + pull * load(f, 0, 0)
-    corner_v = load(v, 1, 0) + pull * load(f, 1, 0)
+    corner_dt_per_mass = dt / mass[0]
+    corner_vx = load(v, 0, 0) + corner_dt_per_mass * load(f, 0, 0)
+    corner_vy = load(v, 1, 0) + corner_dt_per_mass * load(f, 1, 0)
     xx, xy, yx, yy = entries(P)
     for i in range(particles):
-        hx = load(x, 0, i) + dt * load(v, 0, i) - corner_x
-        hy = load(x, 1, i) + dt * load(v, 1, i) - corner_y
-        push = dt / mass[i]
-        store(load(v, 0, i) + push * load(f, 0, i) - corner_u, v, 0, i)
-        store(load(v, 1, i) + push * load(f, 1, i) - corner_v, v, 1, i)
-        store(xx * hx + xy * hy, x, 0, i)
-        store(yx * hx + yy * hy, x, 1, i)
+        from_corner_x = load(x, 0, i) + dt * load(v, 0, i) - corner_x
+        from_corner_y = load(x, 1, i) + dt * load(v, 1, i) - corner_y
+        dt_per_mass = dt / mass[i]
+        store(load(v, 0, i) + dt_per_mass * load(f, 0, i) - corner_vx, v, 0, i)
+        store(load(v, 1, i) + dt_per_mass * load(f, 1, i) - corner_vy, v, 1, i)
+        store(xx * from_corner_x + xy * from_corner_y, x, 0, i)
+        store(yx * from_corner_x + yy * from_corner_y, x, 1, i)

@@ -23,18 +23,19 @@ from surrofe2.rve.rve_law import RveLaw
 from surrofe2.rve.rve_state import Drive, cauchy_stress, drive_of, map_affine
 
 Path = Callable[[float], tuple[Array, Array]]
-"""t in µs to F and Ḟ, each (2, 2)."""
+"""A function of time t, µs, that returns F and Ḟ, each (2, 2)."""
 
 _CHUNK = 500
+"""Time steps for which F and Ḟ are computed at once."""
 
 
 def integrate_rve(law: RveLaw, path: Path, times: Array, micro_step: float = 1e-3) -> Array:
-    """Stress along F(t), from rest at the elastic equilibrium of F(times[0]).
+    """Compute the stress along F(t), from rest at the elastic equilibrium of F(times[0]).
 
     Args:
-        law: whose cell is driven; its initialisation plays no part.
+        law: law whose plant cell is driven; its initialisation makes no difference.
         path: t to (F, Ḟ).
-        times: (m,) µs, increasing; stresses are wanted there.
+        times: (m,) times at which stresses are wanted, µs, increasing.
         micro_step: longest step, µs; stable to about 3e-3 with critical damping.
 
     Returns:
@@ -47,6 +48,7 @@ def integrate_rve(law: RveLaw, path: Path, times: Array, micro_step: float = 1e-
     if times.ndim != 1 or (np.diff(times) <= 0.0).any() or not micro_step > 0.0:
         raise InputError("micro-integration: times must increase and micro_step be positive")
     unit = law.unit_cell
+    # one RVE, the same in all lanes of a tile
     X = law.rest_state(1).z[0]
     mass = unit.neighbours.mass
     topology = unit.topology
@@ -57,6 +59,7 @@ def integrate_rve(law: RveLaw, path: Path, times: Array, micro_step: float = 1e-
     w = np.einsum("ab,bpl->apl", F_dot, z - X)
 
     def stress(F: Array, F_dot: Array) -> Array:
+        """Return the Cauchy stress (2, 2) of the particles as they are, at F and Ḟ."""
         tile = np.empty((2, 2, TILE))
         _set_stress(u, w, Drive(*_lanes([F, F_dot])), X, topology, unit.constants, tile)
         return tile[..., 0].copy()
@@ -67,9 +70,15 @@ def integrate_rve(law: RveLaw, path: Path, times: Array, micro_step: float = 1e-
         dt = (end - begin) / steps
         for first in range(0, steps, _CHUNK):
             count = min(_CHUNK, steps - first)
-            halves = begin + dt * (first + 0.5 * np.arange(2 * count + 1))
-            frames = [path(float(t)) for t in halves]
-            drive = Drive(_lanes([f[0] for f in frames]), _lanes([f[1] for f in frames]))
+            # Runge–Kutta needs F and Ḟ in the middle of a step, too
+            half_steps = begin + dt * (first + 0.5 * np.arange(2 * count + 1))
+            deformations = []
+            rates = []
+            for t in half_steps:
+                F, F_dot = path(float(t))
+                deformations.append(F)
+                rates.append(F_dot)
+            drive = Drive(_lanes(deformations), _lanes(rates))
             _integrate(u, w, drive, dt, X, mass, topology, unit.constants)
         if not np.isfinite(u).all():
             raise SimulationError(
@@ -81,13 +90,17 @@ def integrate_rve(law: RveLaw, path: Path, times: Array, micro_step: float = 1e-
 
 
 def _lanes(tensors: list[Array]) -> Array:
-    """(k, 2, 2, TILE), the same in every lane."""
+    """Pack k tensors (2, 2) into (k, 2, 2, TILE), the same in every lane."""
     return np.ascontiguousarray(np.repeat(np.array(tensors)[..., None], TILE, axis=-1))
 
 
 @kernel
 def _set_forces(u, w, drive, X, topology, c, work):
-    """Local forces at x = F X + u and v = Ḟ X + w; images move as their owners do."""
+    """Fill work.f with the forces at x = F X + u and v = Ḟ X + w, not folded yet.
+
+    u, w: (2, n, TILE) displacement u¹ and its rate. X: (2, local, TILE). Images have the u and w of
+    their owners.
+    """
     map_affine(drive.F, X, work.x)
     map_affine(drive.rate, X, work.v)
     for axis in range(2):
@@ -100,6 +113,7 @@ def _set_forces(u, w, drive, X, topology, c, work):
 
 @kernel
 def _set_stress(u, w, drive, X, topology, c, stress):
+    """Fill stress (2, 2, TILE) with the Cauchy stress at u and w, µN/µm."""
     work = make_workspace(topology)
     _set_forces(u, w, drive, X, topology, c, work)
     cauchy_stress(work.x, work.f, drive.F, topology.area, stress)
@@ -107,6 +121,7 @@ def _set_stress(u, w, drive, X, topology, c, stress):
 
 @kernel
 def _accelerations(u, w, drive, X, mass, topology, c, work, a):
+    """Fill a (2, n, TILE) with the accelerations f/m at u and w, µm/µs²."""
     _set_forces(u, w, drive, X, topology, c, work)
     fold_images(work.f, topology)
     for i in range(topology.particles):
@@ -116,7 +131,10 @@ def _accelerations(u, w, drive, X, mass, topology, c, work, a):
 
 @kernel
 def _integrate(u, w, drive, dt, X, mass, topology, c):
-    """Classical Runge–Kutta steps of u¹ and u̇¹; F and rate at every half step."""
+    """Make classical Runge–Kutta steps of u and w (2, n, TILE) of length dt, in place.
+
+    drive: F and Ḟ at every half step, (2 steps + 1, 2, 2, TILE).
+    """
     work = make_workspace(topology)
     a1 = np.empty_like(u)
     a2 = np.empty_like(u)

@@ -4,12 +4,18 @@ At the fixed point of constrained runs, (69) to (72), v_i = L x_i and f_i(x, L x
 particle. `chord` corrects with a kept factorisation after a linear prediction; `newton`
 refactorises. With the rate at zero both find the elastic equilibrium (65).
 
-A solver evaluates forces, asks `settle` which lanes are done, and moves the others on. How lanes
-stand is in iterations (TILE,), see `rve_state`.
+A solver evaluates forces, marks the lanes that are done (`settle`), and moves particles of the
+others. The state of each lane is a number in `iterations` (TILE,), see `rve_state`: UNDER_WAY,
+n > 0 once n evaluations of forces have solved it, negative if they have not.
 
 Kept per point, besides material positions z at (F, Ḟ): the LU factors of the force Jacobian in
 single precision (they only precondition; the residual is double), and the slopes ∂z/∂(F, Ḟ)
 (they only predict), both taken at the last factorisation, see `rve_state`.
+
+Arguments that most kernels here share: F (2, 2, TILE); `drive`, F and Ḟ; z (2, n, TILE) material
+positions, µm; `work`, a `Workspace`; `topology`, a `Topology`; c, the `Constants`; `answer`, which
+is filled. A step (2n − 2, TILE) has the displacements x₁, y₁, x₂, … of all particles but particle
+0, which is held; `row_x(i)` is where those of particle i begin.
 """
 
 from __future__ import annotations
@@ -20,7 +26,7 @@ import numba
 import numpy as np
 
 from surrofe2.base.arrays import Array, Flags, Index
-from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.compilation import kernel, pair_law, parallel_kernel
 from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.block_matrices import (
     COLUMNS,
@@ -33,7 +39,7 @@ from surrofe2.plant_cell.block_matrices import (
 from surrofe2.plant_cell.derivatives import force_jacobian
 from surrofe2.plant_cell.neighbours import Topology
 from surrofe2.plant_cell.pair_laws import Constants
-from surrofe2.plant_cell.pair_sums import make_workspace
+from surrofe2.plant_cell.pair_sums import BY_F, BY_RATE, make_workspace
 from surrofe2.rve.rve_state import (
     OPEN,
     UNDER_WAY,
@@ -55,33 +61,37 @@ from surrofe2.rve.rve_state import (
 CHORD_LIMIT = 10
 NEWTON_LIMIT = 40
 SEEK_LIMIT = 16
+"""Most evaluations of forces of `chord`, of `newton`, and of its search for an equilibrium."""
 CONTRACTION = 0.5
-"""`chord` gives a point up where the mean force does not fall by this factor."""
+"""`chord` gives a point up where the mean force does not fall by this factor in one iteration."""
 LONGEST_STEP = 0.4
-"""Longest Newton step of a particle, µm times `Constants.scale`; contacts stiffen over r/7."""
+"""Longest Newton step of a particle, µm times `Constants.scale`: in longer steps contacts stiffen
+too much, whose stiffness is r⁻⁷."""
 ASTRAY = 1.2
-"""Material displacement of a particle, in the same unit, at which an equilibrium nearby is not
-sought on."""
+"""Material displacement of a particle, in the same unit, at which a search for an equilibrium
+nearby is given up."""
 ASIDE = 0.05
 """With a uniform fluid: distance of a particle from its prediction, in the same unit, beyond which
 a solution with kept factors may lie on another branch."""
 PATIENCE = 6
-"""From so many evaluations on the residual is to be halved by each while such is sought."""
+"""Evaluations after which a search must halve the residual by each further one."""
 
+# Tasks of `newton` for a tile, see there. Each up to SOLVE includes the one before.
 SKIP = 0
 CHECK = 1
 RENEW = 2
 SOLVE = 3
 SEEK = 4
-"""What `newton` does with a tile; each up to SOLVE does what the one before does, too."""
 
 
 class Stop(NamedTuple):
-    """When a lane is done, its residual, µN, within tolerance, and when it is given up.
+    """When a lane counts as solved, and when it is given up.
 
-    That is after `limit` evaluations, where the residual does not fall by the factor
-    `contraction`, and, if it `seeks` an elastic equilibrium near the positions `start`, where
-    `give_up` says so.
+    tolerance: residual up to which it is solved, µN.
+    contraction: factor by which the residual must fall in each iteration; else it is given up.
+    limit: most evaluations of forces.
+    start: (2, n, TILE) positions near which an equilibrium is sought; read if `seeks`.
+    seeks: whether an elastic equilibrium is sought, which `give_up` may end.
     """
 
     tolerance: float
@@ -91,17 +101,29 @@ class Stop(NamedTuple):
     seeks: bool
 
 
+@pair_law
+def row_x(i):
+    """Return the row of particle i > 0 in a step; its y component is in the next row."""
+    return 2 * i - 2
+
+
 @kernel
-def predict(z, drive, before, slopes, there):
-    """z + ∂z/∂F (F − F₀) + ∂z/∂Ḟ (Ḟ − Ḟ₀) into `there`, z known at `before`."""
-    copy_particles(z, there)
-    add_slopes(slopes, 0, change(drive.F, before.F), there)
-    add_slopes(slopes, 4, change(drive.rate, before.rate), there)
+def predict(z, drive, before, slopes, predicted):
+    """Fill predicted (2, ≥ n, TILE) with z + ∂z/∂F (F − F₀) + ∂z/∂Ḟ (Ḟ − Ḟ₀).
+
+    before: the `Drive` F₀ and Ḟ₀ at which z is known. slopes: (2n − 2, 8, TILE).
+    """
+    copy_particles(z, predicted)
+    add_slopes(slopes, BY_F, change(drive.F, before.F), predicted)
+    add_slopes(slopes, BY_RATE, change(drive.rate, before.rate), predicted)
 
 
 @kernel
 def change(tensor, before):
-    """(2, 2, TILE) tensor − before; numba compiles the expression of arrays far longer."""
+    """Return tensor − before, (2, 2, TILE).
+
+    Written out, as numba takes far longer to compile the expression of arrays.
+    """
     difference = np.empty((2, 2, TILE))
     for i in range(2):
         for j in range(2):
@@ -111,41 +133,48 @@ def change(tensor, before):
 
 @kernel
 def add_slopes(slopes, first, tensor, z):
-    """z += Σ_m slopes[:, first + m] tensor_m over xx, xy, yx, yy, but of the held particle."""
+    """Add Σ_m slopes[:, first + m] tensor_m, over xx, xy, yx, yy, to z of all but particle 0.
+
+    slopes: (2n − 2, 8, TILE). first: BY_F or BY_RATE. tensor: (2, 2, TILE).
+    """
     xx, xy, yx, yy = entries(tensor)
-    for m in range(slopes.shape[0]):
-        value = load(slopes, m, first) * xx + load(slopes, m, first + 1) * xy
-        value += load(slopes, m, first + 2) * yx + load(slopes, m, first + 3) * yy
-        axis = m % 2
-        i = m // 2 + 1
+    for row in range(slopes.shape[0]):
+        value = load(slopes, row, first) * xx + load(slopes, row, first + 1) * xy
+        value += load(slopes, row, first + 2) * yx + load(slopes, row, first + 3) * yy
+        axis = row % 2
+        i = row // 2 + 1
         store(load(z, axis, i) + value, z, axis, i)
 
 
 @kernel
 def settle(residual, before, stop, count, source, target, iterations):
-    """Mark lanes that are solved or given up at evaluation `count`; return how many are not.
+    """Mark lanes that are solved or given up at evaluation `count`; return how many are neither.
 
-    iterations becomes count where the residual (1, TILE) is within tolerance; there the lane of
-    source goes to target. It becomes OPEN where the residual falls too slowly, or evaluations are
-    at their limit. The residual replaces the one `before` (TILE,).
+    - Where the residual (1, TILE) is within tolerance, iterations becomes count, and the lane of
+      source, the stress for instance, is copied to target.
+    - Where it has not fallen by the factor `stop.contraction` since `before` (TILE,), is NaN, or
+      `stop.limit` is reached, iterations becomes OPEN.
+
+    The residual replaces the one `before`.
     """
-    open_lanes = 0
-    for k in range(TILE):
-        if iterations[k] == UNDER_WAY:
-            if residual[0, k] <= stop.tolerance:
-                iterations[k] = count
-                keep_lane(source, k, target)
-            elif not residual[0, k] < stop.contraction * before[k] or count == stop.limit:
-                iterations[k] = OPEN
+    under_way = 0
+    for lane in range(TILE):
+        if iterations[lane] == UNDER_WAY:
+            has_fallen = residual[0, lane] < stop.contraction * before[lane]  # False for NaN
+            if residual[0, lane] <= stop.tolerance:
+                iterations[lane] = count
+                keep_lane(source, lane, target)
+            elif not has_fallen or count == stop.limit:
+                iterations[lane] = OPEN
             else:
-                open_lanes += 1
-            before[k] = residual[0, k]
-    return open_lanes
+                under_way += 1
+            before[lane] = residual[0, lane]
+    return under_way
 
 
 @kernel
 def correct(lu, f, step, iterations, F, z, topology):
-    """z ← z − F⁻¹ J⁻¹ f in lanes under way."""
+    """Set z ← z − F⁻¹ J⁻¹ f in lanes under way; lu (size, TILE) factors of J, f (2, n, TILE)."""
     set_residual(f, step)
     solve(lu, step, topology)
     hold(step, iterations)
@@ -154,93 +183,106 @@ def correct(lu, f, step, iterations, F, z, topology):
 
 @kernel
 def set_residual(f, step):
-    """step = −f of the free particles."""
+    """Fill step with −f of all particles but the held one."""
     for i in range(1, step.shape[0] // 2 + 1):
-        store(-load(f, 0, i), step, 2 * i - 2)
-        store(-load(f, 1, i), step, 2 * i - 1)
+        store(-load(f, 0, i), step, row_x(i))
+        store(-load(f, 1, i), step, row_x(i) + 1)
 
 
 @kernel
 def hold(step, iterations):
-    """No step in lanes that are done."""
-    for k in range(TILE):
-        if iterations[k] != UNDER_WAY:
-            step[:, k] = 0.0
+    """Set the step to zero in lanes that are done, which must stay as they are."""
+    for lane in range(TILE):
+        if iterations[lane] != UNDER_WAY:
+            step[:, lane] = 0.0
 
 
 @kernel
 def limit_step(step, longest_step):
-    """Shorten each lane's step to one of a longest displacement; one not finite to nothing.
+    """Shorten the step of each lane so that no displacement is longer than `longest_step`, µm.
 
-    The length of a displacement, unlike its components, is the same for a rotated RVE.
+    A step that is not finite becomes zero. The length of a displacement, unlike its components, is
+    the same for a rotated RVE.
     """
-    for k in range(TILE):
-        longest = 0.0
-        for i in range(0, step.shape[0], 2):
-            square = step[i, k] * step[i, k] + step[i + 1, k] * step[i + 1, k]
-            longest = max(longest, square) if square == square else np.inf
+    for lane in range(TILE):
+        longest = 0.0  # square of the longest displacement; infinite if one is NaN
+        for row in range(0, step.shape[0], 2):
+            square = step[row, lane] * step[row, lane] + step[row + 1, lane] * step[row + 1, lane]
+            is_number = square == square  # NaN differs from itself
+            longest = max(longest, square) if is_number else np.inf
         if longest > longest_step * longest_step:
             factor = longest_step / np.sqrt(longest)
-            for i in range(step.shape[0]):
-                step[i, k] = factor * step[i, k] if longest < np.inf else 0.0
+            for row in range(step.shape[0]):
+                step[row, lane] = factor * step[row, lane] if longest < np.inf else 0.0
 
 
 @kernel
 def move(step, F, z):
-    """z += F⁻¹ δx on own particles but the held one."""
+    """Add F⁻¹ δx to z of all own particles but particle 0; δx is the step."""
     xx, xy, yx, yy = inverse(entries(F))
     for i in range(1, step.shape[0] // 2 + 1):
-        dx = load(step, 2 * i - 2)
-        dy = load(step, 2 * i - 1)
+        dx = load(step, row_x(i))
+        dy = load(step, row_x(i) + 1)
         store(load(z, 0, i) + (xx * dx + xy * dy), z, 0, i)
         store(load(z, 1, i) + (yx * dx + yy * dy), z, 1, i)
 
 
 @kernel
 def set_jacobian(work, drive, topology, c, matrix, columns):
-    """`force_jacobian` at local z, x, v, with L = rate F⁻¹."""
+    """Fill matrix and columns as `force_jacobian` does, with L = Ḟ F⁻¹; Ḟ is drive.rate."""
     L = np.empty((2, 2, TILE))
     xx, xy, yx, yy = inverse(entries(drive.F))
-    for i in range(2):
-        rx = load(drive.rate, i, 0)
-        ry = load(drive.rate, i, 1)
-        store(rx * xx + ry * yx, L, i, 0)
-        store(rx * xy + ry * yy, L, i, 1)
+    for a in range(2):
+        rate_x = load(drive.rate, a, 0)
+        rate_y = load(drive.rate, a, 1)
+        store(rate_x * xx + rate_y * yx, L, a, 0)
+        store(rate_x * xy + rate_y * yy, L, a, 1)
     force_jacobian(work, L, topology, c, matrix, columns)
 
 
 @kernel
 def set_elastic_jacobian(work, F, topology, c, matrix, columns):
-    """The Jacobian at local z, x with dashpots off; work.v becomes zero."""
+    """Fill matrix and columns with dashpots off: `set_jacobian` without motion.
+
+    work.v becomes zero.
+    """
     work.v[:] = 0.0
     set_jacobian(work, Drive(F, np.zeros((2, 2, TILE))), topology, c, matrix, columns)
 
 
 @kernel
 def give_up(z, start, astray, count, residual, bound, iterations):
-    """iterations −count where z is astray from the start, or the residual (TILE,) above bound."""
-    for k in range(TILE):
+    """End searches that will not find an equilibrium nearby: iterations becomes −count there.
+
+    That is where a particle is farther than `astray`, µm, from the start (2, n, TILE), or the
+    residual (TILE,) is above a bound (TILE,): that of the first evaluation, halved by each one from
+    PATIENCE on.
+    """
+    for lane in range(TILE):
         if count <= 1:
-            bound[k] = residual[k]
+            bound[lane] = residual[lane]
         elif count >= PATIENCE:
-            if iterations[k] == UNDER_WAY and residual[k] > bound[k]:
-                iterations[k] = -count
-            bound[k] *= 0.5
-        if iterations[k] == UNDER_WAY:
+            if iterations[lane] == UNDER_WAY and residual[lane] > bound[lane]:
+                iterations[lane] = -count
+            bound[lane] *= 0.5
+        if iterations[lane] == UNDER_WAY:
             farthest = 0.0
             for i in range(start.shape[1]):
-                dx = z[0, i, k] - start[0, i, k]
-                dy = z[1, i, k] - start[1, i, k]
+                dx = z[0, i, lane] - start[0, i, lane]
+                dy = z[1, i, lane] - start[1, i, lane]
                 farthest = max(farthest, dx * dx + dy * dy)
             if farthest > astray * astray:
-                iterations[k] = -count
+                iterations[lane] = -count
 
 
 @kernel
 def newton_loop(work, matrices, drive, is_affine, topology, c, stop, answer):
-    """Newton's method with limited steps from work.z, in lanes with iterations ≤ 0.
+    """Solve f = 0 by Newton's method with limited steps from work.z, in lanes with iterations ≤ 0.
 
-    Velocities are rate z if `is_affine`, else what work.v holds; then the rate is 0.
+    Velocities are drive.rate z if `is_affine`. Otherwise they are fixed, those that work.v holds,
+    and drive.rate is 0.
+
+    work.z and answer are filled; matrices is scratch.
     """
     sigma = np.empty((2, 2, TILE))
     residual = np.empty((1, TILE))
@@ -248,8 +290,8 @@ def newton_loop(work, matrices, drive, is_affine, topology, c, stop, answer):
     iterations = answer.iterations
     bound = np.empty(TILE)
     matrix = matrices.matrix
-    for k in range(TILE):
-        iterations[k] = max(iterations[k], UNDER_WAY)  # what is below it begins again
+    for lane in range(TILE):
+        iterations[lane] = max(iterations[lane], UNDER_WAY)  # OPEN or given up: begins again
     for count in range(1, stop.limit + 1):
         evaluate(work, drive, is_affine, topology, c, sigma, residual)
         if settle(residual, before, stop, count, sigma, answer.stress, iterations) == 0:
@@ -268,7 +310,7 @@ def newton_loop(work, matrices, drive, is_affine, topology, c, stop, answer):
 
 @kernel
 def chord_loop(work, drive, is_affine, lu, topology, c, stop, answer):
-    """As `newton_loop` with kept factors, in lanes under way."""
+    """Solve f = 0 as `newton_loop` does, but with kept factors lu, in lanes under way."""
     sigma = np.empty((2, 2, TILE))
     residual = np.empty((1, TILE))
     before = np.full(TILE, np.inf)
@@ -283,30 +325,37 @@ def chord_loop(work, drive, is_affine, lu, topology, c, stop, answer):
 
 @kernel
 def prediction(z, topology):
-    """A copy of own particles' z for `give_up_aside`; of none with SPH fluid, which needs none."""
-    copied = np.empty((2, topology.particles if topology.pressures > 0 else 0, TILE))
+    """Copy z of the own particles for `give_up_aside`.
+
+    With SPH fluid, which needs no such check, no particle is copied.
+    """
+    has_uniform_fluid = topology.pressures > 0
+    copied = np.empty((2, topology.particles if has_uniform_fluid else 0, TILE))
     copy_particles(z, copied)
     return copied
 
 
 @kernel
 def give_up_aside(z, predicted, aside, iterations):
-    """Open lanes in which a particle is farther than `aside`, µm, from where it should be."""
-    for k in range(TILE):
+    """Set lanes to OPEN in which a particle is farther than `aside`, µm, from its prediction."""
+    for lane in range(TILE):
         farthest = 0.0
         for i in range(predicted.shape[1]):
-            dx = z[0, i, k] - predicted[0, i, k]
-            dy = z[1, i, k] - predicted[1, i, k]
+            dx = z[0, i, lane] - predicted[0, i, lane]
+            dy = z[1, i, lane] - predicted[1, i, lane]
             farthest = max(farthest, dx * dx + dy * dy)
         if farthest > aside * aside:
-            iterations[k] = OPEN
+            iterations[lane] = OPEN
 
 
 @parallel_kernel
 def chord(drive, z, before, factors, topology, c, tolerance, answer):
-    """Solve in place from z (tiles, 2, n, TILE), known at `before`, in lanes under way.
+    """Solve f = 0 with kept factors, from z extrapolated, in lanes under way; z is replaced.
 
-    factors (tiles,): addresses of the kept factors, which are read only.
+    drive: F and Ḟ of all tiles.
+    z: (tiles, 2, n, TILE), known at the `Drive` before.
+    factors: (tiles,) addresses of the kept factors, which are read only.
+    answer: stress, residual and iterations are filled.
     """
     for t in numba.prange(z.shape[0]):
         _chord_tile(
@@ -316,30 +365,36 @@ def chord(drive, z, before, factors, topology, c, tolerance, answer):
 
 
 @kernel
-def _chord_tile(drive, z, at, factors, topology, c, tolerance, answer):
+def _chord_tile(drive, z, before, factors, topology, c, tolerance, answer):
+    """Do as `chord` for one tile."""
     if answer.iterations.max() < 0:
         return
     work = make_workspace(topology)
     lu, slopes = kept_factors(factors, topology)
-    predict(z, drive, at, slopes, work.z)
+    predict(z, drive, before, slopes, work.z)
     stop = Stop(tolerance, CONTRACTION, CHORD_LIMIT, z, False)
     predicted = prediction(work.z, topology)
     chord_loop(work, drive, True, lu, topology, c, stop, answer)
     give_up_aside(work.z, predicted, c.scale * ASIDE, answer.iterations)
-    for k in range(TILE):
-        if answer.iterations[k] > 0:
-            keep_lane(work.z, k, z)
+    for lane in range(TILE):
+        if answer.iterations[lane] > 0:
+            keep_lane(work.z, lane, z)
 
 
 @parallel_kernel
 def newton(drive, z, factors, task, topology, c, tolerance, answer):
-    """Do what `task` (tiles,) says of each tile, in place; a tile that is skipped stays as it is.
+    """Do the `task` (tiles,) of each tile, in place.
 
-    - SOLVE: Newton with limited steps from z in the lanes with iterations ≤ 0.
-    - SEEK: the same near z with dashpots off, as long as it promises to come to something, and
-      CHECK where it does.
-    - RENEW: write lu and slopes at z into the blocks whose addresses `factors` (tiles,) holds.
-    - CHECK: whether the elastic Hessian at z, dashpots off, is positive definite.
+    - SKIP: leave the tile as it is.
+    - CHECK: set answer.stable to whether the elastic Hessian at z is positive definite.
+    - RENEW: write lu and slopes at z into the blocks whose addresses `factors` (tiles,) holds; then
+      CHECK.
+    - SOLVE: solve f = 0 by Newton's method with limited steps from z, in lanes with iterations ≤ 0;
+      then RENEW and CHECK there.
+    - SEEK: search for an elastic equilibrium near z as SOLVE does, until `give_up` ends it, and
+      CHECK if any lane finds one. The rates of `drive` must be 0.
+
+    drive, z: as of `chord`. tolerance: mean force at which a lane is solved, µN.
     """
     for t in numba.prange(z.shape[0]):
         _newton_tile(
@@ -350,6 +405,7 @@ def newton(drive, z, factors, task, topology, c, tolerance, answer):
 
 @kernel
 def _newton_tile(drive, z, factors, task, topology, c, tolerance, answer):
+    """Do as `newton` for one tile."""
     if task == SKIP:
         return
     work = make_workspace(topology)
@@ -370,7 +426,7 @@ def _newton_tile(drive, z, factors, task, topology, c, tolerance, answer):
         set_jacobian(work, drive, topology, c, matrices.matrix, matrices.columns)
         factorise(matrices.matrix, topology, False)
         keep_factors(matrices.matrix, lu)
-        for first in (0, COLUMNS):
+        for first in (BY_F, BY_RATE):
             keep_slopes(solved_columns(matrices, first, topology), drive.F, slopes, first)
     check_stable(work, matrices, drive.F, topology, c, answer.stable)
 
@@ -378,9 +434,12 @@ def _newton_tile(drive, z, factors, task, topology, c, tolerance, answer):
 def renew(
     drive: Drive, z: Array, address: Index, wanted: Flags, topology: Topology, c: Constants
 ) -> Flags:
-    """Write the factors of the `wanted` (tiles,) tiles at z; (tiles, TILE) whether z is stable.
+    """Write the factors of the `wanted` (tiles,) tiles at z (tiles, 2, n, TILE).
 
-    address: (tiles,) of the blocks of the factors.
+    address: (tiles,) addresses of the blocks that the factors are written to.
+
+    Returns:
+        (tiles, TILE) whether z is stable, of all tiles.
     """
     answer = empty_answer(len(z))
     task = np.where(wanted, RENEW, CHECK).astype(np.int8)
@@ -390,19 +449,22 @@ def renew(
 
 @kernel
 def keep_slopes(steps, F, slopes, first):
-    """slopes[:, first:first + 4] = F⁻¹ steps, of four steps (4, free, TILE)."""
+    """Set slopes[:, first + m] = F⁻¹ steps[m] for four steps (COLUMNS, 2n − 2, TILE).
+
+    Slopes of positions x become those of material positions z. first: BY_F or BY_RATE.
+    """
     xx, xy, yx, yy = inverse(entries(F))
     for m in range(COLUMNS):
-        for i in range(0, steps.shape[1], 2):
-            dx = load(steps, m, i)
-            dy = load(steps, m, i + 1)
-            store(xx * dx + xy * dy, slopes, i, first + m)
-            store(yx * dx + yy * dy, slopes, i + 1, first + m)
+        for row in range(0, steps.shape[1], 2):
+            dx = load(steps, m, row)
+            dy = load(steps, m, row + 1)
+            store(xx * dx + xy * dy, slopes, row, first + m)
+            store(yx * dx + yy * dy, slopes, row + 1, first + m)
 
 
 @kernel
 def check_stable(work, matrices, F, topology, c, stable):
-    """stable (TILE,): whether the elastic Hessian at work.z is positive definite."""
+    """Fill stable (TILE,) with whether the elastic Hessian at work.z is positive definite."""
     map_affine(F, work.z, work.x)
     set_elastic_jacobian(work, F, topology, c, matrices.matrix, matrices.no_columns)
     factorise(matrices.matrix, topology, True)

@@ -2,8 +2,9 @@
 
 They are central differences of whole laws, 1e-5 of a parameter to either side, so that whatever
 follows from a parameter changes with it: constants of the pair laws, wall rest length, box. A
-gradient costs two laws, settled from the reference state at hand, and two cold solves a point. It
-keeps about 1e-7 of the largest: the difference leaves 1e-8, the law's tolerance as much.
+gradient takes two laws, settled from the reference state of the first, and two cold solves per
+point. Its error is about 1e-7 of the largest: 1e-8 by the difference, as much by the tolerance of
+the law.
 """
 
 from __future__ import annotations
@@ -27,22 +28,27 @@ PARAMETERS = (
     "wall_stiffness", "wall_particle_mass", "fluid_particle_mass", "sound_speed",
     "repulsion_strength", "repulsion_cutoff", "smoothing_length", *DASHPOTS, "cell_side",
 )  # fmt: skip
-"""Those that enter the stress smoothly."""
+"""Parameters that the stress depends on smoothly."""
 OF_UNIFORM_FLUID = ("sap_bulk_modulus",)
-"""More of them where the fluid is uniform."""
+"""Further ones where the fluid is uniform."""
 _STEP = 1e-5
+"""Relative step of the differences."""
 _DASHPOT_STEP = 2e-3
-"""Relative; dashpots act little and almost linearly."""
+"""Relative step for dashpots, which act little and almost linearly."""
+_CENTRAL = {-1: -0.5, 1: 0.5}
+"""Weights of a central difference, by the number of steps from the parameter."""
+_ONE_SIDED = {0: -1.5, 1: 2.0, 2: -0.5}
+"""Weights of a one-sided difference of second order, for parameters that are 0."""
 
 
 @dataclass(frozen=True, slots=True)
 class StressGradients:
-    """What an RVE answers at n points, and how that changes with its parameters.
+    """Stress of an RVE at n points, and its gradients by parameters.
 
     Attributes:
         answer: stress and tangents.
-        P_by: by parameter (n, 2, 2) ∂P/∂parameter at fixed F and Ḟ, in µN/µm over its unit; NaN
-            where there is no stress.
+        P_by: ∂P/∂parameter (n, 2, 2) at fixed F and Ḟ by the parameter's name, in µN/µm over its
+            unit; NaN where there is no stress.
     """
 
     answer: StressResponse
@@ -52,12 +58,12 @@ class StressGradients:
 def parameter_gradients(
     law: RveLaw, F: Any, F_dot: Any, names: Sequence[str] | None = None
 ) -> StressGradients:
-    """Stress at n points, its tangents, and its gradients by some of `PARAMETERS`.
+    """Compute the stress at n points, its tangents, and its gradients by some of `PARAMETERS`.
+
+    Gradients are wrong where a pair of particles crosses the cut-off within the difference.
 
     Args:
-        names: of parameters; None: all that the plant cell has.
-
-    They are of no use where a pair of particles is within the difference of the cut-off.
+        names: names of parameters; None: all that the plant cell has.
 
     Raises:
         InputError: another parameter, as of `respond`, the law has no tangents, or its plant cells
@@ -80,13 +86,17 @@ def parameter_gradients(
 
 
 def _difference(law: RveLaw, F: Array, F_dot: Array, name: str) -> Array:
-    """(n, 2, 2) ∂P/∂parameter, of second order in the step; one-sided where the parameter is 0."""
+    """Return ∂P/∂parameter (n, 2, 2) by a difference of second order in the step.
+
+    It is one-sided where the parameter is 0, which may not be negative.
+    """
     value = law.cell.to_dict()[name]
-    step = (_DASHPOT_STEP if name in DASHPOTS else _STEP) * (value or 1.0)
-    weights = {-1: -0.5, 1: 0.5} if value else {0: -1.5, 1: 2.0, 2: -0.5}
+    relative_step = _DASHPOT_STEP if name in DASHPOTS else _STEP
+    step = relative_step * (value or 1.0)
+    weights = _CENTRAL if value else _ONE_SIDED
     slopes = np.zeros_like(F)
-    for k, weight in weights.items():
-        cell = replace(law.cell, **{name: value + k * step})
+    for steps, weight in weights.items():
+        cell = replace(law.cell, **{name: value + steps * step})
         moved = RveLaw(cell, law.settings, reference=resettled(cell, law.reference))
         slopes += weight / step * moved.respond(F, F_dot).stress @ cofactor(F)
     return slopes
@@ -99,11 +109,15 @@ def path_gradients(
     *,
     free: Sequence[tuple[int, int]] = (),
 ) -> dict[str, Array]:
-    """(n, 2, 2) by parameter: how P changes along a path of `follow_path` by the same law.
+    """Compute how P changes with parameters along a path of `follow_path` by the same law.
 
     Args:
-        free: entries of F that the path left free of stress; how they creep changes, too, by the
-            same BDF 2.
+        names: names of parameters; None: all that the plant cell has.
+        free: entries of F that the path left free of stress. Their creep changes with parameters,
+            too, by the same BDF 2.
+
+    Returns:
+        dP/dparameter (n, 2, 2), µN/µm over its unit, by the parameter's name.
 
     Raises:
         SimulationError: a point of the path has no stress where it is computed again.
@@ -126,14 +140,15 @@ def path_gradients(
     for values in total.values():
         dF = np.zeros((len(path.t), len(free)))
         for n in range(1, len(path.t)):
+            # the rate of F is (F − base)/weight: backward Euler in the first step, then BDF 2
             base = dF[n - 1]
             weight = h
             if n > 1:
                 base = (4.0 * dF[n - 1] - dF[n - 2]) / 3.0
                 weight = 2.0 * h / 3.0
-            # P = 0 in the free entries, whose rate is (F − base)/weight
-            whole = (by_F[n] + by_rate[n] / weight)[entries]
+            # P stays 0 in the free entries
+            matrix = (by_F[n] + by_rate[n] / weight)[entries]
             change = -values[n][entries] + by_rate[n][entries] @ base / weight
-            dF[n] = np.linalg.solve(whole, change)
+            dF[n] = np.linalg.solve(matrix, change)
             values[n] += by_F[n] @ dF[n] + by_rate[n] @ ((dF[n] - base) / weight)
     return total

@@ -23,24 +23,30 @@ from surrofe2.rve.unit_cell import UnitCell
 class Particles:
     """The particles of n RVEs, walls first, then SPH fluid, of one periodic unit each.
 
-    Fluid is SPH particles, or all the fluid of a plant cell if that is uniform.
+    Where arrays of the fluid have f columns, these are its SPH particles, or the plant cells if
+    their fluid is uniform.
 
     Attributes:
-        F, F_dot: (n, 2, 2) at which they are.
-        position: (n, p, 2) µm, velocity: (n, p, 2) µm/µs.
-        force: (n, p, 2) total force on each, zero but for what the solver leaves, µN.
-        density: (n, f) of the fluid, ng/µm². pressure: (n, f) its pressure, µN/µm.
-        bonds: (b, 2) own wall particles i, j of each wall spring; bond_shift: (b, 2) lattice
-            shift of the image of j that is meant.
-        tension: (n, b) µN. stretch: (n, b) length of each spring over its rest length.
+        F, F_dot: (n, 2, 2) deformation and rate.
+        position: (n, p, 2) µm.
+        velocity: (n, p, 2) µm/µs.
+        force: (n, p, 2) total force on each particle, zero but for the solver's tolerance, µN.
+        density: (n, f) density of the fluid, ng/µm².
+        pressure: (n, f) pressure of the fluid, µN/µm.
+        bonds: (b, 2) own wall particles i, j that a wall spring joins.
+        bond_shift: (b, 2) lattice shift of the image of j that is joined.
+        tension: (n, b) tension of each spring, µN.
+        stretch: (n, b) length of each spring over its rest length.
         contact_pressure: (n, walls) largest force of the fluid on one side of the wall particle
-            per length of wall, µN/µm: the rest length with SPH fluid, whose particles push at a
-            few places, and the stretched one with a uniform fluid, whose pressure it then is but
-            for viscosity.
+            per length of wall, µN/µm. The length is that at rest with SPH fluid, whose particles
+            push at a few places; with a uniform fluid it is the stretched one, so that this is its
+            pressure but for viscosity.
         area_ratio: (n, cells) area within the walls over that in the reference.
-        stress: (n, 2, 2) Cauchy stress as the virial of all pairs, µN/µm; wall_stress and
-            fluid_stress: what pairs of two wall or of two fluid particles are of it.
-        is_wall: (p,). fluid_cell: (f,) plant cell of the fluid.
+        stress: (n, 2, 2) Cauchy stress as the virial of all pairs, µN/µm.
+        wall_stress, fluid_stress: (n, 2, 2) parts of it by pairs of two wall particles, and by
+            pairs of two fluid particles.
+        is_wall: (p,) whether a particle is a wall particle.
+        fluid_cell: (f,) plant cell of the fluid.
         rims: for each plant cell (k, 3) wall particles around it, and their shifts (a, b).
         lattice: (2, 2) periods of the reference, its columns, µm; they move along with F.
     """
@@ -67,7 +73,10 @@ class Particles:
     lattice: Array
 
     def extremes(self) -> dict[str, Array]:
-        """What bruises a tissue, (n,) each: by name with its unit, largest or range over an RVE."""
+        """Return figures of how near tissue is to bruising, (n,) each, by name with its unit.
+
+        They are the largest value, mean or range over an RVE.
+        """
         return {
             "largest_wall_stretch": self.stretch.max(axis=1),
             "largest_wall_tension_uN": self.tension.max(axis=1),
@@ -81,7 +90,12 @@ class Particles:
 
 
 class _Pairs(NamedTuple):
-    """Own particles i, j (k,), the lattice shift of j; from i to j (n, k, …) r, w, |r| and n·w."""
+    """Pairs of particles in n RVEs.
+
+    i, j: (k,) own particles. shift: (k, 2) lattice shift of j.
+    r, w: (n, k, 2) x_j − x_i, µm, and v_j − v_i, µm/µs. length: (n, k) |r|, µm.
+    rate: (n, k) rate of the length, µm/µs.
+    """
 
     i: Index
     j: Index
@@ -93,11 +107,12 @@ class _Pairs(NamedTuple):
 
 
 def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Array) -> Particles:
-    """The particles of RVEs at material positions z, x = F z, with velocities Ḟ z + fluctuation.
+    """Compute the particles of RVEs at material positions z, with velocities Ḟ z + fluctuation.
 
     Args:
         F, F_dot: (n, 2, 2).
-        z: (n, p, 2) µm. fluctuation: (n, p, 2) µm/µs.
+        z: (n, p, 2) material positions, x = F z, µm.
+        fluctuation: (n, p, 2) µm/µs.
     """
     cell = unit.cell
     topology = unit.topology
@@ -109,10 +124,15 @@ def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Arr
     area = (np.linalg.det(F) * topology.area)[:, None, None]
 
     def pairs_of(listed: NDArray[np.int32]) -> _Pairs:
+        """Return the pairs that are listed by local particles (k, 2)."""
         return _pairs(unit, listed, x, v, F, F_dot)
 
     def act(pairs: _Pairs, forces: Array) -> Array:
-        """Add the forces; the virial of each pair as stress, (n, k, 2, 2)."""
+        """Add forces (n, k, 2) on i, and their opposites on j, to `force`.
+
+        Returns:
+            (n, k, 2, 2) the virial of each pair as stress, µN/µm.
+        """
         force[:] += _summed(pairs.i, forces, topology.particles)
         force[:] -= _summed(pairs.j, forces, topology.particles)
         return np.einsum("nki,nkj->nkij", forces, pairs.r) / area[:, None]
@@ -123,8 +143,8 @@ def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Arr
     bond_stress = act(bonds, (tension / bonds.length)[:, :, None] * bonds.r).sum(axis=1)
 
     contacts = pairs_of(topology.contacts)
-    along = _contact_tension(unit, contacts) / contacts.length
-    pushes = along[:, :, None] * contacts.r
+    tension_over_length = _contact_tension(unit, contacts) / contacts.length
+    pushes = tension_over_length[:, :, None] * contacts.r
     contact_stress = act(contacts, pushes)
     between_walls = np.maximum(contacts.i, contacts.j) < topology.walls
 
@@ -168,7 +188,10 @@ def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Arr
 def _pairs(
     unit: UnitCell, listed: NDArray[np.int32], x: Array, v: Array, F: Array, rate: Array
 ) -> _Pairs:
-    """Listed local pairs, images brought back to their owners and moved by the lattice."""
+    """Return the pairs of local particles `listed` (k, 2), with owners instead of images.
+
+    x, v: (n, p, 2). F, rate: (n, 2, 2).
+    """
     owner = np.append(np.arange(unit.topology.particles), unit.topology.owner)
     shifts = np.pad(unit.neighbours.shift, ((unit.topology.particles, 0), (0, 0))).astype(np.int64)
     i, j = owner[listed].T
@@ -181,7 +204,7 @@ def _pairs(
 
 
 def _contact_tension(unit: UnitCell, pairs: _Pairs) -> Array:
-    """(n, k) tension of eq. (2), µN; repulsion is negative."""
+    """Return the tension (n, k) of contacts, eq. (2), µN; repulsion is negative."""
     c = unit.constants
     r = pairs.length
     fade = (r / c.cutoff) ** 6
@@ -193,9 +216,13 @@ def _contact_tension(unit: UnitCell, pairs: _Pairs) -> Array:
 def _uniform_fluid(
     unit: UnitCell, x: Array, v: Array, F: Array, rate: Array, force: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """(n, cells) densities and pressures, (n, 2, 2) stress, (n, walls) largest pressure on a wall.
+    """Compute a uniform fluid, and add its forces on walls to `force` (n, p, 2).
 
-    Adds to `force` (n, p, 2).
+    See docs/theory.md, uniform fluid, and `plant_cell.uniform_fluid`.
+
+    Returns:
+        Densities and pressures (n, cells), stress (n, 2, 2), and the largest pressure on each
+        particle, (n, p).
     """
     topology = unit.topology
     lattice = unit.reference.lattice
@@ -211,6 +238,7 @@ def _uniform_fluid(
         offset = rim[:, 1:] @ lattice.T
         corner = x[:, rim[:, 0]] + offset @ F.transpose(0, 2, 1)
         speed = v[:, rim[:, 0]] + offset @ rate.transpose(0, 2, 1)
+        # g_k, half the way from the particle before to the one after, turned outwards
         along = 0.5 * (np.roll(corner, -1, axis=1) - np.roll(corner, 1, axis=1))
         normal = np.stack([along[..., 1], -along[..., 0]], axis=-1)
         L = np.einsum("nka,nkb->nab", speed, normal) / area[:, k, None, None]
@@ -226,7 +254,7 @@ def _uniform_fluid(
 
 
 def _sph_fluid(unit: UnitCell, pairs: _Pairs) -> tuple[Array, Array]:
-    """(n, f) densities, eq. (7), and (n, k, 2) forces on i, eq. (8)."""
+    """Return densities (n, f) of SPH fluid, eq. (7), and forces (n, k, 2) on i, eq. (8)."""
     cell = unit.cell
     h = unit.constants.smoothing_length
     s = pairs.length / h
@@ -249,28 +277,35 @@ def _sph_fluid(unit: UnitCell, pairs: _Pairs) -> tuple[Array, Array]:
 
 
 def _push_on_walls(topology: Topology, pairs: _Pairs, pushes: Array, fluid_cell: Index) -> Array:
-    """(n, walls) largest force that the fluid of one plant cell exerts on each wall particle, µN.
+    """Return the largest force (n, walls) of the fluid of one plant cell on wall particles, µN.
 
     A plant cell and its image, which lie on both sides of a wall, count as two.
+
+    Args:
+        pairs: contacts. pushes: (n, k, 2) forces on their first particles, µN.
+        fluid_cell: (f,) plant cell of each fluid particle.
     """
-    first = pairs.i < topology.walls
-    second = pairs.j < topology.walls
-    mixed = np.flatnonzero(first != second)
-    wall_first = first[mixed]
-    wall = np.where(wall_first, pairs.i[mixed], pairs.j[mixed])
-    fluid = np.where(wall_first, pairs.j[mixed], pairs.i[mixed]) - topology.walls
-    shift = np.where(wall_first, 1, -1)[:, None] * pairs.shift[mixed]
+    i_is_wall = pairs.i < topology.walls
+    j_is_wall = pairs.j < topology.walls
+    of_wall_and_fluid = np.flatnonzero(i_is_wall != j_is_wall)
+    i = pairs.i[of_wall_and_fluid]
+    j = pairs.j[of_wall_and_fluid]
+    wall_first = i_is_wall[of_wall_and_fluid]
+    wall = np.where(wall_first, i, j)
+    fluid = np.where(wall_first, j, i) - topology.walls
+    shift = np.where(wall_first, 1, -1)[:, None] * pairs.shift[of_wall_and_fluid]
+    # a side of a wall particle: the particle, the plant cell beside it, and the shift of that
     sides = np.column_stack([wall, fluid_cell[fluid], shift])
-    unique, side = np.unique(sides, axis=0, return_inverse=True)
-    outward = pushes[:, mixed] * np.where(wall_first, 1.0, -1.0)[:, None]
-    total = np.linalg.norm(_summed(side.ravel(), outward, len(unique)), axis=2)
+    unique_sides, side = np.unique(sides, axis=0, return_inverse=True)
+    on_wall = pushes[:, of_wall_and_fluid] * np.where(wall_first, 1.0, -1.0)[:, None]
+    total = np.linalg.norm(_summed(side.ravel(), on_wall, len(unique_sides)), axis=2)
     largest = np.zeros((topology.walls, len(pushes)))
-    np.maximum.at(largest, unique[:, 0], total.T)
+    np.maximum.at(largest, unique_sides[:, 0], total.T)
     return largest.T
 
 
 def _summed(target: Index, values: Array, size: int) -> Array:
-    """(n, size, …) sums of values (n, k, …) by their targets (k,)."""
+    """Return sums (n, size, …) of values (n, k, …) by their targets (k,), numbers below size."""
     entries = np.ones(target.size), (target, np.arange(target.size))
     matrix = scipy.sparse.csr_matrix(entries, (size, target.size))
     sums = matrix @ values.swapaxes(0, 1).reshape(target.size, -1)

@@ -29,14 +29,17 @@ from surrofe2.rve.solve import dashpot_rate, solve_rves
 from surrofe2.rve.unit_cell import make_unit_cell
 
 _RENEW_AFTER = 4
+"""Force evaluations of a warm solve above which `accept` makes new factors."""
 _RENEW_SLOW_AFTER = 9
-"""Force evaluations of a warm solve above which `accept` refactorises."""
+"""The same for the slow manifold, which solves for velocities first."""
 _SAME = 1e-4
 """Material distance of particles, µm, below which two solutions are the same."""
 
 
 class RveLaw(Viewed):
-    """σ(F, Ḟ) of periodic cells put into the state they would have in a tissue (section 5).
+    """Stress law σ(F, Ḟ): at each point an RVE, put into the state it would have in a tissue.
+
+    See section 5 of the paper for the states, `RveSettings.initialisation`.
 
     Args:
         cell: parameters of the plant cell, or the name of a preset.
@@ -76,10 +79,11 @@ class RveLaw(Viewed):
         )
         self.cell = cell
         self.unit_cell = make_unit_cell(cell, reference)
+        # states carry this name, so that one of another law is refused
         self._name = f"{cell.fingerprint} {self.settings.initialisation} {self.settings.solver}"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return what another process makes the same law of; the reference is not settled again."""
+        """Return how another process makes this law, without settling the reference again."""
         return partial(RveLaw, reference=self.reference), (self.cell, self.settings)
 
     def facts(self) -> Facts:
@@ -94,13 +98,14 @@ class RveLaw(Viewed):
         }
 
     def _shape(self) -> Facts:
-        """Return what Voronoi cells are like at rest, by the wall particles around each."""
+        """Return statistics of Voronoi cells at rest, by the wall particles around each."""
         if self.cell.arrangement != "voronoi":
             return {}
         position = self.reference.position
         lattice = self.reference.lattice
         rims = make_arrangement(self.cell).rims
         areas = rim_areas(rims, position, lattice)
+        # a row of a rim is a particle and the lattice shift of its image
         polygons = [position[rim[:, 0]] + rim[:, 1:] @ lattice.T for rim in rims]
         return {
             "variation of areas": f"{areas.std() / areas.mean():.3g}",
@@ -109,7 +114,7 @@ class RveLaw(Viewed):
 
     @property
     def reference(self) -> ReferenceState:
-        """The settled reference state, to be kept and handed to another law of this cell."""
+        """The settled reference state, which another law of this cell can take over."""
         return self.unit_cell.reference
 
     @property
@@ -124,7 +129,7 @@ class RveLaw(Viewed):
 
     @property
     def initialisation(self) -> str:
-        """How the RVE is put into its state."""
+        """Name of the state that the RVE is put into."""
         return self.settings.initialisation
 
     @property
@@ -133,17 +138,17 @@ class RveLaw(Viewed):
         return self.settings.solver == "direct"
 
     def rest_state(self, points: int) -> RveState:
-        """State of n RVEs at F = I, to warm-start from."""
+        """Return the state of n RVEs at F = I, to start from."""
         return self.unit_cell.rest_state(points, self._name)
 
     def particles(self, F: Any, F_dot: Any, state: RveState | None = None) -> Particles:
-        """The particles behind the stress at n points: positions, forces, pressures, walls.
+        """Return the particles behind the stress at n points: positions, forces, pressures, walls.
 
         Args:
-            F, F_dot, state: as of `respond`.
+            F, F_dot, state: as for `respond`.
 
         Raises:
-            InputError: as `respond`, or a point has no stress.
+            InputError: for what `respond` refuses, or where a point has no stress.
         """
         answer = self.respond(F, F_dot, state)
         failed = np.flatnonzero(answer.status)
@@ -151,24 +156,23 @@ class RveLaw(Viewed):
             raise InputError(f"point {failed[0]}: {describe(answer.status[failed[0]])}")
         solved: RveState = answer.state
         F, F_dot = check_deformation(F, F_dot)
-        z, fluctuation = (
-            unpack(tiles, solved.points).transpose(0, 2, 1)
-            for tiles in (solved.z, solved.beyond_affine)
-        )
+        z = unpack(solved.z, solved.points).transpose(0, 2, 1)
+        fluctuation = unpack(solved.beyond_affine, solved.points).transpose(0, 2, 1)
         return look_into(self.unit_cell, F, F_dot, z, fluctuation)
 
     def beyond_bifurcation(self, state: RveState) -> Flags:
-        """(n,) whether the RVE of each point left its branch at a bifurcation on its way."""
+        """Return (n,) whether the RVE of a point left its branch at a bifurcation on its way."""
         return state.left_points
 
     def state_to_arrays(self, state: RveState) -> dict[str, NDArray[Any]]:
         return state.to_arrays(self.unit_cell.neighbours)
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> RveState:
-        """The state whose arrays these are: answers from it have the bits of those from that one.
+        """Return the state that `state_to_arrays` had; it leads to the same stress, to the bit.
 
-        Its factors are made again where they were made; they depend neither on the lane of a point
-        nor on its neighbours in a tile, nor on which contacts beyond the cut-off are listed.
+        Its factors are made again at the positions at which they were made. They depend neither on
+        the lane of a point nor on its neighbours in a tile, nor on listed contacts beyond the
+        cut-off.
         """
         state = RveState.from_arrays(arrays, self._name, self.unit_cell.neighbours)
         factors = state.factors
@@ -180,10 +184,10 @@ class RveLaw(Viewed):
     def respond(
         self, F: Any, F_dot: Any, state: RveState | None = None, *, tangents: bool = False
     ) -> StressResponse:
-        """Cauchy stress at n points by one RVE each; see `StressLaw.respond`.
+        """Compute the Cauchy stress at n points by one RVE each; see `StressLaw.respond`.
 
-        With `tangents`, ∂P/∂F and ∂P/∂Ḟ too, exact for solver direct. They are one-sided where a
-        pair sits at the cut-off.
+        With `tangents` it computes ∂P/∂F and ∂P/∂Ḟ, too; the solver must be direct then. They are
+        one-sided where a pair is at the cut-off.
         """
         F, F_dot = check_deformation(F, F_dot)
         points = len(F)
@@ -220,25 +224,32 @@ class RveLaw(Viewed):
         )
 
     def accept(self, F: Any, F_dot: Any, response: StressResponse) -> StressResponse:
-        """Check stability (elastic Hessian, dashpots off) and renew stale factorisations.
+        """Check stability (elastic Hessian, dashpots off) and renew factors that have become stale.
 
         Points that lost stability go to a stable state, from which the next step begins; where
-        there is none, their status says so.
-        The state of the answer stays as it is; the new one shares with it what was not renewed.
+        there is none, their status becomes UNSTABLE or NOT_CONVERGED. The state of the response is
+        not changed; the new one shares with it what was not renewed.
         """
         state = response.state
-        unchecked = self.initialisation == "cauchy-born" or not self.has_tangents
         response = replace(response, left_bifurcation=None)
-        if unchecked or state.is_checked:
+        # an RVE by Cauchy–Born is in no equilibrium, and an iterated one only roughly
+        has_equilibrium = self.initialisation != "cauchy-born" and self.has_tangents
+        if not has_equilibrium or state.is_checked:
             return response
         limit = _RENEW_SLOW_AFTER if self.initialisation == "slow-manifold" else _RENEW_AFTER
-        state, stable = self._renewed(state, (state.iterations > limit).any(axis=1))
-        lost = ~unpack(stable, state.points) & (response.status == Status.OK)
+        is_stale = (state.iterations > limit).any(axis=1)
+        state, stable = self._renewed(state, is_stale)
         response = replace(response, state=state)
-        return self._leave(response, np.flatnonzero(lost)) if lost.any() else response
+        lost = ~unpack(stable, state.points) & (response.status == Status.OK)
+        if lost.any():
+            response = self._leave(response, np.flatnonzero(lost))
+        return response
 
     def _renewed(self, state: RveState, tiles: Flags) -> tuple[RveState, Flags]:
-        """The state with new factors of these tiles, and (tiles, TILE) which RVEs are stable."""
+        """Return the state with new factors of these tiles, and whether RVEs are stable.
+
+        tiles: (tiles,). The second result is (tiles, TILE), of all tiles.
+        """
         near = state.near
         if near is None:
             near = self.unit_cell.neighbours.near(state.F, state.z)
@@ -251,33 +262,40 @@ class RveLaw(Viewed):
     def _make(
         self, drive: Drive, z: Array, address: Index, tiles: Flags, topology: Topology
     ) -> Flags:
-        """Write the factors of these tiles at z; (tiles, TILE) which RVEs are stable there."""
-        law = topology, self.unit_cell.constants
+        """Write the factors of these tiles (tiles,) at z (tiles, 2, n, TILE).
+
+        address: (tiles,) addresses of the blocks that they are written to.
+
+        Returns:
+            (tiles, TILE) whether RVEs are stable at z, of all tiles.
+        """
+        constants = self.unit_cell.constants
         if self.initialisation != "slow-manifold":
-            return renew(drive, z, address, tiles, *law)
+            return renew(drive, z, address, tiles, topology, constants)
         stable = np.empty((len(tiles), TILE), dtype=np.bool_)
-        renew_slow(drive.F, z, address, tiles, *law, stable)
+        renew_slow(drive.F, z, address, tiles, topology, constants, stable)
         return stable
 
     def _leave(self, response: StressResponse, index: Index) -> StressResponse:
-        """The answer with the points `index` in stable states, where there are any.
+        """Return the response with the points `index` in stable states, where there are any.
 
-        They stay where they are if the elastic equilibrium beside them is stable all the same.
+        Points stay where they are if a solve with new factors finds that state stable.
         """
         part = response.state.take(index)
         drive = Drive(part.F, part.F_dot)
         solved = solve_rves(self.unit_cell, self.settings, drive, part, cold=True)
         count = len(index)
-        way = np.abs(unpack(solved.state.z, count) - unpack(part.z, count)).max(axis=(1, 2))
+        moves = np.abs(unpack(solved.state.z, count) - unpack(part.z, count)).max(axis=(1, 2))
         status = response.status.copy()
-        stress = response.stress.copy()
         status[index] = unpack(solved.status, count)
-        stress[index] = unpack(solved.answer.stress, count)
         has_left = np.zeros(len(status), dtype=np.bool_)
-        has_left[index] = (status[index] == Status.OK) & (way > _SAME)
+        has_left[index] = (status[index] == Status.OK) & (moves > _SAME)
         state = response.state.put(index, solved.state)
         if not has_left.any():
+            # the stress stays, to the bit, though it was solved again
             return replace(response, status=status, state=state)
+        stress = response.stress.copy()
+        stress[index] = unpack(solved.answer.stress, count)
         return replace(
             response, status=status, state=state, stress=stress, left_bifurcation=has_left
         )

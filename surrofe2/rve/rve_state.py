@@ -4,17 +4,17 @@ Unknowns are material positions z, so that x = F z moves along with F, and veloc
 affine: v = L x. z of particle 0, a wall corner, stays at the origin.
 
 A state is a warm start: where particles were last, and kept factorisations, see `newton`. These and
-their slopes are by far the largest part of it (22 kB a point) and few change from one state to the
-next. Each tile has a block of memory of its own, in single precision, lanes last::
+their slopes are by far the largest part of it (22 kB per point), and few change from one state to
+the next. Each tile has a block of memory of its own, in single precision, lanes last::
 
     block   lu (size, TILE), then slopes (free, 8, TILE)      free = 2 particles − 2
 
 A block is written once, by the kernel it was made for; a state that renews some tiles gets new
-blocks for these and shares the others. Kernels find a block by its address, and Python keeps it
+blocks for these and shares the others. Kernels get a block by its address, and Python keeps it
 for as long as any state refers to it.
 
-What is stored of a state are the positions at which its factors were made, not the factors: made
-again there they have the same bits, whichever lane, tile or list of contacts a point has then.
+Files contain the positions at which factors were made, not the factors: made again there they have
+the same bits, whichever lane, tile or list of contacts a point has then.
 
 While RVEs are solved, `Answer.iterations` (tiles, TILE) says how each lane stands. Solvers work on
 a whole tile, and a lane that is done must stay as it is while the others go on::
@@ -69,16 +69,18 @@ from surrofe2.plant_cell.pair_sums import make_workspace
 UNDER_WAY = 0
 OPEN = -1
 PASSED_OVER = 1
-"""How a lane stands that is not solved, see above."""
+"""States of a lane that is not solved, see the table above."""
 SLOPES = 8
+"""Columns of kept slopes: four by F_xx, xy, yx, yy, then four by Ḟ."""
 _BYTES = 4
+"""Size of a number in single precision."""
 _TILES = ("z", "F", "F_dot", "iterations", "left")
 """Arrays of tiles that every state has."""
 _Pointer: Any = types.CPointer  # type: ignore[attr-defined]
 
 
 class Drive(NamedTuple):
-    """F and Ḟ (the rate that particles feel) of all tiles, (tiles, 2, 2, TILE)."""
+    """F and Ḟ, the rate that particles feel, of all tiles (tiles, 2, 2, TILE), or of one tile."""
 
     F: Array
     rate: Array
@@ -86,13 +88,14 @@ class Drive(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Factors:
-    """One block for each tile, and where its factors were made.
+    """Kept factors: one block for each tile, and the states at which they were made.
 
     Attributes:
-        blocks: (rows, TILE) float32 each; several tiles may share one.
-        address: (tiles,) of the blocks.
-        drive, z: F, the rate that particles felt and their material positions (tiles, 2, n, TILE)
-            at which the factors were made; those of the elastic equilibrium of "slow-manifold".
+        blocks: one array (rows, TILE) of float32 for each tile; several tiles may share one.
+        address: (tiles,) addresses of the blocks in memory, by which kernels get them.
+        drive: F and the rate that particles felt where the factors were made.
+        z: (tiles, 2, n, TILE) material positions where the factors were made; with "slow-manifold"
+            those of the elastic equilibrium.
     """
 
     blocks: tuple[NDArray[np.float32], ...]
@@ -102,88 +105,105 @@ class Factors:
 
     @classmethod
     def of(cls, blocks: Sequence[NDArray[np.float32]], drive: Drive, z: Array) -> Factors:
-        """The factors kept in these blocks, made at z and `drive`."""
-        address = [block.__array_interface__["data"][0] for block in blocks]
+        """Return the factors kept in these blocks, made at z and `drive`."""
+        address = [_address_of(block) for block in blocks]
         return cls(tuple(blocks), np.array(address, dtype=np.intp), drive, z)
 
     @classmethod
     def empty(cls, drive: Drive, z: Array, topology: Topology) -> Factors:
-        """Uninitialised factors, which are to be made at z and `drive`."""
+        """Return factors that are not initialised, and are to be made at z and `drive`."""
         rows = topology.size + (2 * topology.particles - 2) * SLOPES
-        return cls.of([np.empty((rows, TILE), dtype=np.float32) for _ in range(len(z))], drive, z)
+        blocks = [np.empty((rows, TILE), dtype=np.float32) for _ in range(len(z))]
+        return cls.of(blocks, drive, z)
 
     @property
     def nbytes(self) -> int:
-        """Of all blocks, each counted once."""
+        """Memory of all blocks, each counted once."""
         return len(np.unique(self.address)) * self.blocks[0].nbytes
 
     def slopes(self, topology: Topology) -> Array:
-        """(tiles, free, 8, TILE) ∂z/∂(F, Ḟ) where the factors were made."""
+        """Return ∂z/∂(F, Ḟ) where the factors were made, (tiles, free, 8, TILE)."""
         shape = (2 * topology.particles - 2, SLOPES, TILE)
         return np.stack([block[topology.size :].reshape(shape) for block in self.blocks])
 
     def repeated(self, tiles: int) -> Factors:
-        """The first tile's factors for `tiles` tiles."""
-        F, rate, z = (np.repeat(each[:1], tiles, axis=0) for each in (*self.drive, self.z))
+        """Return the first tile's factors for `tiles` tiles."""
+        drive = Drive(
+            np.repeat(self.drive.F[:1], tiles, axis=0),
+            np.repeat(self.drive.rate[:1], tiles, axis=0),
+        )
+        z = np.repeat(self.z[:1], tiles, axis=0)
         address = np.repeat(self.address[:1], tiles)
-        return Factors(self.blocks[:1] * tiles, address, Drive(F, rate), z)
+        return Factors(self.blocks[:1] * tiles, address, drive, z)
 
     def renewed(self, wanted: Any) -> Factors:
-        """These with new, uninitialised blocks for the tiles that `wanted` (tiles,) marks.
+        """Return these with new, uninitialised blocks for the `wanted` (tiles,) tiles.
 
-        Whoever fills them says where: see `made_at`.
+        A caller that fills the blocks records the states at which it does by `made_at`.
         """
         blocks = list(self.blocks)
         address = self.address.copy()
         for tile in wanted.nonzero()[0].tolist():
             blocks[tile] = np.empty_like(blocks[tile])
-            address[tile] = blocks[tile].__array_interface__["data"][0]
+            address[tile] = _address_of(blocks[tile])
         return replace(self, blocks=tuple(blocks), address=address)
 
     def made_at(self, wanted: Any, drive: Drive, z: Array) -> Factors:
-        """These, of which those of the tiles that `wanted` (tiles,) marks were made at z."""
+        """Return these with `drive` and z as the states at which the `wanted` tiles were made."""
         if not wanted.any():
             return self
-        former = *self.drive, self.z
-        F, rate, at = (
-            np.where(wanted.reshape(-1, *[1] * (here.ndim - 1)), there, here)
-            for here, there in zip(former, (*drive, z), strict=True)
-        )
-        return replace(self, drive=Drive(F, rate), z=at)
+
+        def replaced(former: Array, new: Array) -> Array:
+            is_wanted = wanted.reshape(-1, *[1] * (former.ndim - 1))
+            return np.where(is_wanted, new, former)
+
+        F = replaced(self.drive.F, drive.F)
+        rate = replaced(self.drive.rate, drive.rate)
+        return replace(self, drive=Drive(F, rate), z=replaced(self.z, z))
 
     def take(self, index: Index) -> Factors:
-        """The factors of the points `index` alone; the last tile filled up as by `pack`."""
+        """Return the factors of the points `index` alone; the last tile is filled up by `pack`."""
         blocks = []
         for points in pack(index):
             tile, lane = np.divmod(points, TILE)
             block = self.blocks[tile[0]]
-            if (points != TILE * tile[0] + np.arange(TILE)).any():  # else the block is shared
-                columns = zip(tile, lane, strict=True)
-                block = np.stack([self.blocks[t][:, k] for t, k in columns], axis=-1)
+            is_whole_tile = (points == TILE * tile[0] + np.arange(TILE)).all()
+            if not is_whole_tile:  # else the block is shared
+                columns = [self.blocks[t][:, k] for t, k in zip(tile, lane, strict=True)]
+                block = np.stack(columns, axis=-1)
             blocks.append(block)
-        F, rate, z = (take_points(each, index) for each in (*self.drive, self.z))
-        return Factors.of(blocks, Drive(F, rate), z)
+        drive = Drive(take_points(self.drive.F, index), take_points(self.drive.rate, index))
+        return Factors.of(blocks, drive, take_points(self.z, index))
 
     def put(self, index: Index, part: Factors, row: Index) -> Factors:
-        """These with the points `index` replaced by the points `row` of `part`."""
+        """Return these with the points `index` replaced by the points `row` of `part`."""
         blocks = list(self.blocks)
         for tile in np.unique(index // TILE):
             blocks[tile] = blocks[tile].copy()
-        for at, source in zip(index, row, strict=True):
-            lanes = part.blocks[source // TILE]
-            blocks[at // TILE][:, at % TILE] = lanes[:, source % TILE]
-        F, rate, z = (each.copy() for each in (*self.drive, self.z))
-        for here, there in zip((F, rate, z), (*part.drive, part.z), strict=True):
-            put_points(here, index, there, row)
+        for point, point_of_part in zip(index, row, strict=True):
+            source = part.blocks[point_of_part // TILE]
+            blocks[point // TILE][:, point % TILE] = source[:, point_of_part % TILE]
+        F = self.drive.F.copy()
+        rate = self.drive.rate.copy()
+        z = self.z.copy()
+        put_points(F, index, part.drive.F, row)
+        put_points(rate, index, part.drive.rate, row)
+        put_points(z, index, part.z, row)
         return Factors.of(blocks, Drive(F, rate), z)
+
+
+def _address_of(block: NDArray[np.float32]) -> int:
+    """Return the address of an array's first number in memory."""
+    return int(block.__array_interface__["data"][0])
 
 
 @intrinsic
 def _singles_at(typing: Any, address: Any) -> Any:
-    """Pointer to the single-precision numbers at an address."""
+    """Return a pointer to the single-precision numbers at an address."""
     pointer = _Pointer(types.float32)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """Emit the machine code: an integer becomes a pointer."""
         return builder.inttoptr(args[0], ir.FloatType().as_pointer())
 
     return pointer(types.intp), generate
@@ -191,7 +211,7 @@ def _singles_at(typing: Any, address: Any) -> Any:
 
 @kernel
 def kept_factors(address, topology):
-    """(lu (size, TILE), slopes (free, 8, TILE)) of the block at an address; not copied."""
+    """Return lu (size, TILE) and slopes (free, 8, TILE) of the block at an address, not copied."""
     size = topology.size
     lu = carray(_singles_at(address), (size, TILE))
     behind = address + _BYTES * size * TILE
@@ -200,7 +220,7 @@ def kept_factors(address, topology):
 
 @kernel
 def keep_factors(lu, target):
-    """Copy factors to where they are kept, in its precision."""
+    """Copy factors lu (size, TILE) to where they are kept, in the precision of that array."""
     for i in range(lu.shape[0]):
         store(load(lu, i), target, i)
 
@@ -211,16 +231,17 @@ class RveState:
 
     Attributes:
         of: fingerprint of the law that it is a state of.
-        points: n; the last tile is filled up with copies.
+        points: number n of points; the last tile is filled up with copies.
         z: (tiles, 2, particles, TILE) material positions, x = F z, µm.
-        F, F_dot: (tiles, 2, 2, TILE) where z was solved.
-        factors: kept factorisation and prediction, see `newton`.
+        F, F_dot: (tiles, 2, 2, TILE) deformation and rate at which z was solved.
+        factors: kept factors and slopes, see `newton`.
         near: the contacts to solve with first; None: they have to be listed.
         iterations: (tiles, TILE) force evaluations of the last solve.
         left: (tiles, TILE) whether the RVE left its branch at a bifurcation on its way here.
-        fluctuation: as z, v − L x, µm/µs; None: zero, velocities are affine.
-        elastic: as z, of the elastic equilibrium that "slow-manifold" starts from; None: z itself.
-        is_checked: whether every point was found stable at this very z, its factors made there.
+        fluctuation: v − L x, shaped as z, µm/µs; None: zero, velocities are affine.
+        elastic: material positions of the elastic equilibrium that "slow-manifold" starts from,
+            shaped as z; None: z itself.
+        is_checked: whether every point is known to be stable at this z, with factors made there.
     """
 
     of: str
@@ -238,36 +259,38 @@ class RveState:
 
     @property
     def relaxed(self) -> Array:
-        """z of the elastic equilibrium."""
+        """Material positions of the elastic equilibrium, shaped as z."""
         return self.z if self.elastic is None else self.elastic
 
     @property
     def beyond_affine(self) -> Array:
-        """v − L x."""
+        """Velocities v − L x, shaped as z, µm/µs."""
         return np.zeros_like(self.z) if self.fluctuation is None else self.fluctuation
 
     @property
     def left_points(self) -> Flags:
-        """(points,) `left`."""
+        """Whether each point left its branch at a bifurcation, (points,)."""
         return unpack(self.left, self.points)
 
     def to_arrays(self, neighbours: Neighbours) -> dict[str, NDArray[Any]]:
-        """(n, …) of all points by name, for `from_arrays`.
+        """Return arrays (n, …) of all points by name, for `from_arrays`.
 
-        Of the factors, which are large, there is what they are made of again, to the bit; of the
-        list of contacts a bit for each, and where there is no list, NaN as z.
+        Factors are large; instead of them there are the states at which they were made, from which
+        they can be made again, to the bit. The list of contacts is a bit for each contact; without
+        a list, its positions are NaN.
         """
-        near = self.near
-        every = neighbours.topology.contacts
-        listed = np.zeros(len(every), dtype=np.bool_) if near is None else near.listed
-        tiles = {
-            **self._tiles(self),
-            "factors.F": self.factors.drive.F,
-            "factors.rate": self.factors.drive.rate,
-            "factors.z": self.factors.z,
-            "near.F": self.F if near is None else near.F,
-            "near.z": np.full_like(self.z, np.nan) if near is None else near.z,
-        }
+        tiles = self._tiles(with_fluctuation=False, with_elastic=False)
+        tiles["factors.F"] = self.factors.drive.F
+        tiles["factors.rate"] = self.factors.drive.rate
+        tiles["factors.z"] = self.factors.z
+        if self.near is None:
+            listed = np.zeros(len(neighbours.topology.contacts), dtype=np.bool_)
+            tiles["near.F"] = self.F
+            tiles["near.z"] = np.full_like(self.z, np.nan)
+        else:
+            listed = self.near.listed
+            tiles["near.F"] = self.near.F
+            tiles["near.z"] = self.near.z
         arrays = {name: unpack(values, self.points) for name, values in tiles.items()}
         arrays["near.listed"] = np.tile(np.packbits(listed), (self.points, 1))
         return arrays
@@ -276,7 +299,7 @@ class RveState:
     def from_arrays(
         cls, arrays: Mapping[str, NDArray[Any]], of: str, neighbours: Neighbours
     ) -> RveState:
-        """The state whose `to_arrays` gave these, with factors that are still to be made.
+        """Return the state whose `to_arrays` returned these, with factors that are to be made yet.
 
         Points of several states become one state, which lists the contacts of all.
         """
@@ -293,44 +316,57 @@ class RveState:
         return cls(of=of, points=len(arrays["z"]), factors=factors, near=near, **tiles)
 
     def take(self, index: Index) -> RveState:
-        """The state of the points `index` alone."""
+        """Return the state of the points `index` alone."""
         if len(index) == self.points and (index == np.arange(self.points)).all():
             return self
-        tiles = self._tiles(self).items()
-        taken: dict[str, Any] = {name: take_points(values, index) for name, values in tiles}
-        near = self.near and self.near.take(index)
+        tiles = self._tiles(with_fluctuation=False, with_elastic=False)
+        taken: dict[str, Any] = {name: take_points(tiles[name], index) for name in tiles}
+        near = None if self.near is None else self.near.take(index)
         factors = self.factors.take(index)
         return replace(self, points=len(index), factors=factors, near=near, **taken)
 
     def put(self, index: Index, part: RveState) -> RveState:
-        """This state with the points `index` replaced by those of `part`."""
+        """Return this state with the points `index` replaced by those of `part`."""
         index, row = with_copies(index, self.points)
-        tiles = {name: values.copy() for name, values in self._tiles(part).items()}
-        for name, values in part._tiles(self).items():
+        # an array that only one of the two has is needed of both
+        optional = {
+            "with_fluctuation": self.fluctuation is not None or part.fluctuation is not None,
+            "with_elastic": self.elastic is not None or part.elastic is not None,
+        }
+        tiles = {name: values.copy() for name, values in self._tiles(**optional).items()}
+        for name, values in part._tiles(**optional).items():
             put_points(tiles[name], index, values, row)
-        factors = self.factors.put(index, part.factors, row)
-        near = self.near and part.near and self.near.put(index, part.near, row)
-        is_checked = self.is_checked and part.is_checked
-        return replace(self, factors=factors, near=near, is_checked=is_checked, **tiles)
+        near = None
+        if self.near is not None and part.near is not None:
+            near = self.near.put(index, part.near, row)
+        return replace(
+            self,
+            factors=self.factors.put(index, part.factors, row),
+            near=near,
+            is_checked=self.is_checked and part.is_checked,
+            **tiles,
+        )
 
-    def _tiles(self, other: RveState) -> dict[str, Any]:
-        """Arrays of tiles by name, but those that neither this state nor the other has."""
+    def _tiles(self, *, with_fluctuation: bool, with_elastic: bool) -> dict[str, Any]:
+        """Return the arrays of tiles by name; the optional ones if this state has them or must."""
         tiles: dict[str, Any] = {name: getattr(self, name) for name in _TILES}
-        if self.fluctuation is not None or other.fluctuation is not None:
+        if with_fluctuation or self.fluctuation is not None:
             tiles["fluctuation"] = self.beyond_affine
-        if self.elastic is not None or other.elastic is not None:
+        if with_elastic or self.elastic is not None:
             tiles["elastic"] = self.relaxed
         return tiles
 
 
 def with_copies(index: Index, points: int) -> tuple[Index, Index]:
-    """`index` and, if the last point is in it, the lanes that fill its tile up with copies of it.
+    """Add the lanes that hold copies of the last of `points` points, if it is in `index`.
 
-    The second array says which place of the given `index` each comes from.
+    Returns:
+        The index with these lanes, and for each entry its place in the index that was passed.
     """
     place = np.arange(len(index))
     last = place[index == points - 1]
-    copies = np.arange(points, tiles_for(points) * TILE if len(last) else points)
+    lanes = tiles_for(points) * TILE if len(last) else points
+    copies = np.arange(points, lanes)
     return np.append(index, copies), np.append(place, np.repeat(last, len(copies)))
 
 
@@ -338,10 +374,11 @@ def with_copies(index: Index, points: int) -> tuple[Index, Index]:
 
 
 class Answer(NamedTuple):
-    """What a solver says of all tiles.
+    """Results of a solver for all tiles, which it fills in; or for one tile, without that axis.
 
-    stress: (tiles, 2, 2, TILE) µN/µm. residual: (tiles, 1, TILE) mean force, µN.
-    iterations: (tiles, TILE) how lanes stand, or evaluations of forces used; see above.
+    stress: (tiles, 2, 2, TILE) Cauchy stress, µN/µm.
+    residual: (tiles, 1, TILE) mean force, µN.
+    iterations: (tiles, TILE) states of the lanes, or evaluations of forces; see the table above.
     stable: (tiles, TILE) whether the elastic Hessian is positive definite.
     """
 
@@ -352,7 +389,7 @@ class Answer(NamedTuple):
 
 
 def empty_answer(tiles: int) -> Answer:
-    """Nothing solved, no stress, and all stable."""
+    """Return an `Answer` with nothing solved, no stress, and all stable."""
     return Answer(
         stress=np.full((tiles, 2, 2, TILE), np.nan),
         residual=np.empty((tiles, 1, TILE)),
@@ -363,35 +400,35 @@ def empty_answer(tiles: int) -> Answer:
 
 @kernel
 def drive_of(drive, t):
-    """The `Drive` of tile t."""
+    """Return the `Drive` of tile t."""
     return Drive(drive.F[t], drive.rate[t])
 
 
 @kernel
 def answer_of(answer, t):
-    """The `Answer` of tile t."""
+    """Return the `Answer` of tile t; its arrays are views."""
     return Answer(answer.stress[t], answer.residual[t], answer.iterations[t], answer.stable[t])
 
 
 @kernel
 def copy_particles(source, target):
-    """Copy as many particles as both (2, …, TILE) have."""
+    """Copy particles from source to target (2, ·, TILE), as many as both have."""
     for axis in range(2):
         for i in range(min(source.shape[1], target.shape[1])):
             store(load(source, axis, i), target, axis, i)
 
 
 @kernel
-def keep_lane(source, k, target):
-    """Copy lane k of an array with three axes to one that may be shorter along the second."""
+def keep_lane(source, lane, target):
+    """Copy one lane of an array (·, ·, TILE) to one that may be shorter along the second axis."""
     for a in range(target.shape[0]):
         for i in range(target.shape[1]):
-            target[a, i, k] = source[a, i, k]
+            target[a, i, lane] = source[a, i, lane]
 
 
 @kernel
 def set_images(z, topology):
-    """Fill the image part of local material positions from its own part."""
+    """Fill the images in z (2, local, TILE): each is its owner moved by a lattice vector."""
     particles = topology.particles
     for k in range(topology.owner.shape[0]):
         i = topology.owner[k]
@@ -401,21 +438,21 @@ def set_images(z, topology):
 
 @pair_law
 def entries(tensor):
-    """(xx, xy, yx, yy) of a tensor (2, 2, TILE)."""
+    """Return the entries (xx, xy, yx, yy) of a tensor (2, 2, TILE)."""
     return load(tensor, 0, 0), load(tensor, 0, 1), load(tensor, 1, 0), load(tensor, 1, 1)
 
 
 @pair_law
-def inverse(of):
-    """The entries of the inverse of a tensor with the entries `of`."""
-    xx, xy, yx, yy = of
+def inverse(tensor):
+    """Return the inverse of a tensor; both as entries (xx, xy, yx, yy)."""
+    xx, xy, yx, yy = tensor
     per_det = 1.0 / (xx * yy - xy * yx)
     return yy * per_det, -xy * per_det, -yx * per_det, xx * per_det
 
 
 @kernel
 def map_affine(F, z, x):
-    """x = F z; F (2, 2, TILE), z and x (2, local, TILE)."""
+    """Fill x (2, local, TILE) with F z; F (2, 2, TILE), z (2, local, TILE)."""
     xx, xy, yx, yy = entries(F)
     for i in range(z.shape[1]):
         zx = load(z, 0, i)
@@ -426,24 +463,25 @@ def map_affine(F, z, x):
 
 @kernel
 def place_images(work, F, topology):
-    """Images of the own particles in work.z, and x = F z of all."""
+    """Fill work.z with the images of the own particles in it, and work.x with F z of all."""
     set_images(work.z, topology)
     map_affine(F, work.z, work.x)
 
 
 @kernel
 def place(work, z, F, topology):
-    """Material positions z of own particles, their images, and x = F z of all."""
+    """Fill work.z with z (2, n, TILE) of own particles and with their images, work.x with F z."""
     copy_particles(z, work.z)
     place_images(work, F, topology)
 
 
 @kernel
 def cauchy_stress(x, f, F, area, stress):
-    """Virial stress (eq. 57b) from unfolded local forces: σ = −1/V Σ_k f_k ⊗ x_k, µN/µm.
+    """Fill stress (2, 2, TILE) with the virial stress (eq. 57b), σ = −1/V Σ_k f_k ⊗ x_k, µN/µm.
 
-    Every pair adds f and −f to its two local particles, so the sum over pairs of f ⊗ r is minus
-    the sum over local particles of force ⊗ position. V = det F times the reference area.
+    x, f: (2, local, TILE) positions, µm, and forces, not folded yet, µN. V is det F times the
+    reference area. Every pair adds f and −f to its two local particles, so the sum over pairs of
+    f ⊗ r is minus the sum over local particles of force ⊗ position.
     """
     xx = spread(0.0)
     xy = spread(0.0)
@@ -468,7 +506,7 @@ def cauchy_stress(x, f, F, area, stress):
 
 @kernel
 def mean_force(f, particles, residual):
-    """residual (1, TILE): mean over own particles of the folded force's magnitude, µN."""
+    """Fill residual (1, TILE) with the mean magnitude of the folded forces on own particles, µN."""
     total = spread(0.0)
     for i in range(particles):
         fx = load(f, 0, i)
@@ -479,7 +517,7 @@ def mean_force(f, particles, residual):
 
 @kernel
 def measure(work, F, topology, c, stress, residual):
-    """Forces (folded), stress and mean force at work.x and work.v."""
+    """Fill work.f (folded), stress (2, 2, TILE) and residual (1, TILE) at work.x and work.v."""
     local_forces(work, topology, c)
     cauchy_stress(work.x, work.f, F, topology.area, stress)
     fold_images(work.f, topology)
@@ -488,7 +526,7 @@ def measure(work, F, topology, c, stress, residual):
 
 @kernel
 def evaluate(work, drive, is_affine, topology, c, stress, residual):
-    """`measure` at work.z with velocities v = rate z if `is_affine`, else those in work.v."""
+    """Fill what `measure` fills, at work.z, with v = drive.rate z if `is_affine`, else work.v."""
     place_images(work, drive.F, topology)
     if is_affine:
         map_affine(drive.rate, work.z, work.v)
@@ -497,20 +535,21 @@ def evaluate(work, drive, is_affine, topology, c, stress, residual):
 
 @parallel_kernel
 def stress_at(drive, z, topology, c, answer):
-    """Stress and mean force at given z with affine velocities, all tiles."""
+    """Fill stress and residual of the answer at z (tiles, 2, n, TILE) with affine velocities."""
     for t in numba.prange(z.shape[0]):
         _stress_tile(drive_of(drive, t), z[t], topology, c, answer_of(answer, t))
 
 
 @kernel
 def _stress_tile(drive, z, topology, c, answer):
+    """Do as `stress_at` for one tile."""
     work = make_workspace(topology)
     copy_particles(z, work.z)
     evaluate(work, drive, True, topology, c, answer.stress, answer.residual)
 
 
 def stored_energy(F: Array, z: Array, topology: Topology, c: Constants) -> Array:
-    """(m,) elastic energy at F (m, 2, 2) and material positions z (m, 2, n), pJ."""
+    """Return the elastic energy (m,) at F (m, 2, 2) and material positions z (m, 2, n), pJ."""
     energy = np.empty((tiles_for(len(z)), 1, TILE))
     energies(pack(F), pack(z), topology, c, energy)
     return unpack(energy, len(z))[:, 0]
@@ -518,13 +557,14 @@ def stored_energy(F: Array, z: Array, topology: Topology, c: Constants) -> Array
 
 @parallel_kernel
 def energies(F, z, topology, c, energy):
-    """Elastic energy (tiles, 1, TILE) of every cell at z (tiles, 2, n, TILE), pJ."""
+    """Fill energy (tiles, 1, TILE) with that of the RVEs at F and z (tiles, 2, n, TILE), pJ."""
     for t in numba.prange(z.shape[0]):
         _energy_tile(F[t], z[t], topology, c, energy[t])
 
 
 @kernel
 def _energy_tile(F, z, topology, c, energy):
+    """Do as `energies` for one tile."""
     work = make_workspace(topology)
     place(work, z, F, topology)
     elastic_energy(work, topology, c, energy)

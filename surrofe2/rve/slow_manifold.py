@@ -15,7 +15,7 @@ Kept per point: `lu` of the elastic Jacobian at z_el, and in `slopes` first ∂z
 
 Near a bifurcation one mode of the cell is soft: the viscous forces move the particles far along
 it, and the kept Jacobian misleads. There `newton_slow` finds y by one exact solve, and z with the
-Jacobian of the moment.
+current Jacobian.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from surrofe2.plant_cell.block_matrices import (
 )
 from surrofe2.plant_cell.derivatives import elastic_forces_and_rates
 from surrofe2.plant_cell.forces import fold_images, local_forces
-from surrofe2.plant_cell.pair_sums import make_workspace
+from surrofe2.plant_cell.pair_sums import BY_F, BY_RATE, make_workspace
 from surrofe2.rve.newton import (
     ASIDE,
     NEWTON_LIMIT,
@@ -51,6 +51,7 @@ from surrofe2.rve.newton import (
     newton_loop,
     predict,
     prediction,
+    row_x,
     set_residual,
     settle,
 )
@@ -71,13 +72,19 @@ from surrofe2.rve.rve_state import (
 from surrofe2.rve.tangents import along, equilibrium_modes, set_velocities, unit_velocities
 
 LIMIT = 40
+"""Most evaluations of forces for z_el and y, and again for z."""
 CONTRACTION = 0.9
+"""A lane is given up where its mean force does not fall by this factor in one iteration."""
 RATE_TOLERANCE = 10.0
-"""Mean |ḟ| in µN/µs at which velocities are done, in tolerances on the mean force in µN."""
+"""Mean |ḟ| at which velocities are solved, µN/µs, over the mean force for positions, µN."""
 
 
 class Moving(NamedTuple):
-    """Material positions, those of the elastic equilibrium, and v − L x; (tiles, 2, n, TILE)."""
+    """Particles on the slow manifold, all arrays (tiles, 2, n, TILE), or of one tile.
+
+    z: material positions, µm. elastic: those of the elastic equilibrium, z_el, µm.
+    fluctuation: v − L x, µm/µs.
+    """
 
     z: Array
     elastic: Array
@@ -86,15 +93,18 @@ class Moving(NamedTuple):
 
 @kernel
 def moving_of(moving, t):
-    """The `Moving` of tile t."""
+    """Return the `Moving` of tile t; its arrays are views."""
     return Moving(moving.z[t], moving.elastic[t], moving.fluctuation[t])
 
 
 @parallel_kernel
 def follow(drive, moving, before, factors, topology, c, tolerance, answer):
-    """Solve z_el, v and z in place from those at `before`; lanes in which it fails become open.
+    """Solve for z_el, v and z with kept factors, from the `moving` at the `Drive` before, in place.
 
-    factors (tiles,): addresses of the kept factors, which are read only.
+    Lanes in which it fails become OPEN.
+
+    factors: (tiles,) addresses of the kept factors, which are read only.
+    tolerance: mean force at which a lane is solved, µN.
     """
     for t in numba.prange(moving.z.shape[0]):
         _follow_tile(
@@ -104,7 +114,8 @@ def follow(drive, moving, before, factors, topology, c, tolerance, answer):
 
 
 @kernel
-def _follow_tile(drive, moving, at, factors, topology, c, tolerance, answer):
+def _follow_tile(drive, moving, before, factors, topology, c, tolerance, answer):
+    """Do as `follow` for one tile."""
     z = moving.z
     elastic = moving.elastic
     work = make_workspace(topology)
@@ -112,33 +123,39 @@ def _follow_tile(drive, moving, at, factors, topology, c, tolerance, answer):
     y = np.zeros_like(z)
     relaxed = np.empty_like(z)
     still = np.zeros((2, 2, TILE))
-    count = np.zeros(TILE, dtype=np.int32)
-    predict(elastic, Drive(drive.F, still), Drive(at.F, still), slopes, work.z)
-    add_slopes(slopes, 0, drive.rate, y)
+    # First z_el and y: states of the lanes for this solve alone, begun UNDER_WAY.
+    velocity_iterations = np.zeros(TILE, dtype=np.int32)
+    predict(elastic, Drive(drive.F, still), Drive(before.F, still), slopes, work.z)
+    add_slopes(slopes, BY_F, drive.rate, y)
     copy_particles(work.z, relaxed)
     predicted = prediction(relaxed, topology)
     stop = Stop(tolerance, CONTRACTION, LIMIT, z, False)
-    _find_velocities(work, y, drive, lu, topology, c, stop, relaxed, count)
-    give_up_aside(relaxed, predicted, c.scale * ASIDE, count)
+    _solve_velocities(work, y, drive, lu, topology, c, stop, relaxed, velocity_iterations)
+    give_up_aside(relaxed, predicted, c.scale * ASIDE, velocity_iterations)
+    # Then z, from where it was beside z_el.
     for axis in range(2):
         for i in range(z.shape[1]):
             offset = load(z, axis, i) - load(elastic, axis, i)
             store(load(relaxed, axis, i) + offset, work.z, axis, i)
-    add_slopes(slopes, 4, change(drive.rate, at.rate), work.z)
-    counts = np.minimum(count, 0)
-    positions = Answer(answer.stress, answer.residual, counts, answer.stable)
+    add_slopes(slopes, BY_RATE, change(drive.rate, before.rate), work.z)
+    # UNDER_WAY where velocities are solved; lanes in which they are not stay negative
+    iterations = np.minimum(velocity_iterations, 0)
+    positions = Answer(answer.stress, answer.residual, iterations, answer.stable)
     chord_loop(work, drive, False, lu, topology, c, stop, positions)
-    for k in range(TILE):
-        answer.iterations[k] = count[k] + counts[k] if counts[k] > 0 else OPEN
-        if counts[k] > 0:
-            keep_lane(work.z, k, z)
-            keep_lane(relaxed, k, elastic)
+    for lane in range(TILE):
+        is_solved = iterations[lane] > 0
+        answer.iterations[lane] = (
+            velocity_iterations[lane] + iterations[lane] if is_solved else OPEN
+        )
+        if is_solved:
+            keep_lane(work.z, lane, z)
+            keep_lane(relaxed, lane, elastic)
     set_fluctuation(work.v, z, drive.rate, moving.fluctuation)
 
 
 @kernel
 def set_fluctuation(v, z, rate, fluctuation):
-    """fluctuation = v − Ḟ z of own particles, v − L x."""
+    """Fill fluctuation (2, n, TILE) with v − Ḟ z of own particles, which is v − L x."""
     for axis in range(2):
         for i in range(fluctuation.shape[1]):
             affine = load(rate, axis, 0) * load(z, 0, i) + load(rate, axis, 1) * load(z, 1, i)
@@ -146,8 +163,12 @@ def set_fluctuation(v, z, rate, fluctuation):
 
 
 @kernel
-def _find_velocities(work, y, drive, lu, topology, c, stop, relaxed, count):
-    """z_el into work.z and relaxed, v into work.v; count (TILE,) as `Answer.iterations`."""
+def _solve_velocities(work, y, drive, lu, topology, c, stop, relaxed, iterations):
+    """Solve f_el = 0 and ḟ_el = 0 for z_el and y with kept factors lu.
+
+    z_el goes to work.z and relaxed (2, n, TILE), the velocities v to work.v. y: (2, n, TILE) is
+    corrected in place. iterations: (TILE,) as of `Answer`.
+    """
     particles = topology.particles
     F = drive.F
     f_rate = np.empty_like(work.f)
@@ -155,7 +176,8 @@ def _find_velocities(work, y, drive, lu, topology, c, stop, relaxed, count):
     residual = np.empty((1, TILE))
     residual_rate = np.empty((1, TILE))
     before = np.full(TILE, np.inf)
-    settled = np.zeros(TILE, dtype=np.int32)
+    # not 0 in lanes whose z_el is solved: `correct` holds these as it holds lanes that are done
+    has_equilibrium = np.zeros(TILE, dtype=np.int32)
     step = np.empty((2 * particles - 2, TILE))
     for evaluation in range(1, stop.limit + 1):
         place_images(work, F, topology)
@@ -165,19 +187,24 @@ def _find_velocities(work, y, drive, lu, topology, c, stop, relaxed, count):
         fold_images(f_rate, topology)
         mean_force(work.f, particles, residual)
         mean_force(f_rate, particles, residual_rate)
-        for k in range(TILE):
-            # where z_el is found it stays: a pair at the cut-off must not flicker
-            settled[k] = max(settled[k], np.int32(residual[0, k] <= stop.tolerance), abs(count[k]))
-            residual[0, k] = max(residual[0, k], residual_rate[0, k] / RATE_TOLERANCE)
-        if settle(residual, before, stop, evaluation, work.z, relaxed, count) == 0:
+        for lane in range(TILE):
+            # Once solved, z_el stays: a pair at the cut-off would flicker, and y with it.
+            is_within = np.int32(residual[0, lane] <= stop.tolerance)
+            has_equilibrium[lane] = max(has_equilibrium[lane], is_within, abs(iterations[lane]))
+            # one residual for both, so that a lane is solved where both are
+            residual[0, lane] = max(residual[0, lane], residual_rate[0, lane] / RATE_TOLERANCE)
+        if settle(residual, before, stop, evaluation, work.z, relaxed, iterations) == 0:
             return
-        correct(lu, work.f, step, settled, F, work.z, topology)
-        correct(lu, f_rate, step, count, F, y, topology)
+        correct(lu, work.f, step, has_equilibrium, F, work.z, topology)
+        correct(lu, f_rate, step, iterations, F, y, topology)
 
 
 @parallel_kernel
 def newton_slow(drive, moving, topology, c, tolerance, answer):
-    """z, v − L x and stress from z_el in lanes with iterations ≤ 0, in place."""
+    """Solve for z, v − L x and stress by Newton's method, in place, in lanes with iterations ≤ 0.
+
+    moving.elastic is z_el, and moving.z where the solve begins.
+    """
     for t in numba.prange(moving.z.shape[0]):
         _newton_tile(
             drive_of(drive, t), moving_of(moving, t), topology, c, tolerance, answer_of(answer, t)
@@ -186,28 +213,30 @@ def newton_slow(drive, moving, topology, c, tolerance, answer):
 
 @kernel
 def _newton_tile(drive, moving, topology, c, tolerance, answer):
+    """Do as `newton_slow` for one tile."""
     work = make_workspace(topology)
     matrices = make_matrices(topology)
     still = np.zeros((2, 2, TILE))
-    beyond = np.empty_like(moving.fluctuation)
+    fluctuation = np.empty_like(moving.fluctuation)
     wanted = answer.iterations <= 0
     place(work, moving.elastic, drive.F, topology)
     y = along(equilibrium_modes(work, drive.F, topology, c, matrices), drive.rate)
     set_velocities(work.z, y, drive.F, drive.rate, topology, work.v)
     stop = Stop(tolerance, np.inf, NEWTON_LIMIT, moving.z, False)
     newton_loop(work, matrices, Drive(drive.F, still), False, topology, c, stop, answer)
-    set_fluctuation(work.v, work.z, drive.rate, beyond)
-    for k in range(TILE):
-        if wanted[k] and answer.iterations[k] > 0:
-            keep_lane(work.z, k, moving.z)
-            keep_lane(beyond, k, moving.fluctuation)
+    set_fluctuation(work.v, work.z, drive.rate, fluctuation)
+    for lane in range(TILE):
+        if wanted[lane] and answer.iterations[lane] > 0:
+            keep_lane(work.z, lane, moving.z)
+            keep_lane(fluctuation, lane, moving.fluctuation)
 
 
 @parallel_kernel
 def renew_slow(F, elastic, factors, wanted, topology, c, stable):
-    """Check stability of every tile at z_el; write the factors of the `wanted` ones.
+    """Fill stable (tiles, TILE) with whether z_el is, and write the factors of the `wanted` tiles.
 
-    factors (tiles,): addresses of their blocks.
+    F: (tiles, 2, 2, TILE). elastic: (tiles, 2, n, TILE) z_el. wanted: (tiles,).
+    factors: (tiles,) addresses of the blocks that factors and slopes are written to.
     """
     for t in numba.prange(elastic.shape[0]):
         _renew_tile(F[t], elastic[t], factors[t], wanted[t], topology, c, stable[t])
@@ -215,6 +244,11 @@ def renew_slow(F, elastic, factors, wanted, topology, c, stable):
 
 @kernel
 def _renew_tile(F, elastic, factors, wanted, topology, c, stable):
+    """Do as `renew_slow` for one tile.
+
+    Slopes by F are ∂z_el/∂F. Those by Ḟ are by its entries one after the other: with V_m as
+    velocities forces change by f(x_el, V_m) − f(x_el, 0), and z moves by −F⁻¹ K⁻¹ times that.
+    """
     work = make_workspace(topology)
     matrices = make_matrices(topology)
     place(work, elastic, F, topology)
@@ -231,12 +265,12 @@ def _renew_tile(F, elastic, factors, wanted, topology, c, stable):
     steps = np.empty((COLUMNS, *matrices.step.shape))
     for m in range(COLUMNS):
         for i in range(1, topology.particles):
-            store(load(modes, m, 0, i), slopes, 2 * i - 2, m)
-            store(load(modes, m, 1, i), slopes, 2 * i - 1, m)
+            store(load(modes, m, 0, i), slopes, row_x(i), m)
+            store(load(modes, m, 1, i), slopes, row_x(i) + 1, m)
         work.v[:] = velocities[m]
         local_forces(work, topology, c)
         work.f[:] = work.f - at_rest
         fold_images(work.f, topology)
         set_residual(work.f, steps[m])
     solve_columns(matrices.matrix, steps, topology, False)
-    keep_slopes(steps, F, slopes, COLUMNS)
+    keep_slopes(steps, F, slopes, BY_RATE)

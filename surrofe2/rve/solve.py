@@ -1,4 +1,9 @@
-"""One call of an RVE law: tiles of deformation in, tiles of stress and status out."""
+"""One call of an RVE law: tiles of deformation in, tiles of stress and status out.
+
+`Solved` carries the points of a call through these functions, which fill it in. Most of them take
+the lanes that the one before has not solved, marked by `answer.iterations` < 0 (see the table in
+`rve_state`): kept factors first, then Newton's method with new ones, then a path in small steps.
+"""
 
 from __future__ import annotations
 
@@ -38,28 +43,33 @@ NEAR = 0.01
 """|F − I| up to which the reference's own factors are tried at a cold start."""
 FAR = 0.15
 """Largest entry of |U − I| up to which a cold solve may go from F = I in one step."""
-_OK = int(Status.OK)  # a member of an enumeration takes a microsecond to look up
+# a plain number, since a member of an enumeration takes a microsecond to look up
+_OK = int(Status.OK)
 
 
 def dashpot_rate(initialisation: str, F_dot: Array) -> Array:
-    """The rate that particles feel while elastic or constrained-runs positions are solved for."""
+    """Return the rate that particles feel while their positions are solved for.
+
+    It is 0 with "elastic", and with "slow-manifold", which begins with the elastic equilibrium.
+    """
     elastic = initialisation in ("elastic", "slow-manifold")
     return np.zeros_like(F_dot) if elastic else F_dot
 
 
 @dataclass(slots=True, eq=False)
 class Solved:
-    """What is known of the points of a call; the functions of this file fill it in.
+    """The points of a call: what is asked, and what the functions of this file have solved so far.
 
     Attributes:
-        drive: F and Ḟ in tiles. start: where to begin; it is not touched.
+        drive: F and Ḟ in tiles.
+        start: state to begin from; it is not changed.
         cold: whether to make new factors; `start` need not be near then.
-        near: the contacts that are solved with.
-        covered: (tiles, TILE) whether earlier lists, if there were any, had all contacts that act.
-        answer: stress, nothing where the status is not OK, and force evaluations.
+        near: the list of contacts that is solved with.
+        covered: (tiles, TILE) whether lists that were used before had all contacts that act.
+        answer: stress, which counts only where the status is OK, and force evaluations.
         status: (tiles, TILE) codes of `Status`.
         state: the warm start for the next call.
-        newton_solves: how many points needed Newton's method.
+        newton_solves: number of points that needed Newton's method.
     """
 
     unit: UnitCell
@@ -90,7 +100,7 @@ class Solved:
 
     @property
     def kernel_arguments(self) -> tuple[Topology, Constants]:
-        """The pairs of particles and the constants, which all kernels take."""
+        """The topology and the constants, which all kernels take."""
         return self.near.topology, self.unit.constants
 
     @property
@@ -99,14 +109,14 @@ class Solved:
         return Drive(self.drive.F, dashpot_rate(self.settings.initialisation, self.drive.rate))
 
     def at(self, index: Index, *, cold: bool = False) -> Solved:
-        """The points `index` alone, unsolved."""
+        """Return the points `index` alone, unsolved."""
         drive = Drive(*(take_points(tensor, index) for tensor in self.drive))
         start = self.start.take(index)
         near = self.near.take(index)
         return Solved(self.unit, self.settings, drive, start, cold, near)
 
     def put(self, index: Index, part: Solved) -> None:
-        """Take over what was found at the points `index`."""
+        """Take over the results of `part`, which has the points `index`."""
         lanes, row = with_copies(index, self.start.points)
         self.covered = self.has_all_contacts()
         put_points(self.covered, lanes, part.has_all_contacts(), row)
@@ -116,34 +126,40 @@ class Solved:
         self.answer = self.answer._replace(iterations=self.state.iterations)
         self.newton_solves += part.newton_solves
         if part.near.topology is not self.near.topology:
+            # all points share one list, which must have the contacts of both
             self.near = self.unit.neighbours.near(self.drive.F, self.state.z)
 
     def has_all_contacts(self) -> Flags:
-        """(tiles, TILE) whether the contacts that were solved with are all that act."""
+        """Return (tiles, TILE) whether no contact acts that was not listed while solving."""
         covered = self.covered & self.near.covers(self.drive.F, self.state.z, exactly=True)
         if self.state.elastic is not None:
             covered &= self.near.covers(self.drive.F, self.state.elastic, exactly=True)
         return covered
 
     def tangents(self) -> Tangents:
-        """∂P/∂F and ∂P/∂Ḟ at the solution; NaN where there is none."""
+        """Return ∂P/∂F and ∂P/∂Ḟ at the solution; NaN where there is none."""
         points = self.start.points
         state = self.state
-        slow = self.settings.initialisation == "slow-manifold"
+        is_slow = self.settings.initialisation == "slow-manifold"
         values = np.empty((len(self.status), 2, 2, 8, TILE))
-        if not slow or state.left.any():
-            kind = KINDS.index("constrained-runs" if slow else self.settings.initialisation)
+        if not is_slow or state.left.any():
+            # beyond a bifurcation velocities are affine, as in constrained runs
+            kind = KINDS.index("constrained-runs" if is_slow else self.settings.initialisation)
             affine_tangents(self.drive, state.z, kind, *self.kernel_arguments, values)
-        if slow:
+        if is_slow:
             moving = np.empty_like(values)
             slow_tangents(self.drive, state.z, state.relaxed, *self.kernel_arguments, moving)
             np.copyto(values, moving, where=~state.left[:, None, None, None, :])
+        # the 8 columns are the entries of F, then those of Ḟ
         tangents = unpack(values, points).reshape(points, 2, 2, 2, 2, 2)
         tangents[unpack(self.status, points) != _OK] = np.nan
-        return Tangents(tangents[:, :, :, 0].copy(), tangents[:, :, :, 1].copy())
+        return Tangents(
+            P_by_F=tangents[:, :, :, 0].copy(),
+            P_by_F_dot=tangents[:, :, :, 1].copy(),
+        )
 
     def effort(self) -> dict[str, int]:
-        """Summable counts of what the answer cost."""
+        """Return counts of work, by name, that can be added over calls."""
         points = self.start.points
         newly_left = self.state.left & ~self.start.left
         return {
@@ -157,21 +173,24 @@ class Solved:
 def solve_rves(
     unit: UnitCell, settings: RveSettings, drive: Drive, start: RveState, *, cold: bool
 ) -> Solved:
-    """Initialise every RVE, with the contacts near `start`, or all where particles move farther.
+    """Put every RVE into the state of its initialisation, and compute its stress.
+
+    Only contacts near `start` are computed. Where particles have moved so far that others act,
+    points are solved again with all contacts.
 
     Args:
         drive: F and Ḟ in tiles.
-        start: where to begin; it is not touched. It need not be near if `cold`, which makes new
-            factors.
+        start: state to begin from; it is not changed.
+        cold: whether to make new factors; `start` need not be near then.
     """
     near = start.near
     if near is None or not near.covers(drive.F, start.z).all():
         near = unit.neighbours.near(drive.F, start.z)
     solved = Solved(unit, settings, drive, start, cold, near)
     _initialise(solved)
-    wrong = ~solved.has_all_contacts() & (solved.status == _OK)
-    if wrong.any():
-        index = np.flatnonzero(unpack(wrong, start.points))
+    lacks_contacts = ~solved.has_all_contacts() & (solved.status == _OK)
+    if lacks_contacts.any():
+        index = np.flatnonzero(unpack(lacks_contacts, start.points))
         part = solved.at(index, cold=cold)
         part.near = unit.neighbours.near(part.drive.F, part.start.z, np.inf)
         _initialise(part)
@@ -182,6 +201,7 @@ def solve_rves(
 
 
 def _initialise(solved: Solved) -> None:
+    """Solve all points by the initialisation and the solver of the settings."""
     initialisation = solved.settings.initialisation
     solver = solved.settings.solver
     if initialisation == "slow-manifold":
@@ -190,12 +210,13 @@ def _initialise(solved: Solved) -> None:
         _iterate(solved)
     elif initialisation != "cauchy-born":
         _solve(solved)
-    if initialisation in ("cauchy-born", "elastic"):  # at z, with velocities L x (eqs. 64, 67)
+    if initialisation in ("cauchy-born", "elastic"):
+        # positions were solved without velocities; the stress is that with v = L x (eqs. 64, 67)
         stress_at(solved.drive, solved.state.z, *solved.kernel_arguments, solved.answer)
 
 
 def _iterate(solved: Solved) -> None:
-    """The paper's iteration from the last state, carried along by the incremental F."""
+    """Iterate as the paper does, from the last state, whose z moves along with F."""
     start = solved.start
     settings = solved.settings
     F, rate = solved.felt
@@ -205,8 +226,10 @@ def _iterate(solved: Solved) -> None:
     mass = solved.unit.neighbours.mass
     iterate(Drive(F, rate), x, v, mass, *solved.kernel_arguments, stepping, solved.answer)
     solved.status[solved.answer.iterations < 0] = Status.NOT_CONVERGED
-    lanes = np.moveaxis(F, -1, 1)
-    z = np.moveaxis(np.linalg.solve(lanes, np.moveaxis(x, -1, 1)), 1, -1)
+    # back to material positions, z = F⁻¹ x, with lanes first for numpy
+    lanes_of_F = np.moveaxis(F, -1, 1)
+    lanes_of_x = np.moveaxis(x, -1, 1)
+    z = np.moveaxis(np.linalg.solve(lanes_of_F, lanes_of_x), 1, -1)
     fluctuation = v - np.einsum("tabl,tbpl->tapl", rate, z)
     solved.state = replace(solved.state, z=np.ascontiguousarray(z), fluctuation=fluctuation)
 
@@ -215,57 +238,65 @@ def _iterate(solved: Solved) -> None:
 
 
 def _solve(solved: Solved) -> None:
-    """With kept factors where they serve, else by Newton's method, else along a path."""
+    """Solve with kept factors where they converge, else by Newton's method, else along a path."""
     start = solved.start
     iterations = solved.answer.iterations
     settings = solved.settings
     if solved.cold:
-        iterations[np.abs(solved.drive.F - start.F).max(axis=(1, 2)) > NEAR] = OPEN
-    at = Drive(start.F, dashpot_rate(settings.initialisation, start.F_dot))
+        is_beyond = np.abs(solved.drive.F - start.F).max(axis=(1, 2)) > NEAR
+        iterations[is_beyond] = OPEN  # kept factors are not tried there
+    before = Drive(start.F, dashpot_rate(settings.initialisation, start.F_dot))
     z = solved.state.z
     address = start.factors.address
     tolerance = settings.tolerance
-    chord(solved.felt, z, at, address, *solved.kernel_arguments, tolerance, solved.answer)
+    chord(solved.felt, z, before, address, *solved.kernel_arguments, tolerance, solved.answer)
     if solved.cold or (iterations < 0).any():
         _solve_open(solved)
 
 
 def _solve_open(solved: Solved) -> None:
-    """Newton's method in lanes that are open, from z; where it fails or may jump, along a path."""
+    """Solve lanes that are open: by Newton's method from z, or along a path.
+
+    Paths are for lanes in which Newton's method fails, finds an unstable state, or might jump.
+    """
     iterations = solved.answer.iterations
-    led = _are_led(solved)
-    iterations[led] = PASSED_OVER
-    _newton(solved, renewed=np.logical_and(~led.all(axis=1), solved.cold))
-    iterations[led] = OPEN  # the path has to lead there
-    astray = (iterations < 0) | (solved.status == Status.UNSTABLE)
-    if astray.any():
-        _follow_path(solved, np.flatnonzero(unpack(astray, solved.start.points)))
+    needs_path = _need_path(solved)
+    iterations[needs_path] = PASSED_OVER
+    # a cold solve makes new factors in any case, except where a path will
+    _newton(solved, renewed=np.logical_and(~needs_path.all(axis=1), solved.cold))
+    iterations[needs_path] = OPEN
+    is_astray = (iterations < 0) | (solved.status == Status.UNSTABLE)
+    if is_astray.any():
+        _follow_path(solved, np.flatnonzero(unpack(is_astray, solved.start.points)))
     failed = (solved.answer.iterations < 0) & (solved.status == _OK)
     solved.status[failed] = Status.NOT_CONVERGED
 
 
-def _are_led(solved: Solved) -> Flags:
-    """(tiles, TILE) which lanes are too far from where they begin for one step.
+def _need_path(solved: Solved) -> Flags:
+    """Return (tiles, TILE) which lanes are too far from where they begin for one step.
 
-    With a uniform fluid all that are open: walls of an irregular tissue have other stable states
-    nearby, to which Newton's method jumps unnoticed. SPH fluid has more of them than paths avoid.
+    With a uniform fluid these are all that are open: walls of an irregular tissue have other stable
+    states nearby, to which Newton's method jumps unnoticed. SPH fluid has so many that a path would
+    not avoid them either; there it is the lanes of a cold solve that are far from F = I.
     """
     if solved.unit.cell.has_uniform_fluid:
         return np.asarray(solved.answer.iterations < 0)
-    return is_far(solved.drive.F) if solved.cold else np.zeros_like(solved.answer.stable)
+    if solved.cold:
+        return is_far(solved.drive.F)
+    return np.zeros_like(solved.answer.stable)
 
 
 def is_far(F: Array) -> Flags:
-    """(tiles, TILE) whether F (tiles, 2, 2, TILE) is too far from I to be reached in one step."""
+    """Return (tiles, TILE) whether F (tiles, 2, 2, TILE) is too far from I for one step."""
     flat = unpack(F, len(F) * TILE)
     U = transpose(rotation(flat)) @ flat
     return pack(np.abs(U - np.eye(2)).max(axis=(1, 2)) > FAR)
 
 
 def _newton(solved: Solved, renewed: Flags | bool = False) -> None:
-    """Solve lanes that are open; check stability there, or everywhere with new factors.
+    """Solve lanes that are open by Newton's method, and check the stability of all it solves.
 
-    renewed: (tiles,) which tiles get new factors in any case.
+    renewed: (tiles,) which tiles get new factors, and are checked, in any case.
     """
     failed = solved.answer.iterations < 0
     solved.newton_solves += int(unpack(failed, solved.start.points).sum())
@@ -284,11 +315,12 @@ def _newton(solved: Solved, renewed: Flags | bool = False) -> None:
 
 
 def _follow_path(solved: Solved, index: Index) -> None:
-    """Lead the points `index`, which Newton's method misses or finds unstable, from the start."""
+    """Lead the points `index` from their start to F in small steps, then solve them there."""
     part = solved.at(index, cold=solved.cold)
-    start, end = (unpack(F, len(index)) for F in (part.start.F, part.drive.F))
-    begin = _elastic_start(part, start)
-    path = Continuation(part.unit, part.settings.tolerance, start, end, begin)
+    F_start = unpack(part.start.F, len(index))
+    F_end = unpack(part.drive.F, len(index))
+    z_start = _elastic_start(part, F_start)
+    path = Continuation(part.unit, part.settings.tolerance, F_start, F_end, z_start)
     with one_blas_thread():
         path.follow()
     z = pack(path.z)
@@ -307,10 +339,11 @@ def _follow_path(solved: Solved, index: Index) -> None:
 
 
 def _elastic_start(part: Solved, F: Array) -> Array:
-    """(m, 2, n) z that paths of all points begin from, at F (m, 2, 2).
+    """Return z (m, 2, n) from which paths of all points begin, at F (m, 2, 2).
 
-    Steps with a uniform fluid are checked by slopes of elastic equilibria. Dashpots move walls
-    farther off these than the check allows, so that every step would seem to leave the branch.
+    It is that of the start, but with a uniform fluid the elastic equilibrium beside it: steps are
+    checked by slopes of elastic equilibria then, and dashpots move walls farther off these than the
+    check allows, so that every step would seem to leave the branch.
     """
     z = unpack(part.start.relaxed, len(F))
     felt = dashpot_rate(part.settings.initialisation, part.start.F_dot)
@@ -324,36 +357,44 @@ def _elastic_start(part: Solved, F: Array) -> Array:
 
 
 def _solve_slow(solved: Solved) -> None:
-    """Warm where possible, else from a new elastic equilibrium.
+    """Solve from the last state where possible, else from a new elastic equilibrium.
 
     At a bifurcation the slopes of that equilibrium have no bound, and neither have the velocities.
-    From there on, where the state's `left` says so, they are affine as in constrained runs.
+    From there on, where the state's `left` is True, they are affine as in constrained runs.
     """
     start = solved.start
     points = solved.start.points
     if solved.cold:
         _start_slow(solved)
     else:
-        moving = Moving(solved.state.z, start.relaxed.copy(), start.beyond_affine.copy())
-        at = Drive(start.F, start.F_dot)
-        tolerance = solved.settings.tolerance
-        address = start.factors.address
+        moving = Moving(
+            z=solved.state.z,
+            elastic=start.relaxed.copy(),
+            fluctuation=start.beyond_affine.copy(),
+        )
         follow(
-            solved.drive, moving, at, address, *solved.kernel_arguments, tolerance, solved.answer
+            solved.drive,
+            moving,
+            Drive(start.F, start.F_dot),
+            start.factors.address,
+            *solved.kernel_arguments,
+            solved.settings.tolerance,
+            solved.answer,
         )
         solved.state = replace(solved.state, **moving._asdict())
-        if solved.answer.iterations.min() < 0:
-            index = np.flatnonzero(unpack(solved.answer.iterations < 0, points))
+        is_open = solved.answer.iterations < 0
+        if is_open.any():
+            index = np.flatnonzero(unpack(is_open, points))
             part = solved.at(index)
             _start_slow(part)
             solved.put(index, part)
-    held = solved.state.left & (solved.status == _OK)
-    if held.any():
-        _hold_back(solved, np.flatnonzero(unpack(held, points)))
+    is_beyond = solved.state.left & (solved.status == _OK)
+    if is_beyond.any():
+        _solve_affine(solved, np.flatnonzero(unpack(is_beyond, points)))
 
 
 def _start_slow(solved: Solved) -> None:
-    """From a new elastic equilibrium, and its factors, to Ḟ."""
+    """Solve from a new elastic equilibrium at F, with new factors, at which the rate is still 0."""
     z = solved.start.relaxed.copy()
     solved.state = replace(solved.state, z=z, elastic=None, fluctuation=None)
     solved.answer.iterations[:] = OPEN
@@ -365,26 +406,28 @@ def _start_slow(solved: Solved) -> None:
     tolerance = solved.settings.tolerance
     tiles = np.ones(len(elastic), dtype=np.bool_)
     factors = solved.state.factors.made_at(tiles, solved.felt, elastic)
-    address = factors.address  # of blocks that Newton's method has made just now
+    # Newton's method has just made these blocks, so they may be written to
+    address = factors.address
     renew_slow(
         drive.F, elastic, address, tiles, *solved.kernel_arguments, np.empty_like(is_elastic)
     )
     moving = Moving(elastic.copy(), elastic, np.zeros_like(elastic))
     answer.iterations[:] = UNDER_WAY
     follow(drive, moving, solved.felt, address, *solved.kernel_arguments, tolerance, answer)
-    soft = is_elastic & (answer.iterations < 0)
-    if soft.any():  # z_el is stable but so soft that `follow` misses z
-        counts = np.where(soft, UNDER_WAY, PASSED_OVER).astype(np.int32)
-        newton_slow(
-            drive, moving, *solved.kernel_arguments, tolerance, answer._replace(iterations=counts)
-        )
-        answer.iterations[soft] = counts[soft]
+    is_soft = is_elastic & (answer.iterations < 0)
+    if is_soft.any():
+        # z_el is stable but so soft that kept factors do not lead to z
+        iterations = np.where(is_soft, UNDER_WAY, PASSED_OVER).astype(np.int32)
+        answer_of_soft = answer._replace(iterations=iterations)
+        newton_slow(drive, moving, *solved.kernel_arguments, tolerance, answer_of_soft)
+        answer.iterations[is_soft] = iterations[is_soft]
+    # without z although z_el is stable: the velocities have no bound
     has_left = solved.state.left | (is_elastic & (answer.iterations < 0))
     solved.state = replace(solved.state, left=has_left, factors=factors, **moving._asdict())
 
 
-def _hold_back(solved: Solved, index: Index) -> None:
-    """Positions with affine velocities at the points `index`, where a bifurcation was met."""
+def _solve_affine(solved: Solved, index: Index) -> None:
+    """Solve positions with affine velocities at the points `index`, beyond a bifurcation."""
     part = solved.at(index)
     state = solved.state.take(index)
     part.covered = take_points(solved.covered, index)

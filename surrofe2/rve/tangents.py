@@ -20,7 +20,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.compilation import kernel, pair_law, parallel_kernel
 from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.block_matrices import (
     COLUMNS,
@@ -30,25 +30,27 @@ from surrofe2.plant_cell.block_matrices import (
 )
 from surrofe2.plant_cell.derivatives import add_force_gradients, add_stiffness_rates
 from surrofe2.plant_cell.forces import fold_images, local_forces
-from surrofe2.plant_cell.pair_sums import make_workspace
-from surrofe2.rve.newton import move, set_elastic_jacobian, set_jacobian
-from surrofe2.rve.rve_state import Drive, drive_of, entries, inverse, map_affine, place
+from surrofe2.plant_cell.pair_sums import BY_F, BY_RATE, make_workspace
+from surrofe2.rve.newton import move, row_x, set_elastic_jacobian, set_jacobian
+from surrofe2.rve.rve_state import SLOPES, Drive, drive_of, entries, inverse, map_affine, place
 
 KINDS = ("constrained-runs", "elastic", "cauchy-born")
+"""Initialisations with affine velocities; kernels take their numbers in this order."""
 _ELASTIC = 1
 _CAUCHY_BORN = 2
 REFINEMENTS = 30
-"""Of a solution, at most; each adds three digits or more but where tissue is crushed."""
+"""Most refinements of a solution; each adds three digits or more, except in crushed tissue."""
 REFINED = 1e-12
+"""Residual over the right-hand side at which refinement ends."""
 GOOD_ENOUGH = 1e-8
-"""Residual over the right-hand side that ends refinement, and above which there is no solution."""
+"""Residual over the right-hand side above which there is no solution."""
 
 
 @parallel_kernel
 def affine_tangents(drive, z, kind, topology, c, tangents):
-    """tangents (tiles, 2, 2, 8, TILE): ∂P_ab by F_xx, xy, yx, yy, Ḟ_xx, xy, yx, yy.
+    """Fill tangents (tiles, 2, 2, 8, TILE) with ∂P_ab by F_xx, xy, yx, yy, Ḟ_xx, xy, yx, yy.
 
-    z is the solution of the initialisation KINDS[kind], and drive.rate is Ḟ.
+    drive: F and Ḟ. z: (tiles, 2, n, TILE) solution of the initialisation KINDS[kind].
     """
     for t in numba.prange(z.shape[0]):
         _affine_tile(drive_of(drive, t), z[t], kind, topology, c, tangents[t])
@@ -56,6 +58,10 @@ def affine_tangents(drive, z, kind, topology, c, tangents):
 
 @kernel
 def _affine_tile(drive, z, kind, topology, c, tangents):
+    """Do as `affine_tangents` for one tile.
+
+    First P changes at fixed z; then, but for Cauchy–Born, z follows, by the adjoint λ.
+    """
     F = drive.F
     F_dot = drive.rate
     work = make_workspace(topology)
@@ -64,35 +70,45 @@ def _affine_tile(drive, z, kind, topology, c, tangents):
     tangents[:] = 0.0
     affine = affine_fields(work.z)
     by_x, by_v = stress_gradients(work, affine, topology, c)
-    _add_products(by_x, affine, 0, tangents)
-    _add_products(by_v, affine, 4, tangents)
+    _add_products(by_x, affine, BY_F, tangents)
+    _add_products(by_v, affine, BY_RATE, tangents)
     if kind != _CAUCHY_BORN:
         matrices = make_matrices(topology)
         load_of_stress = adjoint_load(work, by_x, by_v, drive, topology, c)
+        # elastic positions do not depend on Ḟ, so they have no slopes by it either
         rate = np.zeros((2, 2, TILE)) if kind == _ELASTIC else F_dot
         map_affine(rate, work.z, work.v)
         felt = Drive(F, rate)
         set_jacobian(work, felt, topology, c, matrices.matrix, matrices.columns)
         factorise(matrices.matrix, topology, False)
         adjoint = solve_adjoint(matrices.matrix, load_of_stress, work, felt, topology, c)
-        for m in range(4 if kind == _ELASTIC else 8):
+        for m in range(BY_RATE if kind == _ELASTIC else SLOPES):
             for n in range(COLUMNS):
-                total = load(tangents, n // 2, n % 2, m)
+                a, b = component(n)
+                total = load(tangents, a, b, m)
                 for i in range(adjoint.shape[1]):
+                    # the first two rows of `columns` are those of the held particle
                     total -= load(adjoint, n, i) * load(matrices.columns, i + 2, m)
-                store(total, tangents, n // 2, n % 2, m)
+                store(total, tangents, a, b, m)
     tangents[:] = tangents * (-1.0 / topology.area)
 
 
 @parallel_kernel
 def slow_tangents(drive, z, relaxed, topology, c, tangents):
-    """As `affine_tangents` for the slow manifold: z, and z_el in `relaxed`."""
+    """Fill tangents as `affine_tangents` does, for the slow manifold.
+
+    z, relaxed: (tiles, 2, n, TILE) its positions, and those of its elastic equilibrium, z_el.
+    """
     for t in numba.prange(z.shape[0]):
         _slow_tile(drive_of(drive, t), z[t], relaxed[t], topology, c, tangents[t])
 
 
 @kernel
 def _slow_tile(drive, z, relaxed, topology, c, tangents):
+    """Do as `slow_tangents` for one tile.
+
+    `units` are V and `slopes` ∂v/∂F at the head of this file.
+    """
     F = drive.F
     F_dot = drive.rate
     work = make_workspace(topology)
@@ -114,24 +130,37 @@ def _slow_tile(drive, z, relaxed, topology, c, tangents):
     subtract_columns(adjoint, topology, weights)
     by_x, by_v = stress_gradients(work, weights, topology, c)
     tangents[:] = 0.0
-    _add_products(by_x, affine, 0, tangents)
-    _add_products(by_v, slopes, 0, tangents)
-    _add_products(by_v, units, 4, tangents)
+    _add_products(by_x, affine, BY_F, tangents)
+    _add_products(by_v, slopes, BY_F, tangents)
+    _add_products(by_v, units, BY_RATE, tangents)
     tangents[:] = tangents * (-1.0 / topology.area)
+
+
+@pair_law
+def component(n):
+    """Return the indices (a, b) of the n-th of the components xx, xy, yx, yy."""
+    return n // 2, n % 2
 
 
 @kernel
 def affine_fields(z):
-    """(4, 2, local, TILE): e_a z_b for (a, b) = xx, xy, yx, yy; the virial's weights, ∂x/∂F_ab."""
+    """Return e_a z_b for (a, b) = xx, xy, yx, yy, (4, 2, local, TILE).
+
+    They are ∂x/∂F_ab, and the weights of forces in the virial Σ_k f_ka z_kb. z: (2, local, TILE).
+    """
     fields = np.zeros((COLUMNS, 2, z.shape[1], TILE))
     for n in range(COLUMNS):
-        fields[n, n // 2] = z[n % 2]
+        a, b = component(n)
+        fields[n, a] = z[b]
     return fields
 
 
 @kernel
 def stress_gradients(work, weights, topology, c):
-    """(by_x, by_v) of the four sums of forces with these weights."""
+    """Return the slopes by x and by v of four weighted sums of forces.
+
+    All are (4, 2, local, TILE); the forces are those at work.x and work.v.
+    """
     by_x = np.zeros_like(weights)
     by_v = np.zeros_like(weights)
     add_force_gradients(work, weights, by_x, by_v, topology, c)
@@ -140,9 +169,12 @@ def stress_gradients(work, weights, topology, c):
 
 @kernel
 def adjoint_load(work, by_x, by_v, drive, topology, c):
-    """(4, 2n − 2, TILE): F⁻ᵀ ∂(Σ_k f_ka z_kb)/∂z as x = F z and v = rate z + … follow.
+    """Return F⁻ᵀ ∂(Σ_k f_ka z_kb)/∂z, (4, 2n − 2, TILE), the load of the adjoint problem (A11).
 
-    Forces of own particles, which the elastic initialisation leaves, are in z_kb's own slope.
+    Positions x = F z and velocities v = rate z + … follow z. The slope by the factor z_kb is f_ka:
+    forces with dashpots on, which the elastic initialisation does not bring to zero.
+
+    by_x, by_v: (4, 2, local, TILE) slopes of the sums, as `stress_gradients` returns them.
     """
     local_forces(work, topology, c)
     fold_images(work.f, topology)
@@ -151,7 +183,10 @@ def adjoint_load(work, by_x, by_v, drive, topology, c):
 
 @kernel
 def _pulled_back(by_x, by_v, f, drive, topology):
-    """(4, 2n − 2, TILE): F⁻ᵀ times slopes by z, f_a more in those of component (a, b) by z_b."""
+    """Return F⁻ᵀ times the slopes by z, (4, 2n − 2, TILE), of sums whose slopes are by_x and by_v.
+
+    The slope of component (a, b) by z_b has f_a more. f: (2, local, TILE) folded forces.
+    """
     F = drive.F
     rate = drive.rate
     free = 2 * topology.particles - 2
@@ -161,24 +196,25 @@ def _pulled_back(by_x, by_v, f, drive, topology):
     fold_columns(by_v, topology, load_v)
     xx, xy, yx, yy = inverse(entries(F))
     for n in range(COLUMNS):
-        for i in range(0, free, 2):
-            vx = load(load_v, n, i)
-            vy = load(load_v, n, i + 1)
+        a, b = component(n)
+        for row in range(0, free, 2):
+            vx = load(load_v, n, row)
+            vy = load(load_v, n, row + 1)
             gx = load(rate, 0, 0) * vx + load(rate, 1, 0) * vy
             gy = load(rate, 0, 1) * vx + load(rate, 1, 1) * vy
-            force = load(f, n // 2, i // 2 + 1)
-            if n % 2 == 0:
+            force = load(f, a, row // 2 + 1)
+            if b == 0:
                 gx += force
             else:
                 gy += force
-            store(load(load_x, n, i) + (xx * gx + yx * gy), load_x, n, i)
-            store(load(load_x, n, i + 1) + (xy * gx + yy * gy), load_x, n, i + 1)
+            store(load(load_x, n, row) + (xx * gx + yx * gy), load_x, n, row)
+            store(load(load_x, n, row + 1) + (xy * gx + yy * gy), load_x, n, row + 1)
     return load_x
 
 
 @kernel
 def solve_adjoint(lu, load_of_stress, work, drive, topology, c):
-    """λ (4, 2n − 2, TILE) of (A11), Jᵀ λ = load, with lu of J at work.x and work.v."""
+    """Return λ (4, 2n − 2, TILE) of (A11), Jᵀ λ = load, with lu of J at work.x and work.v."""
     adjoint = load_of_stress.copy()
     solve_columns(lu, adjoint, topology, True)
     refine(lu, load_of_stress, adjoint, work, drive, topology, c)
@@ -187,59 +223,71 @@ def solve_adjoint(lu, load_of_stress, work, drive, topology, c):
 
 @kernel
 def refine(lu, right, solution, work, drive, topology, c):
-    """Correct a solution of Jᵀ λ = right (4, 2n − 2, TILE) until its residual is small.
+    """Correct the solution λ of Jᵀ λ = right, both (4, 2n − 2, TILE), until its residual is small.
 
-    With a uniform fluid J lacks contacts of far walls and a small part of the viscosity. Products
-    of λ lack nothing. A lane whose residual stays large becomes NaN.
+    With a uniform fluid the matrix lacks contacts of far walls and a small part of the viscosity,
+    so lu solves only approximately. Residuals are computed by `stress_gradients`, which lacks
+    nothing. A lane whose residual stays large becomes NaN.
     """
-    if topology.pressures == 0:
+    has_uniform_fluid = topology.pressures > 0
+    if not has_uniform_fluid:
         return
     no_force = np.zeros_like(work.f)
     size = np.empty(TILE)
-    whole = np.empty(TILE)
+    size_of_load = np.empty(TILE)
     before = np.full(TILE, np.inf)
-    largest_of(right, whole)
+    largest_of(right, size_of_load)
     for _ in range(REFINEMENTS):
         weights = np.zeros((COLUMNS, *work.x.shape))
         subtract_columns(solution, topology, weights)
         by_x, by_v = stress_gradients(work, weights, topology, c)
         residual = right + _pulled_back(by_x, by_v, no_force, drive, topology)
         largest_of(residual, size)
-        open_lanes = 0
-        for k in range(TILE):
-            if size[k] > REFINED * whole[k] and size[k] < 0.5 * before[k]:
-                open_lanes += 1
-            before[k] = size[k]
-        if open_lanes == 0:
+        # lanes in which refinement still helps; all are refined as long as there is one
+        under_way = 0
+        for lane in range(TILE):
+            if size[lane] > REFINED * size_of_load[lane] and size[lane] < 0.5 * before[lane]:
+                under_way += 1
+            before[lane] = size[lane]
+        if under_way == 0:
             break
         solve_columns(lu, residual, topology, True)
         solution += residual
-    for k in range(TILE):
-        if not before[k] <= GOOD_ENOUGH * whole[k]:
-            solution[:, :, k] = np.nan
+    for lane in range(TILE):
+        # `not <=`, since the residual may be NaN
+        if not before[lane] <= GOOD_ENOUGH * size_of_load[lane]:
+            solution[:, :, lane] = np.nan
 
 
 @kernel
 def largest_of(columns, largest):
-    """largest (TILE,): the largest modulus in each lane of columns (4, rows, TILE)."""
+    """Fill largest (TILE,) with the largest modulus in each lane of columns (4, rows, TILE).
+
+    It is infinite where an entry is NaN.
+    """
     largest[:] = 0.0
     for m in range(columns.shape[0]):
-        for i in range(columns.shape[1]):
-            for k in range(TILE):
-                value = abs(columns[m, i, k])
-                largest[k] = max(largest[k], value) if value == value else np.inf
+        for row in range(columns.shape[1]):
+            for lane in range(TILE):
+                value = abs(columns[m, row, lane])
+                is_number = value == value  # NaN differs from itself
+                largest[lane] = max(largest[lane], value) if is_number else np.inf
 
 
 @kernel
 def _add_products(gradients, fields, first, tangents):
-    """tangents[a, b, first + m] += Σ_k gradients of (a, b) along field m."""
+    """Set tangents[a, b, first + m] += Σ_k gradients[(a, b), :, k] · fields[m, :, k].
+
+    gradients, fields: (4, 2, local, TILE). first: BY_F or BY_RATE. tangents: (2, 2, 8, TILE).
+    """
     for n in range(COLUMNS):
+        a, b = component(n)
         for m in range(COLUMNS):
-            total = load(tangents, n // 2, n % 2, first + m)
+            total = load(tangents, a, b, first + m)
             for axis in range(2):
                 for k in range(fields.shape[2]):
                     total += load(gradients, n, axis, k) * load(fields, m, axis, k)
-            store(total, tangents, n // 2, n % 2, first + m)
+            store(total, tangents, a, b, first + m)
 
 
 # How the elastic equilibrium moves
@@ -247,7 +295,7 @@ def _add_products(gradients, fields, first, tangents):
 
 @kernel
 def equilibrium_modes(work, F, topology, c, matrices):
-    """modes (4, 2, own, TILE) = ∂z_el/∂F_m; leaves the factorised elastic Jacobian behind."""
+    """Return modes ∂z_el/∂F_m (4, 2, own, TILE) at work.z; it leaves lu of K in matrices.matrix."""
     map_affine(F, work.z, work.x)
     set_elastic_jacobian(work, F, topology, c, matrices.matrix, matrices.columns)
     factorise(matrices.matrix, topology, True)
@@ -266,16 +314,20 @@ def equilibrium_modes(work, F, topology, c, matrices):
 
 @kernel
 def standing(F):
-    """The `Drive` without motion at F."""
+    """Return the `Drive` at F without motion."""
     return Drive(F, np.zeros((2, 2, TILE)))
 
 
 @kernel
 def along(fields, tensor):
-    """Σ_m tensor_m fields[m] over xx, xy, yx, yy: of modes and Ḟ, y = ∂z_el/∂F : Ḟ."""
+    """Return Σ_m tensor_m fields[m], over xx, xy, yx, yy, (2, ·, TILE).
+
+    With modes as fields (4, 2, ·, TILE) and Ḟ as tensor it is y = ∂z_el/∂F : Ḟ.
+    """
     total = np.zeros(fields.shape[1:])
     for m in range(COLUMNS):
-        factor = load(tensor, m // 2, m % 2)
+        a, b = component(m)
+        factor = load(tensor, a, b)
         for axis in range(2):
             for i in range(total.shape[1]):
                 store(load(total, axis, i) + factor * load(fields, m, axis, i), total, axis, i)
@@ -284,32 +336,39 @@ def along(fields, tensor):
 
 @kernel
 def set_velocities(z, y, F, rate, topology, v):
-    """v = Ḟ z + F y for local particles; an image has the y of its owner."""
+    """Fill v (2, local, TILE) with Ḟ z + F y; an image has the y of its owner.
+
+    z: (2, local, TILE). y: (2, own, TILE) rate of z. rate: (2, 2, TILE) Ḟ.
+    """
     particles = topology.particles
     map_affine(rate, z, v)
     xx, xy, yx, yy = entries(F)
     for i in range(v.shape[1]):
         k = i if i < particles else topology.owner[i - particles]
-        yi = load(y, 0, k)
-        yj = load(y, 1, k)
-        store(load(v, 0, i) + xx * yi + xy * yj, v, 0, i)
-        store(load(v, 1, i) + yx * yi + yy * yj, v, 1, i)
+        y_x = load(y, 0, k)
+        y_y = load(y, 1, k)
+        store(load(v, 0, i) + xx * y_x + xy * y_y, v, 0, i)
+        store(load(v, 1, i) + yx * y_x + yy * y_y, v, 1, i)
 
 
 @kernel
 def unit_velocities(z, modes, F, topology):
-    """V (4, 2, local, TILE) = ∂x_el/∂F_m, images included."""
+    """Return V_m = ∂x_el/∂F_m, (4, 2, local, TILE): velocities where one entry of Ḟ is 1."""
     velocities = np.empty((COLUMNS, 2, z.shape[1], TILE))
     unit = np.zeros((COLUMNS, 2, 2, TILE))
     for m in range(COLUMNS):
-        unit[m, m // 2, m % 2] = 1.0
+        a, b = component(m)
+        unit[m, a, b] = 1.0
         set_velocities(z, modes[m], F, unit[m], topology, velocities[m])
     return velocities
 
 
 @kernel
 def velocity_slopes(work, units, F, topology, c, lu):
-    """(4, 2, local, TILE) = ∂v/∂F_m at work.x of v = Σ Ḟ_n V_n in work.v; lu of K."""
+    """Return ∂v/∂F_m, (4, 2, local, TILE), of the velocities v = Σ Ḟ_n V_n in work.v.
+
+    They are −K⁻¹ K̇ V_m at work.x, with K̇ the rate of K along v. units: V. lu: factors of K.
+    """
     slopes = np.zeros_like(units)
     rates = np.zeros_like(units)
     add_stiffness_rates(work, units, rates, topology, c)
@@ -319,7 +378,7 @@ def velocity_slopes(work, units, F, topology, c, lu):
     solve_columns(lu, steps, topology, False)
     if topology.pressures > 0:
         moving = work.v.copy()
-        work.v[:] = 0.0  # K is the Jacobian of the forces at rest
+        work.v[:] = 0.0  # residuals are those of K, the Jacobian at rest
         refine(lu, right, steps, work, standing(F), topology, c)
         work.v[:] = moving
     subtract_columns(steps, topology, slopes)
@@ -328,28 +387,33 @@ def velocity_slopes(work, units, F, topology, c, lu):
 
 @kernel
 def fold_columns(fields, topology, columns):
-    """columns (4, 2n − 2, TILE): fields (4, 2, local, TILE) with what images feel, unless held."""
+    """Fill columns (4, 2n − 2, TILE) with fields (4, 2, local, TILE), images added to their owners.
+
+    The held particle has no rows.
+    """
     particles = topology.particles
     for m in range(COLUMNS):
         for axis in range(2):
             for i in range(1, particles):
-                store(load(fields, m, axis, i), columns, m, 2 * i - 2 + axis)
+                store(load(fields, m, axis, i), columns, m, row_x(i) + axis)
             for k in range(topology.owner.shape[0]):
                 i = topology.owner[k]
-                if i > 0:
-                    row = 2 * i - 2 + axis
+                is_free = i > 0
+                if is_free:
+                    row = row_x(i) + axis
                     value = load(columns, m, row) + load(fields, m, axis, particles + k)
                     store(value, columns, m, row)
 
 
 @kernel
 def subtract_columns(columns, topology, fields):
-    """fields −= columns of own particles, and for images those of their owners."""
+    """Subtract columns (4, 2n − 2, TILE) from fields (4, 2, local, TILE), images as owners."""
     particles = topology.particles
     for m in range(COLUMNS):
         for k in range(fields.shape[2]):
             i = k if k < particles else topology.owner[k - particles]
-            if i > 0:
+            is_free = i > 0
+            if is_free:
                 for axis in range(2):
-                    value = load(fields, m, axis, k) - load(columns, m, 2 * i - 2 + axis)
+                    value = load(fields, m, axis, k) - load(columns, m, row_x(i) + axis)
                     store(value, fields, m, axis, k)

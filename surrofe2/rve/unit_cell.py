@@ -40,22 +40,28 @@ from surrofe2.rve.rve_state import (
 )
 
 STARTS = TILE
-"""Starts of irregular plant cells."""
+"""Starts from which irregular plant cells are relaxed: as many as a tile solves at once."""
 FREE_OF_STRESS = 1e-11
-"""Largest stress of the reference over c_s² times the fluid's mass per area."""
+"""Largest stress of the reference over c_s² times the density of the tissue."""
 RELAXED = 1e-10
 """Mean force, µN, at which Newton's method stops."""
 SAME_ENERGY = 1e-7
 """Equilibria whose energies differ relatively by less are the same or images of each other."""
 _FIRST_GUESS = 0.5
-"""l₀ of one square cell over the length of a spring."""
+"""First guess of l₀ of one square cell, over the length of a spring."""
 _TRIALS = 200
+"""Most evaluations of the stress in the search for l₀ and the box."""
 _DIFFERENCE = 1e-5
+"""Relative step of the differences that this search takes the slopes of stress by."""
 _SETTLED_STRESS = 1e-14
+"""Relative change of l₀ and the box at which the search ends."""
 _SETTLING_STEP = 1e-3
+"""Time step in which particles come to rest, µs."""
 _SETTLING_LIMIT = 300_000
+"""Most of these steps."""
 _SETTLED = {"square": 1.0, "hexagon": 1.0, "voronoi": 1e-4}
-"""Mean force, µN, low enough that Newton stays in the basin: irregular cells have many."""
+"""Mean force, µN, at which Newton's method takes over. It must stay in the basin of the equilibrium
+that particles approach, and irregular cells have many."""
 _CHECK = (
     "check fluid_particle_mass, wall_stiffness and repulsion_strength, or take another "
     "arrangement_seed"
@@ -65,12 +71,15 @@ _NOT_FREE = f"cell: no wall rest length and box free the undeformed RVE of stres
 
 @dataclass(frozen=True, slots=True)
 class UnitCell:
-    """Reference state of an RVE, and what kernels need of it.
+    """Reference state of an RVE, with its neighbours and factors.
 
     Attributes:
+        cell: parameters of its plant cells.
         reference: relaxed positions, lattice and rest length.
-        neighbours: everyone who can interact. near: the contacts near the reference, one tile.
-        factors: factorisation at the reference, one tile.
+        constants: constants of its pair laws.
+        neighbours: everyone who can interact.
+        near: the contacts near the reference, one tile.
+        factors: factors at the reference, one tile.
     """
 
     cell: CellParameters
@@ -82,7 +91,7 @@ class UnitCell:
 
     @property
     def position(self) -> Array:
-        """(n, 2) relaxed reference positions, µm; particle 0 is a wall corner at 0."""
+        """Relaxed reference positions (n, 2), µm; particle 0 is a wall corner at 0."""
         return self.reference.position
 
     @property
@@ -96,9 +105,13 @@ class UnitCell:
         return self.neighbours.topology
 
     def rest_state(self, points: int, of: str) -> RveState:
-        """n RVEs of a law at F = I, Ḟ = 0 in the reference, with the factors there."""
+        """Return the state of n RVEs at F = I, Ḟ = 0 in the reference, with the factors there.
+
+        of: name of the law that it is a state of.
+        """
         tiles = tiles_for(points)
-        z, F = (np.repeat(each, tiles, axis=0) for each in (self.near.z, self.near.F))
+        z = np.repeat(self.near.z, tiles, axis=0)
+        F = np.repeat(self.near.F, tiles, axis=0)
         return RveState(
             of=of,
             points=points,
@@ -114,7 +127,7 @@ class UnitCell:
 
 @lru_cache(maxsize=32)
 def make_unit_cell(cell: CellParameters, reference: ReferenceState | None = None) -> UnitCell:
-    """The RVE of `cell` around its reference state, which is settled unless it is given.
+    """Make the RVE of `cell` around its reference state, which is settled here if it is None.
 
     Raises:
         InputError: no positive rest length balances the turgor, or no stable equilibrium exists.
@@ -132,7 +145,11 @@ def make_unit_cell(cell: CellParameters, reference: ReferenceState | None = None
 def unit_around(
     cell: CellParameters, reference: ReferenceState, neighbours: Neighbours
 ) -> UnitCell:
-    """Particles at rest in `reference`, with their neighbours; refused where it is not stable."""
+    """Make the RVE of particles at rest in `reference`, with their neighbours and factors.
+
+    Raises:
+        InputError: the reference is not stable.
+    """
     constants = make_constants(cell, reference.rest_length)
     z = pack(reference.position.T[None])
     identity = pack(np.eye(2)[None])
@@ -153,6 +170,7 @@ def settle_reference(cell: CellParameters) -> ReferenceState:
         InputError: no positive rest length balances the turgor, or no stable equilibrium exists.
     """
     if cell.sap_bulk_modulus > 0.0:
+        # at rest the sap is neither compressed nor expanded, so it makes no difference
         drained = settle_reference(replace(cell, sap_bulk_modulus=0.0))
         return replace(drained, fingerprint=cell.fingerprint)
     irregular = cell.arrangement == "voronoi"
@@ -169,6 +187,7 @@ def settle_reference(cell: CellParameters) -> ReferenceState:
     if not cell.is_one_square:
         guess = settle_reference(one_square).rest_length
     lattice = make_arrangement(cell).tessellation.lattice
+    # SPH particles in irregular cells come to rest in several ways
     several = irregular and not cell.has_uniform_fluid
     starts = [start_positions(cell, k) for k in range(STARTS if several else 1)]
     equilibria = equilibria_in(cell, lattice, guess, np.array(starts))
@@ -177,18 +196,21 @@ def settle_reference(cell: CellParameters) -> ReferenceState:
 
 
 def resettled(cell: CellParameters, near: ReferenceState) -> ReferenceState:
-    """The reference state of a cell of squares or hexagons, from that of almost the same cell."""
+    """Settle the reference of a cell of squares or hexagons, from that of almost the same cell."""
     lattice_of_cell = make_arrangement(cell).tessellation.lattice
-    z = np.ascontiguousarray((near.position @ np.linalg.solve(near.lattice.T, lattice_of_cell.T)).T)
+    stretch = np.linalg.solve(near.lattice.T, lattice_of_cell.T)
+    z = np.ascontiguousarray((near.position @ stretch).T)
     return _free_of_stress(cell, z, near.rest_length, irregular=False)
 
 
 class Equilibria(NamedTuple):
-    """Elastic equilibria of k points.
+    """Elastic equilibria of k points, as far as they were found.
 
-    z: (k, 2, particles) material positions, µm. stress: (k, 2, 2) Cauchy stress, µN/µm. energy:
-    (k,) of the RVE, pJ; NaN where none was found. iterations: (k,) force evaluations; not positive
-    there. found, stable: (k,).
+    z: (k, 2, particles) material positions, µm.
+    stress: (k, 2, 2) Cauchy stress, µN/µm.
+    energy: (k,) elastic energy of the RVE, pJ; NaN where none was found.
+    iterations: (k,) evaluations of forces; not positive where none was found, see `rve_state`.
+    found, stable: (k,) whether there is an equilibrium, and whether it is stable.
     """
 
     z: Array
@@ -199,7 +221,7 @@ class Equilibria(NamedTuple):
     stable: Flags
 
     def take(self, index: Index) -> Equilibria:
-        """Return those of the points `index`."""
+        """Return the equilibria of the points `index`."""
         return Equilibria._make(values[index] for values in self)
 
 
@@ -210,19 +232,23 @@ def equilibria_in(
     starts: Array,
     arrangement: Arrangement | None = None,
 ) -> Equilibria:
-    """Equilibria at F = I of a given box and l₀ into which `starts` (k, n, 2) settle.
+    """Settle particles from `starts` (k, n, 2) into equilibria at F = I of a box and an l₀.
+
+    SPH particles come to rest in time first; those of starts that do not are left out.
 
     Args:
-        lattice: (2, 2); starts are given in the arrangement's own box and deformed to this one.
-        arrangement: instead of the cell's own.
+        lattice: (2, 2) box, its columns the periods, µm. Starts are in the arrangement's own box
+            and are deformed to this one.
+        rest_length: l₀, µm.
+        arrangement: an arrangement instead of the cell's own.
     """
     arrangement = arrangement or make_arrangement(cell)
     lattice_of_cell = arrangement.tessellation.lattice
     moved = starts @ np.linalg.solve(lattice_of_cell.T, lattice.T)
-    drained = replace(cell, sap_bulk_modulus=0.0)  # at rest the sap has the area of that state
+    drained = replace(cell, sap_bulk_modulus=0.0)  # the area at rest is the one that is sought here
     constants = make_constants(drained, rest_length)
     unit = np.broadcast_to(np.eye(2), (len(moved), 2, 2))
-    if cell.has_uniform_fluid:  # Newton's method finds it from straight walls
+    if cell.has_uniform_fluid:  # Newton's method converges from straight walls
         topology = make_neighbours(cell, moved[0], lattice, arrangement=arrangement).topology
         return relax(topology, constants, np.swapaxes(moved, 1, 2), unit)
     # dashpots that the explicit step bears; where the cell rests does not depend on them
@@ -245,9 +271,10 @@ def relax(
     tolerance: float = RELAXED,
     task: int = SOLVE,
 ) -> Equilibria:
-    """Equilibria at F (k, 2, 2) by Newton from material positions (k, 2, n).
+    """Solve for equilibria at F (k, 2, 2) by Newton's method from material positions (k, 2, n).
 
     Args:
+        tolerance: mean force at which an equilibrium counts as found, µN.
         task: `SOLVE`, or `SEEK` near the starts; see `newton`.
     """
     points = len(starts)
@@ -268,11 +295,16 @@ def relax(
 
 
 def lowest(equilibria: Equilibria) -> int:
-    """The stable equilibrium of least energy; among equal ones the first."""
+    """Return the number of the stable equilibrium of least energy; of equal ones the first.
+
+    Raises:
+        InputError: none is stable.
+    """
     if not equilibria.stable.any():
         raise InputError(f"cell: no stable equilibrium of the undeformed RVE was found; {_CHECK}")
     energy = np.where(equilibria.stable, equilibria.energy, np.inf)
-    return int(np.flatnonzero(energy <= energy.min() + SAME_ENERGY * abs(energy.min()))[0])
+    is_lowest = energy <= energy.min() + SAME_ENERGY * abs(energy.min())
+    return int(np.flatnonzero(is_lowest)[0])
 
 
 def _settled(
@@ -282,7 +314,11 @@ def _settled(
     starts: Array,
     arrangement: Arrangement,
 ) -> Array:
-    """Return where particles come to rest at F = I from `starts` (k, n, 2), of those that do."""
+    """Return where particles come to rest at F = I from `starts` (k, n, 2), for those that do.
+
+    Raises:
+        InputError: none comes to rest.
+    """
     neighbours = make_neighbours(cell, starts[0], lattice, arrangement=arrangement)
     mass = neighbours.mass.copy()
     walls = mass[: arrangement.walls]
@@ -294,41 +330,56 @@ def _settled(
     answer = empty_answer(len(x))
     stepping = Stepping(_SETTLING_STEP, _SETTLED[cell.arrangement], _SETTLING_LIMIT)
     iterate(drive, x, v, mass, neighbours.topology, constants, stepping, answer)
-    rested = unpack(answer.iterations, len(starts)) >= 0
-    if not rested.any():
+    is_at_rest = unpack(answer.iterations, len(starts)) >= 0
+    if not is_at_rest.any():
         raise InputError(
             "cell: the undeformed RVE does not come to rest "
             f"(mean force {answer.residual.min():.3g} µN); check fluid_particle_mass, "
             "wall_stiffness and the damping ratios"
         )
-    return np.swapaxes(unpack(x, len(starts)), 1, 2)[rested]
+    return np.swapaxes(unpack(x, len(starts)), 1, 2)[is_at_rest]
 
 
 def _free_of_stress(
     cell: CellParameters, z: Array, rest_length: float, irregular: bool
 ) -> ReferenceState:
-    """Solve for l₀ and, of irregular cells, the box's shape: F = exp of a traceless matrix."""
+    """Solve for l₀ and, of irregular cells, the box's shape by which the stress vanishes.
+
+    The unknowns u are l₀ in spring lengths and, of irregular cells, two strains, of which the
+    shape F is the exponential of a symmetric matrix without a trace, so that areas stay.
+
+    Args:
+        z: (2, n) material positions near the equilibrium, µm.
+        rest_length: first guess of l₀, µm.
+
+    Raises:
+        InputError: there is no such l₀, it is not positive, or the equilibrium is not stable.
+    """
     lattice = make_arrangement(cell).tessellation.lattice
     topology = make_neighbours(cell, z.T, lattice).topology
     tolerance = FREE_OF_STRESS * cell.density * cell.sound_speed**2
-    at = z[None].copy()
+    # where the next solve begins: at the equilibrium of the last
+    z_start = z[None].copy()
 
     def shape(u: Array) -> Array:
-        return (
-            np.asarray(scipy.linalg.expm([[u[1], u[2]], [u[2], -u[1]]])) if irregular else np.eye(2)
-        )
+        """Return the deformation F (2, 2) of the box."""
+        if not irregular:
+            return np.eye(2)
+        return np.asarray(scipy.linalg.expm([[u[1], u[2]], [u[2], -u[1]]]))
 
     def stress(u: Array) -> Array:
+        """Return sum, difference and shear of the stress, as many as there are unknowns."""
         constants = make_constants(cell, u[0] * cell.spring_length)
-        equilibrium = relax(topology, constants, at, shape(u)[None])
+        equilibrium = relax(topology, constants, z_start, shape(u)[None])
         if not equilibrium.found[0]:
             raise InputError(_NOT_FREE)
-        at[:] = equilibrium.z
+        z_start[:] = equilibrium.z
         s = equilibrium.stress[0]
         return np.array([s[0, 0] + s[1, 1], s[0, 0] - s[1, 1], s[0, 1] + s[1, 0]])[: len(u)]
 
     u = np.zeros(3 if irregular else 1)
     u[0] = rest_length / cell.spring_length
+    # the relative step of scipy's differences is the root of its `eps`
     options = {"xtol": _SETTLED_STRESS, "maxfev": _TRIALS, "eps": _DIFFERENCE**2}
     u = scipy.optimize.root(stress, u, method="hybr", options=options).x
     if not u[0] > 0.0:
@@ -340,7 +391,8 @@ def _free_of_stress(
         raise InputError(_NOT_FREE)
     F = shape(u)
     l0 = float(u[0] * cell.spring_length)
-    relaxed = at[0].T @ F.T
+    # the deformed box becomes the reference, at F = I
+    relaxed = z_start[0].T @ F.T
     box = F @ lattice
     topology = make_neighbours(cell, relaxed, box).topology
     final = relax(topology, make_constants(cell, l0), relaxed.T[None], np.eye(2)[None])
