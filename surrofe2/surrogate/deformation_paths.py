@@ -18,9 +18,11 @@ from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.base.tensors import INPUTS, stress_error
 from surrofe2.law.stress_law import LearningLaw, Status, StressLaw, StressResponse
+from surrofe2.surrogate.products import STRETCH
 from surrofe2.surrogate.settings import CORNERS, SMALL
 
 State = tuple[Array, Array]
+"""F and F_dot, (n, 2, 2) each."""
 
 # Histories whose stress is computed at once. RVEs keep a warm start of each, so this bounds memory.
 CHUNK = 512
@@ -89,7 +91,7 @@ class Truth:
 
     @property
     def reached(self) -> Flags:
-        """(n,) whether every earlier state of the same history has a stress.
+        """Whether every earlier state of the same history has a stress, (n,).
 
         States behind one without a stress say nothing of the model: a run has ended there, or its
         RVE is in an equilibrium beyond a bifurcation.
@@ -130,7 +132,7 @@ def random_walks(range: SamplingRange, count: int, length: int, seed: int) -> De
     corner = side * rng.uniform(1 - _OUTER, 1, (count, INPUTS))
     kind = rng.random((count, 1))  # below CORNERS: to a corner; above 1 − SMALL: a small walk
     is_fast = rng.random((count, 1)) < 0.5
-    is_stretch = np.arange(INPUTS) < 3
+    is_stretch = np.arange(INPUTS) < STRETCH
     is_outer = (kind < CORNERS) & (is_fast | is_stretch)
     x[-1] = np.where(is_outer, corner, x[-1])
     factor_of_walk = _SMALLEST_WALK ** rng.random((count, 1))
@@ -143,8 +145,9 @@ def random_walks(range: SamplingRange, count: int, length: int, seed: int) -> De
     knots[1:, :, INPUTS] = np.cumsum(turn, axis=0)
     walk = PchipInterpolator(np.arange(len(knots)), knots, axis=0)
     states = walk(np.linspace(0.0, len(knots) - 1.0, length))
+    # coordinates are in the order U₁₁, U₂₂, U₁₂
     U = np.eye(2) + states[..., [0, 2, 2, 1]].reshape(length, count, 2, 2)
-    A = states[..., 3:INPUTS].reshape(length, count, 2, 2)
+    A = states[..., STRETCH:INPUTS].reshape(length, count, 2, 2)
     cos = np.cos(states[..., INPUTS])
     sin = np.sin(states[..., INPUTS])
     R = np.stack([cos, -sin, sin, cos], axis=-1).reshape(length, count, 2, 2)
@@ -167,9 +170,11 @@ class WatchedLaw:
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
     ) -> StressResponse:
+        """Return the law's response, unchanged."""
         return self.law.respond(F, F_dot, state, tangents=tangents)
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
+        """Check and commit at once, as a law does that is the only one of a tissue."""
         checked = self.check(F, F_dot, response)
         if checked.status.any():  # the step is rejected, so nothing is noted
             return checked

@@ -29,6 +29,7 @@ from surrofe2.base.simd import (
     store,
     where_less,
 )
+from surrofe2.base.square_symmetry import DIFFERENCE, SHEAR, SPIN, SUM
 from surrofe2.base.tensors import INPUTS
 from surrofe2.law.stress_law import Status
 from surrofe2.surrogate.domain import (
@@ -72,9 +73,14 @@ _OUT_OF_RANGE = int(Status.OUT_OF_RANGE)
 _NOT_FINITE = int(Status.NOT_FINITE)
 _NOT_TRUSTED = int(Status.NOT_TRUSTED)
 
-# Rows of the frame: components of F, Ḟ (V), R, U, A; 1 or 0, whether in range; the stress.
-_F11, _F12, _F21, _F22, _V11, _V12, _V21, _V22 = range(8)
-_COS, _SIN, _U11, _U22, _U12, _A11, _A12, _A21, _A22, _INSIDE, _S11, _S12, _S21, _S22 = range(8, 22)
+# Rows of the frame of a block: F, and its rate V = Ḟ; the rotation R, U and A = RᵀḞ, in the order
+# of `SamplingRange.ends`; 1 or 0, whether the point is in range; the stress.
+_F11, _F12, _F21, _F22 = range(4)
+_V11, _V12, _V21, _V22 = range(4, 8)
+_COS, _SIN = range(8, 10)
+_U11, _U22, _U12, _A11, _A12, _A21, _A22 = range(10, 17)
+_INSIDE = 17
+_S11, _S12, _S21, _S22 = range(18, 22)
 _FRAME_ROWS = 22
 # The polynomials of `BoundArrays`: logarithm of the odds of failure, positive beyond the boundary;
 # the bound over the tolerance; the square of what the inputs add to the tolerance at rest.
@@ -316,6 +322,7 @@ def evaluate_slopes(F: Array, F_dot: Array, network: NetworkArrays) -> tuple[Arr
 def _lookup_parallel(  # type: ignore[no-untyped-def]
     begin, end, F, F_dot, network, bounds, limit, stress, status, risk
 ):
+    """Do as `_lookup_part`, with parts of `_PART` points shared out among the cores."""
     for part in prange((end - begin + _PART - 1) // _PART):
         first = begin + part * _PART
         last = min(first + _PART, end)
@@ -326,9 +333,11 @@ def _lookup_parallel(  # type: ignore[no-untyped-def]
 def _lookup_part(  # type: ignore[no-untyped-def]
     begin, end, F, F_dot, network, bounds, limit, stress, status, risk
 ):
-    """Set status and risk at points `begin` to `end` by range, failure boundary and bound.
+    """Fill status (n,) and risk (n,) at points `begin` to `end` by range, boundary and bound.
 
-    Where there is a network, the stress is set, too.
+    With a network it fills stress (n, 2, 2), too; network and stress may be None.
+
+    F, F_dot: (n, 2, 2). limit: largest risk at which a stress is trusted.
     """
     frame = np.empty((_FRAME_ROWS, TILES, TILE))
     trust = make_room(bounds, ALL_INPUTS, 0)
@@ -343,7 +352,11 @@ def _lookup_part(  # type: ignore[no-untyped-def]
 def _lookup_blocks(  # type: ignore[no-untyped-def]
     begin, end, F, F_dot, network, bounds, limit, rooms, stress, status, risk
 ):
-    """As `_lookup_part`, in the arrays that it made."""
+    """Do the work of `_lookup_part`, block by block, in the arrays `rooms` that it made.
+
+    They are the frame; the room of the polynomials of `BoundArrays`; and room and units of the
+    network, or None.
+    """
     frame, trust, of_network = rooms
     for start in range(begin, end, BLOCK):
         _read_points(start, F, F_dot, frame)
@@ -360,7 +373,7 @@ def _lookup_blocks(  # type: ignore[no-untyped-def]
             _set_stress(room.y, frame)
         for t in range(TILES):
             first = start + t * TILE
-            count = np.uint64(max(0, min(TILE, end - first)))
+            count = np.uint64(max(0, min(TILE, end - first)))  # the last block may be part empty
             is_plain = _is_plain(frame, trust.y, limit, stress is not None, t)
             for lane in range(count):
                 point = np.uint64(first) + lane
@@ -381,7 +394,10 @@ def _lookup_blocks(  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _is_plain(frame, y, limit, has_stress, t):  # type: ignore[no-untyped-def]
-    """Whether status is 0 at all points of a tile, which most are: nothing else is asked there."""
+    """Return whether the status is OK at all points of tile t, so that none needs `_judged`.
+
+    frame: rows of the block. y: polynomials of `BoundArrays`. has_stress: whether it is tested.
+    """
     plain = where_less(0.0, load(y, _HEIGHT, t), 0.0, load(frame, _INSIDE, t))
     plain = where_less(load(y, _BOUND, t), limit, plain, 0.0)
     if has_stress:
@@ -394,7 +410,10 @@ def _is_plain(frame, y, limit, has_stress, t):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _judged(frame, y, limit, has_stress, t, lane):  # type: ignore[no-untyped-def]
-    """Return risk and status of one point; of several faults that of the network counts first."""
+    """Return risk and status of one point; arguments as of `_is_plain`.
+
+    Of several faults a stress that is not finite counts first, then the range, then the risk.
+    """
     value = y[_BOUND, t, lane]
     inside = frame[_INSIDE, t, lane] > 0.0
     if has_stress and inside:
@@ -403,13 +422,14 @@ def _judged(frame, y, limit, has_stress, t, lane):  # type: ignore[no-untyped-de
                 return np.inf, _NOT_FINITE
     if not (inside and y[_HEIGHT, t, lane] <= 0.0):
         return np.inf, _OUT_OF_RANGE
-    if not value <= limit:
+    if not value <= limit:  # True for NaN, too
         return value, _NOT_TRUSTED
     return value, _OK
 
 
 @kernel
 def _slopes(F, F_dot, network, P, slopes):  # type: ignore[no-untyped-def]
+    """Fill P (n, 4) with the components of P̂ and slopes (n, 4, 7) with theirs by the inputs."""
     frame = np.empty((_FRAME_ROWS, TILES, TILE))
     room = make_room(network, NETWORK_INPUTS, INPUTS)
     units = _make_units(network, INPUTS)
@@ -421,16 +441,20 @@ def _slopes(F, F_dot, network, P, slopes):  # type: ignore[no-untyped-def]
         for p in range(min(BLOCK, F.shape[0] - start)):
             t = p // TILE
             lane = p % TILE
-            for c in range(COMPONENTS):
-                P[start + p, c] = room.y[c, t, lane]
+            for component in range(COMPONENTS):
+                P[start + p, component] = room.y[component, t, lane]
                 for k in range(INPUTS):
-                    slope = room.y_slopes[k, c, t, lane] * network.input_factor[k]
-                    slopes[start + p, c, k] = slope
+                    # by the input, where `room` has the slope by the scaled input
+                    slope = room.y_slopes[k, component, t, lane] * network.input_factor[k]
+                    slopes[start + p, component, k] = slope
 
 
 @bare_kernel
 def _read_points(start, F, F_dot, frame):  # type: ignore[no-untyped-def]
-    """Set the rows of F and Ḟ; the last point fills the rest of the last block."""
+    """Set the rows of F and Ḟ of the frame by the points from `start` on.
+
+    F, F_dot: (n, 2, 2). The last point fills the rest of the last block.
+    """
     for p in range(BLOCK):
         point = min(start + p, F.shape[0] - 1)
         t = p // TILE
@@ -442,7 +466,10 @@ def _read_points(start, F, F_dot, frame):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _take_rotation_out(frame):  # type: ignore[no-untyped-def]
-    """Set the rows of R, U and A from those of F and Ḟ."""
+    """Set the rows of R, U = RᵀF and A = RᵀḞ from those of F and Ḟ.
+
+    The polar rotation of a 2 × 2 tensor has cos ∝ F₁₁ + F₂₂ and sin ∝ F₂₁ − F₁₂.
+    """
     for t in range(TILES):
         xx = load(frame, _F11, t)
         xy = load(frame, _F12, t)
@@ -450,9 +477,9 @@ def _take_rotation_out(frame):  # type: ignore[no-untyped-def]
         yy = load(frame, _F22, t)
         along = xx + yy
         across = yx - xy
-        length = 1.0 / root(along * along + across * across)
-        c = along * length
-        s = across * length
+        per_length = 1.0 / root(along * along + across * across)
+        c = along * per_length
+        s = across * per_length
         store(c, frame, _COS, t)
         store(s, frame, _SIN, t)
         store(c * xx + s * yx, frame, _U11, t)
@@ -482,7 +509,12 @@ def _set_inside(frame, limits):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
-    """Set the scaled inputs of `tensors`, (7, TILES, TILE), and a row of ones."""
+    """Set the scaled inputs of `tensors` and the input that is 1, rows of x (·, TILES, TILE).
+
+    Inputs of U − I come first, those of A follow from STRETCH on.
+
+    factor: (7,) by which inputs are multiplied.
+    """
     for t in range(TILES):
         u11 = load(frame, _U11, t)
         u22 = load(frame, _U22, t)
@@ -490,19 +522,23 @@ def _scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
         a12 = load(frame, _A12, t)
         a21 = load(frame, _A21, t)
         a22 = load(frame, _A22, t)
-        store(((u11 - 1.0) + (u22 - 1.0)) * factor[0], x, 0, t)
-        store((u11 - u22) * factor[1], x, 1, t)
-        store(load(frame, _U12, t) * (2.0 * factor[2]), x, 2, t)
-        store((a11 + a22) * factor[3], x, 3, t)
-        store((a11 - a22) * factor[4], x, 4, t)
-        store((a12 + a21) * factor[5], x, 5, t)
-        store((a21 - a12) * factor[6], x, 6, t)
+        # 1 is subtracted first, which near rest rounds less
+        store(((u11 - 1.0) + (u22 - 1.0)) * factor[SUM], x, SUM, t)
+        store((u11 - u22) * factor[DIFFERENCE], x, DIFFERENCE, t)
+        store(load(frame, _U12, t) * (2.0 * factor[SHEAR]), x, SHEAR, t)
+        store((a11 + a22) * factor[STRETCH + SUM], x, STRETCH + SUM, t)
+        store((a11 - a22) * factor[STRETCH + DIFFERENCE], x, STRETCH + DIFFERENCE, t)
+        store((a12 + a21) * factor[STRETCH + SHEAR], x, STRETCH + SHEAR, t)
+        store((a21 - a12) * factor[STRETCH + SPIN], x, STRETCH + SPIN, t)
         store(1.0, x, ONE, t)
 
 
 @bare_kernel
 def _set_inputs(frame, network, room):  # type: ignore[no-untyped-def]
-    """Set the inputs of a network, see `features`, with the slopes of those that bend."""
+    """Set the inputs of a network, see `features`: x, 1, and u = x/√(δ² + x²) of U − I.
+
+    With slopes, du/dx = δ²/(δ² + x²)^(3/2) is set, too; δ is BEND.
+    """
     x = room.rows
     slopes = room.slopes
     _scale_inputs(frame, network.input_factor, x)
@@ -517,9 +553,9 @@ def _set_inputs(frame, network, room):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _evaluate_network(arrays, room, units):  # type: ignore[no-untyped-def]
-    """Set the components of P̂, y, and their slopes by scaled inputs.
+    """Set room.y to the components of P̂, and room.y_slopes to theirs by scaled inputs.
 
-    Each is the baseline plus, for each of its terms, (factor − factor at rest) × product.
+    Each component is its baseline plus, for each of its terms, (factor − factor at rest) × product.
     """
     first = _evaluate_factors(arrays, room, units)
     y = room.y
@@ -541,7 +577,7 @@ def _evaluate_network(arrays, room, units):  # type: ignore[no-untyped-def]
 
 @kernel
 def _make_units(arrays, along):  # type: ignore[no-untyped-def]
-    """Make room for the units of all layers, with slopes along the first `along` inputs."""
+    """Make `Units` for all layers, with slopes by the first `along` inputs."""
     count = arrays.sizes.sum()
     flat = np.empty(count * BLOCK)
     slopes = np.empty((along, count, TILES, TILE))
@@ -550,21 +586,26 @@ def _make_units(arrays, along):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _evaluate_factors(arrays, room, units):  # type: ignore[no-untyped-def]
-    """Set y to the baseline, fill the units, all with slopes; return the first factor's row."""
+    """Set room.y to the baseline and compute all units; return the row of the first factor.
+
+    If there is room for slopes, they are computed, too.
+    """
     kept = arrays.kept
     values = units.values
     slopes = units.slopes
     evaluate(arrays, room)
     terms = arrays.components.shape[0]
     invariants = kept.shape[0] - terms
+    # the first layer of units is the invariants, and zeros that make a multiple of four of them
     for k in range(arrays.sizes[0]):
+        is_invariant = k < invariants
         for t in range(TILES):
-            if k < invariants:
+            if is_invariant:
                 store(load(room.rows, kept[terms + k], t), values, k, t)
             else:
                 store(0.0, values, k, t)
             for along in range(slopes.shape[0]):
-                if k < invariants:
+                if is_invariant:
                     store(load(room.slopes, along, kept[terms + k], t), slopes, along, k, t)
                 else:
                     store(0.0, slopes, along, k, t)
@@ -573,9 +614,9 @@ def _evaluate_factors(arrays, room, units):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _forward(arrays, units):  # type: ignore[no-untyped-def]
-    """Fill the units of all layers, and their slopes, from those of the inputs.
+    """Compute the units of all layers, and their slopes, from those of the first.
 
-    The last layer has no tanh. Return the first row of the last layer.
+    h ← tanh(W h + b) and h′ ← (1 − h²) W h′; the last layer has no tanh. Return its first row.
     """
     sizes = arrays.sizes
     weights = arrays.weights
@@ -617,9 +658,10 @@ def _times_tanh_slope(tanh, slopes, rows):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _apply_layer(matrix, bias, source, target):  # type: ignore[no-untyped-def]
-    """Set target = matrix source + bias, (rows, …), with the matrix in one row.
+    """Set target (rows, TILES, TILE) to matrix · source (columns, TILES, TILE) + bias (rows,).
 
-    Four rows of two tiles stay in registers.
+    matrix: (rows · columns,), row after row. Sums of four rows and two tiles, a to h, stay in
+    registers.
     """
     columns = source.shape[0]
     for t in range(0, TILES, 2):
@@ -663,9 +705,11 @@ def _apply_layer(matrix, bias, source, target):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _set_stress(y, frame):  # type: ignore[no-untyped-def]
-    """Set the rows of σ from the components of P̂ in rows 0 to 3 of y.
+    """Set the rows of σ in the frame from the components of P̂, the rows of y.
 
-    S = P̂ U/det U, and R turns the difference and shear of S by twice its own angle.
+    S = P̂ U/det U, and σ = R S Rᵀ: R turns difference and shear of S by twice its own angle, and
+    leaves its sum and spin. Components are halved here: S₁₁ is half of the sum plus half of the
+    difference. With n, d and g the sum, difference and shear of U, 4 det U = n² − d² − g².
     """
     for t in range(TILES):
         u11 = load(frame, _U11, t)
@@ -673,33 +717,36 @@ def _set_stress(y, frame):  # type: ignore[no-untyped-def]
         n = u11 + u22
         d = u11 - u22
         g = 2.0 * load(frame, _U12, t)
-        total = load(y, 0, t)
-        difference = load(y, 1, t)
-        shear = load(y, 2, t)
-        spin = load(y, 3, t)
+        total = load(y, SUM, t)
+        difference = load(y, DIFFERENCE, t)
+        shear = load(y, SHEAR, t)
+        spin = load(y, SPIN, t)
         factor = 1.0 / (n * n - d * d - g * g)
-        s = factor * (n * total + d * difference + g * shear)
-        by_d = factor * (d * total + n * difference - g * spin)
-        by_g = factor * (g * total + n * shear + d * spin)
-        w = factor * (n * spin - g * difference + d * shear)
+        S_sum = factor * (n * total + d * difference + g * shear)
+        S_difference = factor * (d * total + n * difference - g * spin)
+        S_shear = factor * (g * total + n * shear + d * spin)
+        S_spin = factor * (n * spin - g * difference + d * shear)
         cos = load(frame, _COS, t)
         sin = load(frame, _SIN, t)
-        c2 = cos * cos - sin * sin
-        s2 = 2.0 * cos * sin
-        turned_d = c2 * by_d - s2 * by_g
-        turned_g = s2 * by_d + c2 * by_g
-        store(s + turned_d, frame, _S11, t)
-        store(turned_g - w, frame, _S12, t)
-        store(turned_g + w, frame, _S21, t)
-        store(s - turned_d, frame, _S22, t)
+        cos_twice = cos * cos - sin * sin
+        sin_twice = 2.0 * cos * sin
+        turned_difference = cos_twice * S_difference - sin_twice * S_shear
+        turned_shear = sin_twice * S_difference + cos_twice * S_shear
+        store(S_sum + turned_difference, frame, _S11, t)
+        store(turned_shear - S_spin, frame, _S12, t)
+        store(turned_shear + S_spin, frame, _S21, t)
+        store(S_sum - turned_difference, frame, _S22, t)
 
 
 @bare_kernel
 def _set_even_inputs(near, x):  # type: ignore[no-untyped-def]
-    """Set the rows of `domain.all_inputs` that follow the inputs and 1."""
+    """Set the rows of `domain.all_inputs` that follow the inputs and 1, in x (·, TILES, TILE).
+
+    near: (7,) share of each squared input in the size of a state.
+    """
     for t in range(TILES):
-        low = where_less(load(x, 0, t), 0.0, load(x, 0, t), 0.0)
-        store(low * low, x, COMPRESSION, t)
+        compression = where_less(load(x, SUM, t), 0.0, load(x, SUM, t), 0.0)
+        store(compression * compression, x, COMPRESSION, t)
         total = spread(0.0)
         size = spread(0.0)
         for k in range(INPUTS):
@@ -713,8 +760,11 @@ def _set_even_inputs(near, x):  # type: ignore[no-untyped-def]
 
 @bare_kernel
 def _divide_by_local_tolerance(at_rest, y):  # type: ignore[no-untyped-def]
-    """Turn the bound into the risk: divide it by `SurrogateLaw.local_tolerance`."""
+    """Turn the bound in y into the risk: divide it by `SurrogateLaw.local_tolerance`.
+
+    at_rest: error allowed at rest, as a fraction of the tolerance.
+    """
     for t in range(TILES):
-        share = root(load(y, _SQUARE, t)) + at_rest
-        share = where_less(share, 1.0, share, 1.0)
-        store(load(y, _BOUND, t) / share, y, _BOUND, t)
+        allowed = root(load(y, _SQUARE, t)) + at_rest
+        allowed = where_less(allowed, 1.0, allowed, 1.0)  # at most 1
+        store(load(y, _BOUND, t) / allowed, y, _BOUND, t)

@@ -56,7 +56,7 @@ def columns(x: Any, products: Iterable[Product]) -> list[Any]:
     values: dict[Product, Any] = {(): x[:, ONE]}
 
     def column(product: Product) -> Any:
-        # products share their beginnings, so each multiplication is done once
+        """Return a product, and remember it and its beginnings, which other products share."""
         if product not in values:
             last = x[:, product[-1]]
             if len(product) == 1:
@@ -197,10 +197,16 @@ def make_room(polynomials, inputs, along):  # type: ignore[no-untyped-def]
 
 @pair_law
 def evaluate(polynomials, room):  # type: ignore[no-untyped-def]
-    """Set the products and the polynomials from the inputs, with slopes from those of the inputs.
+    """Compute the products and polynomials of a `Room` from its inputs, and their slopes.
 
-    Where there are slopes, an input that depends on others is the first of its products. Written
-    out where it is used: a call with all these arrays takes as long as a small polynomial.
+    - products: row k + inputs is the product of a row and an input, `products[k]`.
+    - polynomials: y = Σ_heads x_head (Σ coefficient · row).
+    - slopes by input `along`, if there is room for them, by the product rule; a head or second
+      factor j depends on `along` only if it is that input itself. So an input that depends on
+      others must be the first of its products.
+
+    polynomials: `Polynomials`, or arrays with the same fields. The kernel is written out where it
+    is used: a call with all these arrays takes as long as a small polynomial.
     """
     products = polynomials.products
     begins = polynomials.begins
@@ -210,7 +216,7 @@ def evaluate(polynomials, room):  # type: ignore[no-untyped-def]
     rows, y, slopes, y_slopes = room
     coefficients = polynomials.coefficients
     inputs = rows.shape[0] - products.shape[0]
-    # numba tests signed indices for counting from the end
+    # unsigned, since numba tests signed indices for counting from the end
     for k in range(np.uint64(products.shape[0])):
         i = products[k, 0]
         j = products[k, 1]
@@ -218,7 +224,8 @@ def evaluate(polynomials, room):  # type: ignore[no-untyped-def]
         for t in range(TILES):
             store(load(rows, i, t) * load(rows, j, t), rows, row, t)
     for output in range(begins.shape[0] - 1):
-        # a sum for each of the six tiles: additions to one sum wait for each other
+        # Written out for the six tiles, as additions to one sum wait for each other. one to six are
+        # the sums over groups, a to f those within a group.
         one = spread(0.0)
         two = spread(0.0)
         three = spread(0.0)
@@ -259,6 +266,7 @@ def evaluate(polynomials, room):  # type: ignore[no-untyped-def]
     for along in range(slopes.shape[0]):
         inner = slopes[along]
         result = y_slopes[along]
+        # two tiles at a time: t in a and one, t + 1 in b and two
         for t in range(0, TILES, 2):
             for k in range(products.shape[0]):
                 i = products[k, 0]

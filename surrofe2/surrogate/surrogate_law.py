@@ -46,9 +46,10 @@ _STRESS_COMPONENTS = ("xx", "xy", "yx", "yy")
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class SurrogateLaw(Viewed):
-    """σ(F, Ḟ) of one RVE, learnt; rotation and, for the square cell, D4 hold exactly.
+    """Stress law σ(F, Ḟ) of one RVE, learnt from samples of its stress.
 
-    Smooth everywhere; for the square cell σ(I, 0) = 0.
+    It turns with the material exactly, and for the square cell has its symmetry D4 and σ(I, 0) = 0
+    exactly. It is smooth everywhere.
 
     Attributes:
         network: weights that give the components of RᵀP from those of U and RᵀḞ; see `network`.
@@ -168,7 +169,7 @@ class SurrogateLaw(Viewed):
 
     @property
     def is_calibrated(self) -> bool:
-        """Whether the bound was calibrated for these very weights and this range."""
+        """True if the bound was calibrated for these very weights and this range."""
         if self.calibration is None:
             return False
         return self.calibration.subject == self.network.fingerprint(self.range)

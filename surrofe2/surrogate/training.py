@@ -168,6 +168,7 @@ def train(
     scale = 1.0 / float((task.weight * network.output_scale**2).max())
 
     def loss_and_gradient() -> torch.Tensor:
+        """Compute the scaled loss, and leave its gradient with the weights, for L-BFGS."""
         optimiser.zero_grad()
         loss = scale * task.loss(network)
         loss.backward()
