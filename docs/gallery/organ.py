@@ -39,8 +39,7 @@ QUARTER = 0.5 * np.pi
 def outline(angles):
     """Points (n, 2) of the stem's outline, mm."""
     radius = RADIUS * (1.0 + RIB * np.cos(RIBS * angles))
-    # rounded, so that its ends are on the lines of symmetry
-    return np.round(np.stack([radius * np.cos(angles), radius * np.sin(angles)], axis=1), 9)
+    return np.stack([radius * np.cos(angles), radius * np.sin(angles)], axis=1)
 
 
 def write_mesh(path, size=0.25):

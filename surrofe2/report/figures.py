@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 
 from surrofe2.base.arrays import Array
 from surrofe2.problem.conditions import Condition, Fixed, PointForce, PrescribedMotion
-from surrofe2.problem.mesh import NodeAt
+from surrofe2.problem.mesh import DIGITS, NodeAt
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape
 from surrofe2.run.charts import VERMILION, in_words
 from surrofe2.rve.particles import Particles
@@ -348,9 +348,15 @@ def _with_mirror_images(
     """
     copies = [position]
     for axis, x in enumerate(fields.points.T):
-        lines = {x[side.a] for side in sides if side.motion == axis}
-        if len(lines) == 1 and lines <= {x.min(), x.max()}:
-            mirror = 2.0 * lines.pop()
+        nodes = [side.a for side in sides if side.motion == axis]
+        if not nodes:
+            continue
+        line = float(x[nodes].mean())
+        rounding = DIGITS * float(np.ptp(x))
+        is_straight = np.ptp(x[nodes]) <= rounding
+        is_at_an_end = min(line - x.min(), x.max() - line) <= rounding
+        if is_straight and is_at_an_end:
+            mirror = 2.0 * line
             is_axis = np.arange(2) == axis
             copies += [np.where(is_axis, mirror - copy, copy) for copy in copies]
     return copies

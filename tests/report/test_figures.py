@@ -53,6 +53,16 @@ def test_half_a_specimen_is_drawn_whole_with_its_supports():
     assert sorted(styles) == [0.8] * 4 + [2.5] * 4  # symmetry twice two; clamp and grip twice
 
 
+def test_a_line_of_symmetry_is_one_but_for_rounding():
+    """As a mesh has it whose points were computed: cos(90°) is 6e-17."""
+    fields = strip()
+    fields.points[2, 1] = 6e-17
+    fields.points[4, 1] = -6e-17
+    axes = Figure().subplots()
+    draw_tissue(axes, fields, 2, np.array([1.0, 2.0]), Colours.of("", np.array([1.0, 2.0])))
+    assert len(axes.collections) == 2
+
+
 def test_nodes_that_are_held_or_pulled_are_drawn():
     axes = Figure().subplots()
     conditions = [
