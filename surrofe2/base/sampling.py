@@ -30,7 +30,19 @@ _MOST_SAMPLES = 2**30  # points of the scrambled Sobol sequence
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SamplingRange:
-    """Bounds on the stretch U and on A = RᵀḞ; mapped onto itself by the square cell's group D4."""
+    """Bounds on the stretch U and on A = RᵀḞ; mapped onto itself by the square cell's group D4.
+
+    Examples:
+        Within 5 % of stretch and shear, and rates up to 1 per ms:
+
+        >>> from surrofe2 import SamplingRange
+        >>> range = SamplingRange(stretch=(0.95, 1.05), shear=0.05, rate=1e-3)
+        >>> range.stretch
+        (0.95, 1.05)
+        >>> SamplingRange(stretch=(0.95, 1.05), shear=0.99, rate=1e-3)  # doctest: +ELLIPSIS
+        Traceback (most recent call last):
+        surrofe2.base.errors.InputError: range.shear: 0.99; it must be below ...
+    """
 
     stretch: tuple[float, float] = setting(about="(low, high) of U₁₁ and of U₂₂")
     shear: float = setting(about="bound on |U₁₂|", least=0.0)
@@ -70,6 +82,15 @@ def sample(range: SamplingRange, count: int, seed: int, start: int = 0) -> tuple
 
     Raises:
         InputError: a number is negative, or the sequence ends before.
+
+    Examples:
+        >>> from surrofe2 import SamplingRange, sample
+        >>> range = SamplingRange(stretch=(0.95, 1.05), shear=0.05, rate=1e-3)
+        >>> F, F_dot = sample(range, 1024, seed=1)
+        >>> F.shape
+        (1024, 2, 2)
+        >>> print(f"{F[:, 0, 0].min():.2f} to {F[:, 0, 0].max():.2f}")
+        0.95 to 1.05
     """
     for name, value in (("count", count), ("seed", seed), ("start", start)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:

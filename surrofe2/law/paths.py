@@ -82,7 +82,19 @@ def oscillation(direction: Array, amplitude: float, frequency: float) -> Motion:
 
 
 def ramp_and_hold(target: Array, length: float) -> Motion:
-    """F from I to `target` (2, 2) by s³ (10 − 15 s + 6 s²), s = t/length (µs), held from there."""
+    """F from I to `target` (2, 2) by s³ (10 − 15 s + 6 s²), s = t/length (µs), held from there.
+
+    Examples:
+        >>> import numpy as np
+        >>> from surrofe2 import ramp_and_hold
+        >>> motion = ramp_and_hold(np.diag([1.02, 1.0]), 100.0)
+        >>> for t in (0.0, 50.0, 200.0):
+        ...     F, F_dot = motion(t)
+        ...     print(f"{t:.0f} µs: {F[0, 0]:.3f}, {1000.0 * F_dot[0, 0]:.3f} per ms")
+        0 µs: 1.000, 0.000 per ms
+        50 µs: 1.010, 0.375 per ms
+        200 µs: 1.020, 0.000 per ms
+    """
 
     def motion(t: float) -> tuple[Array, Array]:
         s = min(t / length, 1.0)
@@ -113,6 +125,20 @@ def follow_path(
     Raises:
         InputError: no step, an entry that F has not, or free entries by a law without tangents.
         SimulationError: the law has no stress, or Newton's method does not converge.
+
+    Examples:
+        A uniaxial test of apple flesh: stretched by 1 % along x, free along y. The stress over the
+        strain is Young's modulus, the strain across over it Poisson's ratio:
+
+        >>> import numpy as np
+        >>> from surrofe2 import RveLaw, follow_path, ramp_and_hold
+        >>> law = RveLaw("apple")
+        >>> pull = ramp_and_hold(np.diag([1.01, 1.0]), 100.0)
+        >>> test = follow_path(law, pull, duration=200.0, steps=20, free=[(1, 1)])
+        >>> modulus = test.first_piola[-1, 0, 0] / 0.01 / law.cell.tissue_thickness
+        >>> ratio = (1.0 - test.F[-1, 1, 1]) / 0.01
+        >>> print(f"{modulus:.2f} MPa, {ratio:.3f}")
+        3.74 MPa, 0.015
     """
     if not duration > 0.0 or steps < 1:
         raise InputError(f"duration, steps: {duration}, {steps}; they must be positive")

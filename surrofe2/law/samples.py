@@ -38,6 +38,18 @@ class StressSamples(Viewed):
         P_by_F_dot: the same by Ḟ, µN µs/µm; given if and only if `P_by_F` is.
         left_bifurcation: (n,) whether the RVE left its branch at a bifurcation: its stress is
             that of one of several stable equilibria. None: nowhere.
+
+    Examples:
+        `sample_stress` makes them, `read_data_set` reads them from a file:
+
+        >>> from surrofe2 import RveLaw, SamplingRange, sample_stress
+        >>> range = SamplingRange(stretch=(0.95, 1.05), shear=0.05, rate=1e-3)
+        >>> samples = sample_stress(RveLaw("apple"), range, 64)
+        >>> samples.stress.shape
+        (64, 2, 2)
+        >>> largest = abs(samples.valid.stress).max() / samples.cell.tissue_thickness
+        >>> print(f"up to {largest:.2f} MPa")
+        up to 0.19 MPa
     """
 
     F: Array

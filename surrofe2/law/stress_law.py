@@ -57,6 +57,16 @@ def describe(status: int | Index) -> str:
 
     Raises:
         ValueError: a code that is none of `Status`.
+
+    Examples:
+        >>> import numpy as np
+        >>> from surrofe2 import Status, describe
+        >>> describe(0)
+        'the stress is valid'
+        >>> status = np.array([0, 0, Status.NOT_FINITE])  # as `respond` returns it
+        >>> print(describe(status))
+        2 of 3 points: the stress is valid
+        1 of 3 points: the stress came out as NaN or infinite
     """
     codes = np.atleast_1d(status)
     if np.ndim(status) == 0:

@@ -211,7 +211,20 @@ class Rest(RestState):
     def relation(self, name: str, against: str) -> Array:
         """(steps + 1, 2) one column of `history` over another; see `ViewedRun.relation`.
 
-        >>> rest.relation("force grip x", against="mean displacement grip x")
+        Examples:
+            The force on a plate that shears a block, over its displacement:
+
+            >>> from surrofe2 import Fixed, PrescribedMotion, Problem, RveLaw, find_rest, rectangle
+            >>> plate = PrescribedMotion(name="plate", on="top", displacement=(50.0, 0.0))
+            >>> block = Problem(
+            ...     mesh=rectangle(2000.0, 1000.0, (4, 2)), conditions=(Fixed(on="bottom"), plate)
+            ... )
+            >>> rest = find_rest(block, RveLaw("apple"), load_steps=2)
+            >>> _, *steps = rest.relation("force plate x", against="mean displacement top x")
+            >>> for x, force in steps:  # after the unloaded block
+            ...     print(f"{x:.0f} µm: {force:.0f} µN")
+            25 µm: 205 µN
+            50 µm: 413 µN
         """
         return related(self.history, name, against)
 
@@ -273,6 +286,19 @@ def find_rest(
         MismatchError: `resume` is of another mesh, or as of `simulate`.
         SimulationError: a load step halved ten times finds no equilibrium; `partial` is the last
             `Rest`.
+
+    Examples:
+        A block of apple flesh, 2 mm × 1 mm, is glued to two plates, of which the upper one moves by
+        50 µm to the right. The force is that on a layer of 10 µm:
+
+        >>> from surrofe2 import Fixed, PrescribedMotion, Problem, RveLaw, find_rest, rectangle
+        >>> plate = PrescribedMotion(name="plate", on="top", displacement=(50.0, 0.0))
+        >>> block = Problem(
+        ...     mesh=rectangle(2000.0, 1000.0, (4, 2)), conditions=(Fixed(on="bottom"), plate)
+        ... )
+        >>> rest = find_rest(block, RveLaw("apple"))
+        >>> print(f"{rest.history['force plate x'][-1]:.0f} µN")
+        413 µN
     """
     require_tangents(law, "rest")
     if not np.isfinite(factor):

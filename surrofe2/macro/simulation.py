@@ -135,8 +135,15 @@ class MacroRun(ViewedRun):
     def displacement(self, frame: int = -1) -> Array:
         """(2 n_nodes,) displacement of a frame as a nodal vector of `basis`, µm.
 
-        >>> basis = run.basis
-        >>> strain = skfem.helpers.sym_grad(basis.interpolate(run.displacement(-1)))
+        Examples:
+            The strain that scikit-fem computes from it, by component, element and quadrature point:
+
+            >>> from skfem.helpers import sym_grad
+            >>> from surrofe2 import LoadCase, RveLaw, simulate
+            >>> run = simulate(LoadCase(elements=(2, 2), duration=5.0), RveLaw("apple"))
+            >>> strain = sym_grad(run.basis.interpolate(run.displacement()))
+            >>> strain.shape
+            (2, 2, 4, 9)
         """
         return self.frames.displacement[frame].ravel()
 
@@ -194,6 +201,23 @@ def simulate(
             already where the run starts).
         MismatchError: `resume` is of another run, or of one that gave its fields to `keep_frame`,
             and there is none now.
+
+    Examples:
+        A piece of apple flesh, clamped on the left, swings under a load that comes at once:
+
+        >>> from surrofe2 import BodyForce, Fixed, Problem, RveLaw, rectangle, simulate
+        >>> load = BodyForce(name="load", acceleration=(0.0, -0.01))  # µm/µs²
+        >>> bar = Problem(
+        ...     mesh=rectangle(2000.0, 1000.0, (2, 1)),
+        ...     conditions=(Fixed(on="left"), load),
+        ...     duration=50.0,
+        ...     watched={"tip": (2000.0, 500.0)},
+        ... )
+        >>> run = simulate(bar, RveLaw("apple"))
+        >>> print(f"{run.curve.displacement[-1, 1]:.1f} µm")  # of the first watched point
+        -13.3 µm
+        >>> sorted(run.energies)
+        ['balance', 'dissipated', 'elastic', 'internal', 'kinetic', 'load', 'numerical']
     """
     inputs = problem, law, settings
     system = system or system_of(problem, law)

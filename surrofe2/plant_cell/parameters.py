@@ -57,6 +57,17 @@ class CellParameters:
     One square plant cell unless `arrangement` says otherwise. The wall rest length is not among
     them: it follows from zero stress at F = I. `dataclasses.replace` keeps the fluid; with
     `fluid="auto"` it takes that of the new arrangement.
+
+    Examples:
+        >>> from surrofe2 import CellParameters
+        >>> cell = CellParameters.preset("apple")
+        >>> cell.cell_side  # µm
+        150.0
+        >>> print(f"{1e6 * cell.density / cell.tissue_thickness:.0f} kg/m³")
+        860 kg/m³
+        >>> stiffer = CellParameters.preset("apple", wall_stiffness=1.5 * cell.wall_stiffness)
+        >>> print(f"{stiffer.wall_stiffness / cell.wall_stiffness:.1f}")
+        1.5
     """
 
     cell_side: float = _constant(25.0, LENGTH, "side of a square with a plant cell's area")
@@ -326,6 +337,22 @@ class LivingTissue:
     `parameters` translates them. The masses, stiffnesses and the viscosity that it returns are
     those of a layer as thick as `CellParameters.tissue_thickness`; a stress in MPa does not depend
     on that thickness.
+
+    Examples:
+        Small cells with thick walls, in the units of experiments:
+
+        >>> from surrofe2 import LivingTissue
+        >>> tissue = LivingTissue(
+        ...     cell_size=60.0,  # µm
+        ...     turgor=0.3,  # MPa
+        ...     wall_modulus=200.0,  # MPa
+        ...     wall_thickness=1.0,  # µm
+        ...     sap_viscosity=2.0,  # mPa s
+        ...     density=900.0,  # kg/m³
+        ... )
+        >>> cell = tissue.parameters()
+        >>> print(f"{cell.wall_stiffness:.0f} µN/µm, {cell.density:.4f} ng/µm²")
+        667 µN/µm, 0.0090 ng/µm²
     """
 
     cell_size: float = setting(

@@ -90,7 +90,16 @@ class Constant(Amplitude):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table(Amplitude):
-    """Linear between points, constant before the first and after the last."""
+    """Linear between points, constant before the first and after the last.
+
+    Examples:
+        A load that rises within 10 µs, stays, and is gone at 50 µs:
+
+        >>> from surrofe2 import Table
+        >>> load = Table(points=((0.0, 0.0), (10.0, 1.0), (40.0, 1.0), (50.0, 0.0)))
+        >>> [load.at(t, within=t)[0] for t in (5.0, 20.0, 45.0)]
+        [0.5, 1.0, 0.5]
+    """
 
     points: tuple[tuple[float, float], ...] = setting((), "(time, factor)", f"({TIME}, {NONE})")
 
@@ -125,6 +134,12 @@ class Ramp(Amplitude):
     A smooth ramp begins and ends without rate and acceleration.
 
     With s = (t − begin)/(end − begin) the factor is s, or s³ (10 − 15 s + 6 s²) if smooth.
+
+    Examples:
+        >>> from surrofe2 import Ramp
+        >>> ramp = Ramp(end=100.0, smooth=True)  # µs
+        >>> [round(ramp.at(t, within=t)[0], 3) for t in (0.0, 25.0, 50.0, 100.0)]
+        [0.0, 0.104, 0.5, 1.0]
     """
 
     begin: float = setting(0.0, "time up to which the factor is 0", TIME)
@@ -164,7 +179,16 @@ class Ramp(Amplitude):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sine(Amplitude):
-    """offset + sin(2π frequency (t − begin) + phase) from `begin` on, its first value before."""
+    """offset + sin(2π frequency (t − begin) + phase) from `begin` on, its first value before.
+
+    Examples:
+        Twenty oscillations in a millisecond, at an eighth and at a quarter of the first:
+
+        >>> from surrofe2 import Sine
+        >>> swing = Sine(frequency=0.02)  # 1/µs, so 20 kHz
+        >>> [round(swing.at(t, within=t)[0], 3) for t in (6.25, 12.5)]
+        [0.707, 1.0]
+    """
 
     frequency: float = setting(about="oscillations per µs", unit="1/µs", above=0.0)
     phase: float = setting(0.0, "angle at begin", "°")

@@ -68,6 +68,16 @@ def LoadCase(*, elements: tuple[int, int] = (4, 4), **load: Any) -> Problem:
 
     Raises:
         InputError: naming the field that is out of its bounds.
+
+    Examples:
+        The paper's bar of 400 µm × 400 µm, clamped on its left side, on few elements:
+
+        >>> from surrofe2 import LoadCase
+        >>> bar = LoadCase(elements=(2, 2), duration=100.0)
+        >>> [condition.name for condition in bar.conditions]
+        ['clamp', 'load']
+        >>> bar.watched
+        {'point': (400.0, 200.0)}
     """
     bar = LoadSettings(**load)
     return Problem(

@@ -129,7 +129,17 @@ class DrivenCondition(Condition):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fixed(Condition):
-    """Components of displacement that stay zero."""
+    """Components of displacement that stay zero.
+
+    Examples:
+        A side that is glued, and one that slides along x; `entry` is how a recipe states it:
+
+        >>> from surrofe2 import Fixed
+        >>> glued = Fixed(on="left")
+        >>> sliding = Fixed(on="bottom", components="y")
+        >>> sliding.entry()
+        {'kind': 'fixed', 'on': 'bottom', 'components': 'y'}
+    """
 
     on: str | NodeAt = setting(about=PLACES, read=_place)
     components: Literal["x", "y", "xy"] = setting("xy", "components that are held")
@@ -154,7 +164,20 @@ def _components_of(where: str, entry: Any) -> tuple[float | None, float | None]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PrescribedMotion(DrivenCondition):
-    """Components of displacement that follow an amplitude; None leaves a component free."""
+    """Components of displacement that follow an amplitude; None leaves a component free.
+
+    Examples:
+        A grip moves by 60 µm to the right within 100 µs and is free along y:
+
+        >>> from surrofe2 import PrescribedMotion, Ramp
+        >>> pull = Ramp(end=100.0, smooth=True)
+        >>> grip = PrescribedMotion(on="right", displacement=(60.0, None), amplitude=pull)
+        >>> grip.displacement
+        (60.0, None)
+        >>> factor, rate, acceleration = grip.amplitude.at(50.0, within=50.0)
+        >>> print(f"{60.0 * factor:.0f} µm at {60.0 * rate:.3f} µm/µs")
+        30 µm at 1.125 µm/µs
+    """
 
     on: str | NodeAt = setting(about=PLACES, read=_place)
     displacement: tuple[float | None, float | None] = setting(
@@ -173,7 +196,24 @@ class PrescribedMotion(DrivenCondition):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Traction(DrivenCondition):
-    """Dead load: force per unloaded length, of fixed direction."""
+    """Dead load: force per unloaded length, of fixed direction.
+
+    Examples:
+        A strip of apple flesh, 2 mm long, under 0.5 µN/µm, which is 0.05 MPa in a layer of 10 µm,
+        becomes longer by this stress over its Young's modulus of 3.75 MPa:
+
+        >>> from surrofe2 import Fixed, Problem, RveLaw, Symmetry, Traction, find_rest, rectangle
+        >>> pull = Traction(on="right", traction=(0.5, 0.0))
+        >>> sides = (Symmetry(on="left"), Symmetry(on="bottom"))
+        >>> strip = Problem(
+        ...     mesh=rectangle(2000.0, 500.0, (4, 1)),
+        ...     conditions=(*sides, pull),
+        ...     watched={"end": (2000.0, 0.0)},
+        ... )
+        >>> rest = find_rest(strip, RveLaw("apple"))
+        >>> print(f"{rest.watched[0] / 2000.0:.2%}")
+        1.34%
+    """
 
     on: str = setting(about="boundary")
     traction: tuple[float, float] = setting(about="force per unloaded length", unit=LINE_FORCE)
@@ -201,7 +241,22 @@ class PointForce(DrivenCondition):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BodyForce(DrivenCondition):
-    """Force per mass (g in eq. 58)."""
+    """Force per mass (g in eq. 58).
+
+    Examples:
+        The weight of a column of apple flesh, 10 mm high, shortens it:
+
+        >>> from surrofe2 import BodyForce, Problem, RveLaw, Symmetry, find_rest, rectangle
+        >>> weight = BodyForce(acceleration=(0.0, -9.81e-6))  # µm/µs², gravity
+        >>> column = Problem(
+        ...     mesh=rectangle(2000.0, 10000.0, (1, 5)),
+        ...     conditions=(Symmetry(on="left"), Symmetry(on="bottom"), weight),
+        ...     watched={"top": (0.0, 10000.0)},
+        ... )
+        >>> rest = find_rest(column, RveLaw("apple"))
+        >>> print(f"{rest.watched[1]:.2f} µm")
+        -0.11 µm
+    """
 
     on: str | None = setting(None, "region; left out: everywhere")
     acceleration: tuple[float, float] = setting(about="force per mass", unit=ACCELERATION)

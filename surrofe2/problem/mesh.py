@@ -68,7 +68,16 @@ class Part(ABC):
 
 @dataclass(frozen=True, slots=True)
 class Box(Part):
-    """A rectangle from `low` to `high`, edges included; coordinates in µm may be infinite."""
+    """A rectangle from `low` to `high`, edges included; coordinates in µm may be infinite.
+
+    Examples:
+        >>> import numpy as np
+        >>> from surrofe2 import Box
+        >>> skin = Box((0.0, 900.0), (2000.0, 1000.0))  # the upper 100 µm of 2 mm × 1 mm
+        >>> points = np.array([[500.0, 950.0], [500.0, 500.0]])
+        >>> skin.holds(points).tolist()
+        [True, False]
+    """
 
     low: tuple[float, float]
     high: tuple[float, float]
@@ -179,6 +188,14 @@ def rectangle(width: float, height: float, elements: tuple[int, int]) -> skfem.M
 
     Raises:
         InputError: a size is not positive, or `elements` in x and y are none or too many.
+
+    Examples:
+        >>> from surrofe2 import rectangle
+        >>> mesh = rectangle(2000.0, 1000.0, (4, 2))  # 2 mm × 1 mm
+        >>> mesh.nelements
+        8
+        >>> sorted(mesh.boundaries)
+        ['bottom', 'left', 'right', 'top']
     """
     nx, ny = check_value("mesh.elements", elements, tuple[int, int], {})
     width = check_value("mesh.width", width, float, {"unit": LENGTH, "above": 0.0})
@@ -209,6 +226,15 @@ def with_boundaries(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
 
     Raises:
         InputError: a part holds no outer side.
+
+    Examples:
+        A grip holds the right quarter of the upper side, two sides of elements of 250 µm:
+
+        >>> from surrofe2 import Box, rectangle, with_boundaries
+        >>> grip = Box((1500.0, 1000.0), (2000.0, 1000.0))
+        >>> mesh = with_boundaries(rectangle(2000.0, 1000.0, (8, 4)), grip=grip)
+        >>> len(mesh.boundaries["grip"])
+        2
     """
     if not parts:
         return mesh
@@ -235,6 +261,14 @@ def with_regions(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
 
     Raises:
         InputError: a part holds no centre.
+
+    Examples:
+        >>> from surrofe2 import Box, rectangle, with_regions
+        >>> skin = Box((0.0, 750.0), (2000.0, 1000.0))  # the uppermost of four rows of elements
+        >>> flesh = Box((0.0, 0.0), (2000.0, 750.0))
+        >>> mesh = with_regions(rectangle(2000.0, 1000.0, (8, 4)), skin=skin, flesh=flesh)
+        >>> {name: len(elements) for name, elements in mesh.subdomains.items()}
+        {'skin': 8, 'flesh': 24}
     """
     if not parts:
         return mesh

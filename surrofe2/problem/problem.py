@@ -81,6 +81,24 @@ class Problem:
     Raises:
         InputError: the mesh or a name is rejected by `check_mesh` or `check_name`, two conditions
             have one name, or a number is out of range.
+
+    Examples:
+        A block of 2 mm × 1 mm stands on a glued side while its upper side moves to the right:
+
+        >>> from surrofe2 import Fixed, PrescribedMotion, Problem, Ramp, rectangle
+        >>> ramp = Ramp(end=100.0, smooth=True)  # µs
+        >>> plate = PrescribedMotion(on="top", displacement=(50.0, 0.0), amplitude=ramp)
+        >>> block = Problem(
+        ...     mesh=rectangle(2000.0, 1000.0, (4, 2)),
+        ...     conditions=(Fixed(on="bottom"), plate),
+        ...     duration=200.0,
+        ...     output_interval=2.0,
+        ...     watched={"middle": (1000.0, 500.0)},
+        ... )
+        >>> block.acted_boundaries()
+        ['bottom', 'top']
+        >>> len(block.output_times())  # from 0 to 200 µs
+        101
     """
 
     mesh: skfem.Mesh

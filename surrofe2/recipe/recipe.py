@@ -856,6 +856,16 @@ def load_recipe(path: str | Path, changes: Mapping[str, Any] = MappingProxyType(
     Raises:
         FileError: the file is not there or cannot be read.
         InputError: not TOML, an unknown or missing key, a wrong type or a value out of bounds.
+
+    Examples:
+        The paper's bar, of the repository, with softer walls:
+
+        >>> from surrofe2 import load_recipe
+        >>> recipe = load_recipe("data/bending-bar.toml", {"cell.wall_stiffness": 3000.0})
+        >>> recipe.study().cell.parameters.wall_stiffness  # µN/µm
+        3000.0
+        >>> recipe.problem().duration  # µs
+        250.0
     """
     path = Path(path)
     if path.is_dir():

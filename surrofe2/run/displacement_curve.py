@@ -56,6 +56,18 @@ def difference(curve: DisplacementCurve, reference: DisplacementCurve) -> CurveD
 
     Raises:
         InputError: they have no common time.
+
+    Examples:
+        Two oscillations, of which the first has an amplitude of 10.2 µm instead of 10 µm:
+
+        >>> import numpy as np
+        >>> from surrofe2 import DisplacementCurve, difference
+        >>> t = np.linspace(0.0, 100.0, 201)  # µs
+        >>> swing = np.outer(np.sin(0.1 * t), [0.0, 1.0])
+        >>> reference = DisplacementCurve(t, 10.0 * swing)
+        >>> result = difference(DisplacementCurve(t, 10.2 * swing), reference)
+        >>> print(f"{result.largest:.1%} of {result.scale:.0f} µm")
+        2.0% of 10 µm
     """
     within = (reference.t >= curve.t[0]) & (reference.t <= curve.t[-1])
     if not within.any():

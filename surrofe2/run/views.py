@@ -129,13 +129,32 @@ class ViewedRun(Viewed):
     def relation(self, name: str, against: str) -> Array:
         """(m, 2) one column over another: a force–displacement or a stress–strain curve.
 
-        >>> run.relation("force grip x", against="mean displacement grip x")
-
         Args:
             name, against: of `history`.
 
         Raises:
             InputError: there is no such column; it names those that there are.
+
+        Examples:
+            The force on a grip that pulls within 10 µs, over its displacement:
+
+            >>> from surrofe2 import Fixed, PrescribedMotion, Problem, Ramp, rectangle
+            >>> from surrofe2 import RveLaw, simulate
+            >>> pull = Ramp(end=10.0, smooth=True)
+            >>> grip = PrescribedMotion(
+            ...     name="grip", on="right", displacement=(5.0, 0.0), amplitude=pull
+            ... )
+            >>> strip = Problem(
+            ...     mesh=rectangle(400.0, 200.0, (2, 1)),
+            ...     conditions=(Fixed(on="left"), grip),
+            ...     duration=10.0,
+            ... )
+            >>> run = simulate(strip, RveLaw("apple"))
+            >>> curve = run.relation("force grip x", against="mean displacement right x")
+            >>> curve.shape
+            (21, 2)
+            >>> print(f"{curve[-1, 0]:.1f} µm")
+            5.0 µm
         """
         return related(self.history, name, against)
 

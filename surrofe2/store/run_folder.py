@@ -253,7 +253,7 @@ class StoredRun(ViewedRun):
     def to_pyvista(self, frame: int = -1) -> Any:
         """Make a `pyvista.UnstructuredGrid` of the unloaded mesh with all fields of one frame.
 
-        >>> run.to_pyvista().warp_by_vector("displacement_um").plot()
+        `run.to_pyvista().warp_by_vector("displacement_um").plot()` shows the deformed mesh.
 
         Args:
             frame: number of the frame; −1 is the last one.
@@ -737,6 +737,16 @@ def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:
     Raises:
         FileError: not a run folder, or damaged.
         InputError: the run is not finished, and what to do.
+
+    Examples:
+        >>> from surrofe2 import LoadCase, RveLaw, read_run, save_run, simulate
+        >>> bar = LoadCase(elements=(1, 1), duration=5.0)
+        >>> record = save_run(simulate(bar, RveLaw("apple")), "out/bar")
+        >>> run = read_run("out/bar")
+        >>> run.name, run.record.status
+        ('bar', 'finished')
+        >>> len(run.curve.t)  # 5 µs, a row each half
+        11
     """
     folder = Path(folder)
     record = read_record(folder)

@@ -265,8 +265,7 @@ class SurrogateLaw(Viewed):
             `points`, the number of samples, and three figures by component of σ (``"xx"``, …) and
             of Rᵀ σ R: `spread`, the standard deviation over the samples in µN/µm, and the errors
             `rms` and `worst` relative to it.
-
-            >>> surrogate.score(samples)["rms"]["xy"]
+            `surrogate.score(samples)["rms"]["xy"]` is that of the shear stress.
 
         Raises:
             MismatchError: they are of another plant cell or initialisation.

@@ -114,6 +114,16 @@ def train(
         InputError: fewer than `LEAST_SAMPLES` valid samples.
         MismatchError: the state to resume is of other samples or settings.
         SimulationError: the loss is not finite.
+
+    Examples:
+        A small network learns from few samples; more of both belong to a study:
+
+        >>> from surrofe2 import RveLaw, SamplingRange, TrainingSettings, sample_stress, train
+        >>> range = SamplingRange(stretch=(0.95, 1.05), shear=0.05, rate=1e-3)
+        >>> samples = sample_stress(RveLaw("apple"), range, 64)
+        >>> surrogate = train(samples, TrainingSettings(hidden=(8,), iterations=20))
+        >>> surrogate.score(samples)["rms"]["xy"] < 0.01  # of the stresses' standard deviation
+        True
     """
     valid = samples.valid
     count = len(valid.F)

@@ -150,6 +150,13 @@ def sample_stress(
 
     Raises:
         InputError: `count` or `seed` is no such number, or the law has no tangents.
+
+    Examples:
+        >>> from surrofe2 import RveLaw, SamplingRange, sample_stress
+        >>> range = SamplingRange(stretch=(0.95, 1.05), shear=0.05, rate=1e-3)
+        >>> samples = sample_stress(RveLaw("apple"), range, 16)
+        >>> len(samples.valid.F), samples.P_by_F.shape
+        (16, (16, 2, 2, 2, 2))
     """
     if count < 1:
         raise InputError(f"count: {count}; it must be at least 1")
