@@ -12,20 +12,17 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parent / "extensions"))
 
-import scripts
-
 project = "surrofe2"
 author = metadata.metadata("surrofe2")["Author"]
 version = release = metadata.version("surrofe2")
 root_doc = "docs/index"
 include_patterns = ["docs/**", "examples/*.md", "data/README.md", "*.md"]
-exclude_patterns = [".*", "out", "surrofe2", "tests", "benchmarks", "build", "docs/scripts/*.[!r]*"]
+exclude_patterns = [".*", "out", "surrofe2", "tests", "benchmarks", "build"]
 
 extensions = [
     "myst_nb",
     "numpydoc",
     "sphinx_design",
-    "sphinx_gallery.gen_gallery",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.mathjax",
@@ -70,8 +67,6 @@ autosummary_generate = False
 default_role = "code"
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
-
-sphinx_gallery_conf = scripts.make()
 
 html_theme = "pydata_sphinx_theme"
 html_title = "surrofe2"

@@ -7,8 +7,15 @@ import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.model_selection import GridSearchCV
 
-from surrofe2 import CellParameters, RveLaw, SamplingRange, TrainingSettings, sample_stress, train
-from surrofe2.law.samples import StressSamples
+from surrofe2 import (
+    CellParameters,
+    RveLaw,
+    SamplingRange,
+    StressSamples,
+    TrainingSettings,
+    sample_stress,
+    train,
+)
 
 RANGE = SamplingRange(stretch=(0.95, 1.05), shear=0.05, rate=0.01)  # of the paper's bar
 SIZES = {"hidden": [(4,), (12,), (12, 12), (24, 24)], "baseline_degree": [1, 3]}

@@ -10,9 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import ConnectionPatch
 
-from surrofe2 import simulate
-from surrofe2.law.regional_law import RegionalLaw
-from surrofe2.recipe.recipe import load_recipe
+from surrofe2 import RegionalLaw, load_recipe, simulate
 from surrofe2.report.figures import (
     Colours,
     box,

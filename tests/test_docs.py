@@ -13,6 +13,7 @@ import os
 import re
 import subprocess
 import sys
+from collections import Counter
 
 import pytest
 
@@ -39,7 +40,6 @@ IN_PLAIN_WORDS = [
         path
         for folder in ("benchmarks", "docs", "examples", "validation")
         for path in sorted((ROOT / folder).rglob("*.py"))
-        if path.parent.name != "scripts"  # copies of examples, for the site
     ),
 ]
 """Pages, recipes and sources whose words are looked at."""
@@ -210,6 +210,42 @@ def test_every_example_is_in_the_gallery():
     text = (DOCS / "gallery.md").read_text(encoding="utf-8")
     linked = set(re.findall(r":link: \.\./examples/(\S+)", text))
     assert linked == {page.stem for page in (ROOT / "examples").glob("*.md")} - {"README"}
+
+
+def test_each_recipe_and_script_of_an_example_is_shown_on_one_page():
+    shown = Counter()
+    for page in PAGES:
+        names = set(re.findall(r"\{literalinclude\} (\S+)", page.read_text(encoding="utf-8")))
+        shown.update((page.parent / name).resolve() for name in names)
+    examples = ROOT / "examples"
+    files = {*examples.glob("*.toml"), *examples.glob("*.py")} - {examples / "picture.py"}
+    assert {path for path in files if shown[path] != 1} == set()
+    assert max(shown.values()) == 1
+
+
+IMPORT = re.compile(r"from (surrofe2[.\w]+) import (\([^)]*\)|[^\n]*)")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        *PAGES,
+        *sorted((ROOT / "examples").glob("*.py")),
+        *sorted((DOCS / "gallery").glob("*.py")),
+        *record.notebooks(),
+    ],
+    ids=relative,
+)
+def test_names_of_the_reference_are_imported_from_the_package_itself(path):
+    """Not from the module that has them, which may change."""
+    text = path.read_text(encoding="utf-8").replace("\\n", "\n")  # of notebooks
+    deep = [name for _, names in IMPORT.findall(text) for name in re.findall(r"\w+", names)]
+    deep += re.findall(r"\bsurrofe2\.[.\w]*\.(\w+)", without_imports(text))
+    assert not set(deep) & set(surrofe2.__all__)
+
+
+def without_imports(text):
+    return IMPORT.sub("", text)
 
 
 @pytest.mark.parametrize("book", record.notebooks(), ids=lambda path: path.stem)

@@ -9,8 +9,7 @@ import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from surrofe2 import RveLaw, find_rest
-from surrofe2.recipe.recipe import load_recipe
+from surrofe2 import RveLaw, find_rest, load_recipe
 from surrofe2.report.figures import Colours, draw_scale_bar
 from surrofe2.run.charts import BLUE, VERMILION, encoded
 from surrofe2.store.labelled_image import read_labels

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from surrofe2 import (
     Fixed,
+    InputError,
     MacroSettings,
     NodeAt,
     PrescribedMotion,
@@ -20,7 +21,6 @@ from surrofe2 import (
     living_cell,
     rectangle,
 )
-from surrofe2.base.errors import InputError
 from surrofe2.report.figures import draw_cells
 from surrofe2.run.charts import BLUE, VERMILION, encoded
 
