@@ -8,6 +8,7 @@ import os
 import sys
 from importlib import metadata
 from pathlib import Path
+from urllib.parse import quote
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parent / "extensions"))
@@ -51,10 +52,17 @@ myst_enable_extensions = [
     "deflist",
     "dollarmath",
     "fieldlist",
+    "substitution",
 ]
 myst_fence_as_directive = ["math"]
 myst_heading_anchors = 4
 myst_dmath_double_inline = True
+# Binder builds the repository by the files in .binder; its address is that of the package.
+_ADDRESSES = dict(url.split(", ") for url in metadata.metadata("surrofe2").get_all("Project-URL"))
+_BINDER = "https://mybinder.org/v2/git/{}/HEAD?urlpath=lab/tree/docs/notebooks"
+myst_substitutions = {
+    "binder": f"[open them on Binder]({_BINDER.format(quote(_ADDRESSES['Source'], safe=''))})"
+}
 nb_execution_mode = "off"  # notebooks keep what they printed; docs/record.py runs them
 
 autodoc_typehints_format = "short"

@@ -11,6 +11,7 @@ import io
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from collections import Counter
@@ -132,13 +133,15 @@ def test_a_meaning_names_the_thing_itself():
     assert not clipped
 
 
-def test_the_example_prints_what_the_readme_says():
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    code, said = re.search(r"```python\n(.*?)```\s+```\n(.*?)```", text, re.DOTALL).groups()
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md"])
+def test_the_example_prints_what_the_first_page_says(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    blocks = re.search(r"```python\n(.*?)```\s+```(?:text)?\n(.*?)```", text, re.DOTALL)
+    code, output = blocks.groups()
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
-        exec(compile(code, "README.md", "exec"), {})
-    assert printed.getvalue() == said
+        exec(compile(code, page, "exec"), {})
+    assert printed.getvalue() == output
 
 
 def anchor(heading: str) -> str:
@@ -255,6 +258,28 @@ def test_notebooks_show_what_their_code_printed(book):
         f"python docs/record.py {book.name}"
     )
     assert any(cell.get("outputs") for cell in read["cells"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("book", record.notebooks(), ids=lambda path: path.stem)
+def test_notebooks_run(book, tmp_path, monkeypatch):
+    """Each in a kernel of its own; a cell that raises would raise here, too."""
+    pytest.importorskip("nbclient")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    copy = tmp_path / book.name
+    shutil.copyfile(book, copy)
+    record.run_notebook(copy)
+    cells = [cell for cell in json.loads(copy.read_text("utf-8"))["cells"] if "outputs" in cell]
+    stored = [cell for cell in json.loads(book.read_text("utf-8"))["cells"] if "outputs" in cell]
+    assert [bool(cell["outputs"]) for cell in cells] == [bool(cell["outputs"]) for cell in stored]
+
+
+def test_binder_installs_the_package_with_the_pinned_versions():
+    lines = (ROOT / ".binder/requirements.txt").read_text(encoding="utf-8").splitlines()
+    assert lines == ["-c ../constraints.txt", "."]
+    assert os.access(ROOT / ".binder/postBuild", os.X_OK)
+    python_of_binder = (ROOT / ".binder/runtime.txt").read_text(encoding="utf-8").strip()
+    assert python_of_binder == "python-3.11"  # that of constraints.txt
 
 
 def words(text: str) -> list[str]:
