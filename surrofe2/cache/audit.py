@@ -25,10 +25,11 @@ from surrofe2.cache.trust import AUDITS
 from surrofe2.law.stress_law import StressResponse, state_arrays, state_of
 from surrofe2.run.journal import part_of, within
 
+# Audits wait until there are so many: RVEs are solved several at once for little more than one.
 BATCH = 16
-"""Audits that wait for each other: RVEs are solved several at once for little more than one."""
+# Errors are counted in logarithmic bins from 1e-12 to 1e6 µN/µm. A quantile is the upper edge of
+# its bin: at most 4.7 % too large, never too small.
 BINS_A_DECADE = 50
-"""A quantile is the upper edge of its bin: at most 4.7 % too large, never too small."""
 _LOWEST = -12
 _HIGHEST = 6
 _EDGES = 10.0 ** np.linspace(_LOWEST, _HIGHEST, (_HIGHEST - _LOWEST) * BINS_A_DECADE + 1)
@@ -37,15 +38,21 @@ QUANTILES = (0.5, 0.9, 0.99, 0.999)
 
 @dataclass
 class ErrorRecord:
-    """Audited answers of a cache and the error each had, as often as it counts, µN/µm.
+    """Audited answers of a cache, and how wrong they were.
+
+    An error is divided by the local tolerance, a fraction of the whole, so that all compare with
+    one tolerance, µN/µm.
 
     Attributes:
-        tolerance: allowed error, µN/µm; inf: none is.
-        audited: answers that were audited; rolled_back: more, at steps that do not stand.
-        unsolved: of these, those for which the RVE has no stress.
-        violations: errors above the tolerance, and the unsolved.
-        bins: errors by size, in logarithmic bins.
-        stress_squares: sum of the squares of what stresses come to, as often as errors count.
+        tolerance: allowed error, µN/µm; inf: any is.
+        audited: number of answers that were audited.
+        rolled_back: number of further ones, at steps that do not stand.
+        unsolved: number of audited answers for which the RVE has no stress.
+        violations: number of errors above the tolerance, the unsolved included.
+        largest: largest error, µN/µm.
+        sum_of_squares: sum of the squared errors, (µN/µm)².
+        stress_squares: sum of the squared stresses, divided by the local tolerance as the errors.
+        bins: number of errors by size, in logarithmic bins.
         worst: the largest error with what was asked and answered.
     """
 
@@ -61,11 +68,19 @@ class ErrorRecord:
     worst: Mapping[str, Any] | None = None
 
     def add(self, asked: Question, truth: StressResponse, local: Array) -> tuple[Array, Flags]:
-        """Record what was asked and the truth, with (k,) local tolerances, shares of the whole:
-        errors (k,), NaN where there is no truth, and which of them are violations."""
+        """Record audited answers and their errors.
+
+        Args:
+            asked: the answers.
+            truth: the stresses by RVEs.
+            local: (k,) local tolerances, as fractions of the whole tolerance.
+
+        Returns:
+            (k,) errors, NaN where there is no truth; and (k,) whether each is a violation.
+        """
         error = stress_error(asked.stress, truth.stress) / local
         error[truth.status != 0] = np.nan
-        broken = ~(error <= self.tolerance)
+        broken = ~(error <= self.tolerance)  # an error of NaN is a violation, too
         known = ~np.isnan(error)
         self.audited += len(error)
         self.unsolved += int((~known).sum())
@@ -76,7 +91,7 @@ class ErrorRecord:
         self.stress_squares += float(sizes[known].sum())
         places = np.searchsorted(_EDGES, solved, side="left")
         self.bins = (np.bincount(places, minlength=len(self.bins)) + self.bins).tolist()
-        k = int(np.nan_to_num(error, nan=-1.0).argmax())
+        k = int(np.nan_to_num(error, nan=-1.0).argmax())  # the largest that is known, if any is
         if known[k] and (self.worst is None or error[k] > self.largest):
             self.largest = float(error[k])
             self.worst = {
@@ -93,21 +108,24 @@ class ErrorRecord:
 
     @property
     def says_little(self) -> bool:
-        """Whether errors as large as the stresses themselves would have been let pass, by as many
-        audits as a window has."""
+        """Whether errors as large as the stresses themselves would have passed the tolerance.
+
+        It is asked only after as many audits as a window has.
+        """
         solved = self.audited - self.unsolved
         is_known = np.isfinite(self.tolerance) and solved >= AUDITS
         return bool(is_known and self.stress_squares < solved * self.tolerance**2)
 
     def quantile(self, share: float) -> float:
-        """The error that a fraction of the solved audits does not exceed, µN/µm."""
+        """Return the error that this fraction of the solved audits does not exceed, µN/µm."""
         below = np.cumsum(self.bins)
+        # rounding must not put a fraction of a whole number above that number
         place = int(np.searchsorted(below, share * below[-1] - 1e-9, side="left"))
         edge = _EDGES[place] if place < len(_EDGES) else np.inf
         return float(min(edge, self.largest))
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for run.json; µN/µm."""
+        """Return plain values for run.json; errors in µN/µm, None where nothing was solved."""
         solved = self.audited - self.unsolved
         filled = [k for k, count in enumerate(self.bins) if count]
         return {
@@ -130,8 +148,15 @@ class ErrorRecord:
 
 
 class Question(NamedTuple):
-    """Answers of the cache to be audited: accepted `step`s before, `points`, what was asked and
-    answered (k, 2, 2), risk, and the `draw` u by which they were chosen."""
+    """Answers of the cache that are to be audited.
+
+    Attributes:
+        step: (k,) number of accepted steps before each answer.
+        points: (k,) numbers of the points.
+        F, F_dot, stress: (k, 2, 2) what was asked and answered.
+        risk: (k,) bound of the error over the error allowed.
+        draw: (k,) the random number u in [0, 1) by which it was chosen.
+    """
 
     step: Index
     points: Index
@@ -142,9 +167,11 @@ class Question(NamedTuple):
     draw: Array
 
     def only(self, chosen: Any) -> Question:
+        """Return those of the answers that an index array, slice or flags choose."""
         return Question(*(part[chosen] for part in self))
 
     def and_also(self, others: Question) -> Question:
+        """Return these answers, and others behind them."""
         pairs: Any = zip(self, others, strict=True)
         return Question(*map(np.concatenate, pairs))
 
@@ -155,8 +182,14 @@ NO_QUESTION = Question(
 
 
 class Finding(NamedTuple):
-    """What an audit found: the RVE's response, the error, NaN where that has none, and where the
-    tolerance was broken."""
+    """The result of an audit of k answers.
+
+    Attributes:
+        asked: the answers.
+        truth: the response of the RVEs.
+        error: (k,) µN/µm, NaN where the RVE has no stress.
+        broken: (k,) whether the tolerance was broken.
+    """
 
     asked: Question
     truth: StressResponse
@@ -165,8 +198,14 @@ class Finding(NamedTuple):
 
 
 class Starts(NamedTuple):
-    """Where RVEs of an audit may start from: `points` of the last batch that were stable and on the
-    branch of the reference, where each was in (F, Ḟ times 1 µs) (k, 8), and the fallback's state.
+    """States from which RVEs of the next audit may start.
+
+    They are those of the last batch that were stable and on the branch of the reference.
+
+    Attributes:
+        points: (k,) numbers of their points.
+        at: (k, 8) entries of F and of Ḟ times 1 µs, where each was solved.
+        state: the fallback's state for them.
     """
 
     points: Index
@@ -174,12 +213,13 @@ class Starts(NamedTuple):
     state: Any
 
     def to_arrays(self, fallback: Fallback) -> dict[str, NDArray]:
+        """Return arrays for a checkpoint."""
         state = within("last", state_arrays(fallback, self.state))
         return {"last_points": self.points, "last_at": self.at, **state}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray], fallback: Fallback) -> Starts | None:
-        """Return what `to_arrays` gave; None where there is nothing."""
+        """Return what `to_arrays` gave as these arrays; None where there is nothing."""
         if "last_points" not in arrays:
             return None
         state = state_of(fallback, part_of(arrays, "last"))
@@ -189,10 +229,14 @@ class Starts(NamedTuple):
 def solve(
     fallback: Fallback, asked: Question, last: Starts | None
 ) -> tuple[StressResponse, Starts | None]:
-    """The RVEs' answer to what was asked, and where the next batch may start from.
+    """Solve RVEs for what was asked.
 
-    RVEs start from the last batch: each from that of the same point where the points are the same,
-    else from the one that is nearest in (F, Ḟ times 1 µs); without a batch from the reference.
+    RVEs start from the last batch: each from the state of its own point where the points are the
+    same, else from the one that is nearest in (F, Ḟ times 1 µs). Without a batch they start from
+    the reference.
+
+    Returns:
+        The RVEs' response, and where the next batch may start from.
     """
     F = asked.F
     F_dot = asked.F_dot
@@ -201,7 +245,7 @@ def solve(
     if last is not None:
         start = last.state
         if not np.array_equal(last.points, asked.points):
-            nearest = [((last.at - each) ** 2).sum(axis=1).argmin() for each in at]
+            nearest = [((last.at - place) ** 2).sum(axis=1).argmin() for place in at]
             start = start.take(np.array(nearest))
     answer = fallback.respond(F, F_dot, start)
     accepted = fallback.accept(F, F_dot, answer)
@@ -214,10 +258,15 @@ def solve(
 
 
 class Audit:
-    """Chooses answers at random and compares them batch by batch; `record` is of all so far.
+    """Chooses answers at random and compares them with RVEs, batch by batch.
+
+    `record` is of all audits so far.
 
     Args:
+        surrogate: gives the local tolerance.
+        fallback: solves the RVEs.
         fraction: of the answers that are audited at once; 0: none is, at the end neither.
+        seed: of the random choice.
         tolerance: allowed error, µN/µm.
     """
 
@@ -234,8 +283,9 @@ class Audit:
         self._fallback = fallback
         self._fraction = fraction
         self._random = np.random.default_rng(seed)
-        self._waiting = self._spare = NO_QUESTION
-        self._below = 1.0  # u of answers that may still be among the remembered
+        self._waiting = NO_QUESTION  # chosen, but not solved yet
+        self._spare = NO_QUESTION  # remembered, for a window with too few audits
+        self._below = 1.0  # answers with a larger u cannot be among the remembered any more
         self._last: Starts | None = None
 
     def choose(
@@ -250,8 +300,19 @@ class Audit:
         wanted: int,
         more: float = 1.0,
     ) -> bool:
-        """Choose among the answers at `points` of all (n, …) of a step, `more` times as many as
-        usually, where so many audits are `wanted` beyond those made; whether an audit is due."""
+        """Choose among the answers of a step those to be audited.
+
+        Args:
+            step: number of accepted steps before it.
+            points: numbers of the points that the surrogate answered.
+            F, F_dot, stress: (n, 2, 2) of all points.
+            risk: (n,).
+            wanted: how many audits the window needs beyond those made.
+            more: factor of the audited fraction.
+
+        Returns:
+            Whether so many answers wait that an audit is due.
+        """
         if self._fraction == 0.0 or not len(points):
             return False
         draw = self._random.random(len(points))
@@ -259,7 +320,8 @@ class Audit:
         short = self._short(wanted)
         if short <= 0:
             self._spare = NO_QUESTION
-        chosen = (draw < (max(fraction, self._below) if short > 0 else fraction)).nonzero()[0]
+        below = max(fraction, self._below) if short > 0 else fraction
+        chosen = (draw < below).nonzero()[0]
         if not len(chosen):
             return False
         at = points[chosen]
@@ -269,18 +331,21 @@ class Audit:
         self._waiting = self._waiting.and_also(asked.only(draw < fraction))
         if short > 0:
             self._spare = self._spare.and_also(asked.only(draw >= fraction))
+            # sorted out only when there are twice too many, since sorting costs time
             if len(self._spare.step) > 2 * max(short, AUDITS):
                 self._spare = self._smallest(short)
                 self._below = float(self._spare.draw.max())
         return len(self._waiting.step) >= BATCH
 
     def begin(self) -> None:
-        """A window begins: answers before it stand, and are not remembered any more."""
+        """Begin a window: answers before it stand, and are not remembered any more."""
         self._spare = NO_QUESTION
         self._below = 1.0
 
     def end(self, wanted: int) -> None:
-        """The window is over: let as many wait as are `wanted` beyond the audits made."""
+        """End a window: of the remembered answers, so many wait as are `wanted` beyond those
+        that do.
+        """
         self._waiting = self._waiting.and_also(self._smallest(max(self._short(wanted), 0)))
         self._spare = NO_QUESTION
 
@@ -289,31 +354,46 @@ class Audit:
         return wanted - len(self._waiting.step)
 
     def _smallest(self, count: int) -> Question:
-        """The remembered answers with the smallest draws, at most so many, in the order of time."""
+        """Return the remembered answers with the smallest draws, at most so many, in the order
+        of time.
+        """
         order = np.argsort(self._spare.draw, kind="stable")
         return self._spare.only(np.sort(order[:count]))
 
     def run(self, *, whole: bool = True) -> Finding | None:
-        """Audit what waits, or of several steps as much as fills tiles of RVEs; None: nothing."""
+        """Audit the answers that wait.
+
+        Args:
+            whole: whether all of them are. Else, where they are of several steps, only as many as
+                fill tiles of RVEs; the rest waits on.
+
+        Returns:
+            The result; None where nothing waits.
+        """
         asked = self._waiting
         count = len(self._waiting.step)
         if not count:
             return None
         if not whole and asked.step[0] < asked.step[-1]:
             count -= count % TILE
-        asked, self._waiting = asked.only(slice(count)), asked.only(slice(count, None))
+        self._waiting = asked.only(slice(count, None))
+        asked = asked.only(slice(count))
         truth, self._last = solve(self._fallback, asked, self._last)
         local = self._surrogate.local_tolerance(asked.F, asked.F_dot)
         return Finding(asked, truth, *self.record.add(asked, truth, local))
 
     def go_back(self, step: int, record: Mapping[str, Any]) -> None:
-        """Have this record, and forget all that was chosen after so many steps."""
+        """Go back to an earlier step: take its record, and forget all that was chosen after it.
+
+        Audits that were made since count as rolled back.
+        """
         self.begin()
         rolled_back = self.record.rolled_back + self.record.audited - record["audited"]
         self.record = ErrorRecord(**{**record, "rolled_back": rolled_back})
         self._waiting = self._waiting.only(self._waiting.step <= step)
 
     def to_arrays(self) -> dict[str, NDArray]:
+        """Return the answers that wait, and states to start from, for a checkpoint."""
         arrays: dict[str, NDArray] = {}
         for name, asked in (("waiting", self._waiting), ("spare", self._spare)):
             if len(asked.step):
@@ -323,16 +403,19 @@ class Audit:
         return arrays
 
     def to_values(self) -> dict[str, Any]:
+        """Return the rest of the state for a checkpoint, as plain values."""
         return {"below": self._below, "random": self._random.bit_generator.state}
 
     def restore(
         self, arrays: Mapping[str, NDArray], values: Mapping[str, Any], record: Mapping[str, Any]
     ) -> None:
-        """Continue where another audit gave these by `to_arrays` and `to_values`, with a record."""
-        self._waiting, self._spare = (
-            Question(**part) if (part := part_of(arrays, name)) else NO_QUESTION
-            for name in ("waiting", "spare")
-        )
+        """Continue where another audit gave these by `to_arrays` and `to_values`, with its
+        record.
+        """
+        waiting = part_of(arrays, "waiting")
+        spare = part_of(arrays, "spare")
+        self._waiting = Question(**waiting) if waiting else NO_QUESTION
+        self._spare = Question(**spare) if spare else NO_QUESTION
         self._last = Starts.from_arrays(arrays, self._fallback)
         self.record = ErrorRecord(**record)
         self._below = float(values["below"])

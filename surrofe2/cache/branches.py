@@ -1,4 +1,4 @@
-"""Which point is answered by the surrogate, which by the fallback, and when that changes."""
+"""The branch of each point, surrogate or fallback, and when it changes."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ class PointSet:
     """Points in any order, each once.
 
     Attributes:
+        points: (k,) their numbers.
         why: (k,) int8 `Status` for which the surrogate first did not answer them.
         state: the fallback's state for the k points in this order, or None.
     """
@@ -37,19 +38,25 @@ class PointSet:
         return len(self.points)
 
     def only(self, chosen: Flags) -> PointSet:
+        """Return those of the points that are chosen, (k,) flags, with their states."""
         places = chosen.nonzero()[0]
-        if len(places) in (0, len(self)):
-            return self if len(places) else NO_POINTS
+        if not len(places):
+            return NO_POINTS
+        if len(places) == len(self):
+            return self
         state = None if self.state is None else self.state.take(places)
         return PointSet(self.points[places], self.why[places], state)
 
     def and_also(self, others: PointSet) -> PointSet:
-        """These points, and others behind them."""
-        if not len(self) or not len(others):
-            return self if len(self) else others
+        """Return these points, and others behind them, with the states of both."""
+        if not len(self):
+            return others
+        if not len(others):
+            return self
         count = len(self)
         state = self.state
         if state is not None:
+            # make room by copies of the first point's state, then put the others' states there
             places = np.append(np.arange(count), np.zeros(len(others), dtype=np.intp))
             state = state.take(places).put(np.arange(count, len(places)), others.state)
         points = np.concatenate([self.points, others.points])
@@ -61,14 +68,15 @@ NO_POINTS = PointSet(np.empty(0, dtype=np.intp), np.empty(0, dtype=np.int8))
 
 @dataclass(frozen=True, slots=True)
 class CachedState:
-    """Who is answered by the fallback, and what the next step needs to know.
+    """The points that the fallback answers, and what the next step needs to know.
 
     Attributes:
-        count: n, the points there are.
-        on_fallback: those the fallback answers until the step is accepted, with its warm start.
-        limit: that risks are compared with during this step; negative: nothing is trusted.
+        count: n, the number of points.
+        on_fallback: those that the fallback answers until the step is accepted, with its state.
+        limit: largest risk of an answer of the surrogate in this step; negative: nothing is
+            trusted.
         reach: (7,) sizes of inputs up to which the surrogate is trusted.
-        risk: (n,) of the answer this came with, inf where the fallback gave it; or None.
+        risk: (n,) of the answer that carries this state, inf where the fallback gave it; or None.
         before: (F, Ḟ) at the last accepted step, or None.
     """
 
@@ -80,8 +88,11 @@ class CachedState:
     before: tuple[Array, Array] | None = None
 
     def to_arrays(self, fallback: Fallback) -> dict[str, NDArray]:
-        """Arrays of a state that was accepted, which carries no risk, or of one to begin cold from,
-        which knows no accepted step either."""
+        """Return arrays for a checkpoint.
+
+        The state must be that of an accepted step, which carries no risk, or one to begin cold
+        from, which knows no accepted step either.
+        """
         return {
             "count": np.array(self.count),
             "limit": np.array(self.limit),
@@ -94,7 +105,9 @@ class CachedState:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray], fallback: Fallback) -> CachedState:
-        """The state whose `to_arrays` gave `arrays`, with the warm start of this fallback."""
+        """Return the state whose `to_arrays` gave `arrays`, with the warm start of this
+        fallback.
+        """
         state = state_of(fallback, part_of(arrays, "fallback"))
         return cls(
             count=int(arrays["count"]),
@@ -105,7 +118,7 @@ class CachedState:
         )
 
     def free(self) -> Flags:
-        """(n,) the points that the surrogate may answer."""
+        """Return (n,) flags: the points that the surrogate may answer."""
         free = np.ones(self.count, dtype=bool)
         free[self.on_fallback.points] = False
         return free
@@ -114,7 +127,12 @@ class CachedState:
 def look_up(
     surrogate: Surrogate, F: Array, F_dot: Array, limit: float, reach: Array
 ) -> tuple[Array, NDArray[np.int8], Array]:
-    """As `Surrogate.lookup`, not trusted where an input is larger than `reach` (7,)."""
+    """Look up stresses of the surrogate; none is trusted where an input is larger than `reach`
+    (7,).
+
+    Returns:
+        As `Surrogate.lookup`: stress (n, 2, 2), status (n,) and risk (n,).
+    """
     stress, status, risk = surrogate.lookup(F, F_dot, limit)
     if np.isfinite(reach).any():
         known = np.flatnonzero(status == 0)
@@ -129,7 +147,11 @@ def look_up(
 def look_up_free(
     surrogate: Surrogate, F: Array, F_dot: Array, state: CachedState
 ) -> tuple[Array, NDArray[np.int8], Array]:
-    """As `look_up`, with stress 0, status 0 and an infinite risk at points on the fallback."""
+    """Look up stresses of the surrogate at the points that it may answer by this state.
+
+    Returns:
+        As `look_up`, with stress 0, status 0 and an infinite risk at points on the fallback.
+    """
     if not len(state.on_fallback) and state.limit >= 0.0:
         return look_up(surrogate, F, F_dot, state.limit, state.reach)
     stress = np.zeros_like(F)
@@ -152,7 +174,15 @@ def choose_branches(
     limit: float,
     reach: Array,
 ) -> tuple[NDArray[np.int8], Array, NDArray[np.int8], Flags]:
-    """Return which points must leave the surrogate for the next step, and which may return to it.
+    """Choose which points must leave the surrogate for the next step, and which may return to it.
+
+    The choice is by the risk now and at (F, Ḟ) extrapolated to the end of the next step, so that
+    few points have to leave within it, which would repeat the step.
+
+    Args:
+        F, F_dot: (n, 2, 2) at the end of an accepted step.
+        state: which points are on the fallback, and by which limit and reach.
+        limit, reach: those of the next step.
 
     Returns:
         (n,) int8: why a free point must leave, 0 where it may stay.
@@ -162,23 +192,27 @@ def choose_branches(
     """
     points = state.on_fallback.points
     free = state.free()
-    none = np.empty((0, 2, 2)), np.empty(0, dtype=np.int8), np.zeros(len(points), dtype=np.bool_)
+    no_stress = np.empty((0, 2, 2))
+    no_status = np.empty(0, dtype=np.int8)
+    none_returns = np.zeros(len(points), dtype=np.bool_)
     if limit < 0.0:
-        return np.where(free, NOT_TRUSTED, np.int8(0)), *none
-    there = extrapolate(F, F_dot, state.before)
+        return np.where(free, NOT_TRUSTED, np.int8(0)), no_stress, no_status, none_returns
+    F_next, F_dot_next = extrapolate(F, F_dot, state.before)
     if np.isfinite(reach).any():
-        _, ahead, risk_ahead = look_up(surrogate, *there, limit, reach)
+        _, ahead, risk_ahead = look_up(surrogate, F_next, F_dot_next, limit, reach)
     else:
-        ahead, risk_ahead = surrogate.status_and_risk(*there, limit)
+        ahead, risk_ahead = surrogate.status_and_risk(F_next, F_dot_next, limit)
     if state.risk is not None:
+        # near the limit only a rising risk is a reason to leave
         rising = (risk_ahead > STAY * limit) & (risk_ahead > state.risk)
         ahead = np.where((ahead == 0) & rising, NOT_TRUSTED, ahead)
     leaving = np.where(free, ahead, np.int8(0))
     if limit < state.limit or not np.array_equal(reach, state.reach):
+        # with less trust than in this step, what it answered now may not be trusted any more
         now = look_up(surrogate, F, F_dot, limit, reach)[1]
         leaving = np.where(free & (leaving == 0), now, leaving)
     if not len(points):
-        return leaving, *none
+        return leaving, no_stress, no_status, none_returns
     stress, status, risk = look_up(surrogate, F[points], F_dot[points], limit, RETURN * reach)
     returning = (status == 0) & (risk <= RETURN * limit)
     returning &= (ahead[points] == 0) & (risk_ahead[points] <= RETURN * limit)
@@ -186,51 +220,60 @@ def choose_branches(
 
 
 def extrapolate(F: Array, F_dot: Array, before: tuple[Array, Array] | None) -> tuple[Array, Array]:
-    """Hermite extrapolation of (F, Ḟ) over one step ahead of the same length h as the last.
+    """Extrapolate (F, Ḟ) over one step ahead of the same length h as the last, by Hermite's cubic.
 
         F₊ = F − 5 ΔF + h (4 Ḟ + 2 Ḟ₋),    Ḟ₊ = 8 Ḟ + 5 Ḟ₋ − 12 ΔF/h
 
-    A law is not told h; here it is that by which the mean of the two rates comes closest to
-    ΔF = F − F₋, over all points. Without rates, as in a quasi-static run, F goes straight on;
-    without a step before all is as it is now.
+    A law is not told h. Here it is the length by which the mean of the two rates comes closest to
+    ΔF = F − F₋, over all points. Without rates, as in a quasi-static run, F is extrapolated
+    linearly. Without a step `before`, F and Ḟ are returned as they are.
     """
     if before is None or before[0].shape != F.shape:
         return F, F_dot
-    there, rate_there = _ahead(F, F_dot, *before)
-    return there, rate_there
+    F_before, F_dot_before = before
+    F_next, F_dot_next = _ahead(F, F_dot, F_before, F_dot_before)
+    return F_next, F_dot_next
 
 
 @kernel
 def _ahead(F: Any, F_dot: Any, F_before: Any, F_dot_before: Any) -> Any:
-    """`extrapolate` with a step before, in two passes over the points."""
+    """Compute `extrapolate` with a step before, in two passes over the entries of all points.
+
+    With s = Ḟ + Ḟ₋, least squares give h = 2 (ΔF·s)/(s·s).
+    """
     now = F.ravel()
     rate = F_dot.ravel()
     before = F_before.ravel()
     rate_before = F_dot_before.ravel()
-    speed = 0.0
-    done = 0.0
+    sum_squared = 0.0  # s·s
+    change_by_sum = 0.0  # ΔF·s
     for k in range(now.size):
         both = rate[k] + rate_before[k]
-        speed += both * both
-        done += (now[k] - before[k]) * both
-    length = 2.0 * done / speed if speed > 0.0 else 0.0
-    there = np.empty_like(F)
-    rate_there = np.empty_like(F_dot)
-    out = there.ravel()
-    rate_out = rate_there.ravel()
+        sum_squared += both * both
+        change_by_sum += (now[k] - before[k]) * both
+    length = 2.0 * change_by_sum / sum_squared if sum_squared > 0.0 else 0.0
+    F_next = np.empty_like(F)
+    F_dot_next = np.empty_like(F_dot)
+    out = F_next.ravel()
+    rate_out = F_dot_next.ravel()
     if not length > 0.0:
         for k in range(now.size):
             out[k] = now[k] + (now[k] - before[k])
             rate_out[k] = rate[k]
-        return there, rate_there
+        return F_next, F_dot_next
     for k in range(now.size):
         change = now[k] - before[k]
         out[k] = now[k] - 5.0 * change + length * (4.0 * rate[k] + 2.0 * rate_before[k])
         turned = 8.0 * rate[k] + 5.0 * rate_before[k]
         rate_out[k] = turned - (12.0 / length) * change
-    return there, rate_there
+    return F_next, F_dot_next
 
 
 def are_unique(state: Any, count: int) -> Flags:
-    """(count,) False where, by the fallback's state, the stress is one of several."""
-    return np.ones(count, dtype=np.bool_) if state is None else ~np.asarray(state.left_points)
+    """Return (count,) False where, by the fallback's state, the stress is one of several.
+
+    So it is at points that have left a branch at a bifurcation. Without a state there are none.
+    """
+    if state is None:
+        return np.ones(count, dtype=np.bool_)
+    return ~np.asarray(state.left_points)

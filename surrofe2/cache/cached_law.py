@@ -47,9 +47,10 @@ from surrofe2.law.stress_law import (
 from surrofe2.run.journal import part_of, within
 from surrofe2.run.views import Facts, Viewed
 
+# Codes of why an RVE was solved, see `OnTrueAnswer`.
 FALLBACK = 0
 AUDIT = 1
-"""Why an RVE answered, see `OnTrueAnswer`."""
+# How counts name the reasons for which the surrogate did not answer.
 _REASONS = {
     Status.OUT_OF_RANGE: "out_of_range",
     Status.NOT_FINITE: "not_finite",
@@ -58,7 +59,14 @@ _REASONS = {
 
 
 def effort_of(count: int, why: NDArray[np.int8]) -> dict[str, int]:
-    """Of `count` points, hits and fallbacks, the latter also by the surrogate's reason (k,)."""
+    """Count hits and fallbacks among `count` points.
+
+    Args:
+        why: (k,) `Status` of each fallback, for which the surrogate did not answer it.
+
+    Returns:
+        `hits`, `fallbacks`, and the latter by reason, `fallbacks_…`.
+    """
     counts = np.bincount(why, minlength=max(Status) + 1).tolist()
     by_reason = {f"fallbacks_{name}": counts[code] for code, name in _REASONS.items()}
     return {"hits": count - len(why), "fallbacks": len(why), **by_reason}
@@ -68,19 +76,20 @@ NO_EFFORT = effort_of(0, np.empty(0, dtype=np.int8))
 
 
 class CachedLaw(Viewed):
-    """σ(F, Ḟ) from `surrogate` where its risk is within the limit, else from `fallback`.
+    """The stress σ(F, Ḟ) from `surrogate` where its risk is within the limit, else from `fallback`.
 
-    Within a step a point may move from the surrogate to the fallback, not back; the answer that
-    finds one says so (`StressResponse.switched`) and the step begins again, see
+    Within a step a point may move from the surrogate to the fallback, not back. The answer in which
+    one does marks it in `StressResponse.switched`, and the step begins again, see
     `stress_law.SwitchingLaw`. `respond` is pure: counts, audits, trust, harvest and learning change
-    in `accept`, and only when no point objects, and in `verdict`.
+    in `accept`, and only when the check rejects no point, and in `verdict`.
 
-    Audits are judged in windows of steps (`trust`). Whoever marks where a window begins can go back
-    to it; for others a window that failed only makes the next steps more cautious.
+    Audits are judged in windows of steps (`trust`). A time loop that marks where a window begins
+    can go back to it; without marks a window that failed only makes the next steps more cautious.
 
     Args:
         surrogate: e.g. `surrofe2.surrogate.SurrogateLaw`; see `protocols.Surrogate`.
         fallback: the law the surrogate was trained on, e.g. `surrofe2.rve.RveLaw`.
+        settings: tolerance and audits.
         on_true_answer: is given every RVE answer at accepted steps, see `OnTrueAnswer`.
 
     Raises:
@@ -102,10 +111,12 @@ class CachedLaw(Viewed):
         self.fallback = fallback
         self.density = fallback.density
         self.on_true_answer = on_true_answer
-        self._restored: CachedState | None = None  # by `state_from_arrays`, until a run begins
+        # what `state_from_arrays` returned, until `begin_run` compares its state with it
+        self._restored: CachedState | None = None
         self.reset_counts()
 
     def facts(self) -> Facts:
+        """Return what a notebook shows of the law."""
         counts = self.counts
         return {
             "surrogate": self.surrogate,
@@ -122,18 +133,27 @@ class CachedLaw(Viewed):
 
     @property
     def counts(self) -> dict[str, int]:
-        """Points at ends of accepted steps since the last reset: `hits`, `fallbacks` and, of these,
-        by reason; `in_domain`, those within the range of the surrogate; `steps`; `switched`, solves
-        by which a point began a step on the fallback."""
+        """Numbers of points at ends of accepted steps since the last reset.
+
+        `hits` are those that the surrogate answered, `fallbacks` those that an RVE answered, also
+        by reason; `in_domain` those within the range of the surrogate. `steps` counts the accepted
+        steps, `switched` the points that an RVE began to answer between two steps.
+        """
         return dict(self._counts)
 
     def reset_counts(self) -> None:
-        """Begin as if nothing had been asked: counts, audits and trust."""
+        """Reset counts, audits and trust, as if nothing had been asked."""
         self._begin(Trust())
 
     def begin_run(self, state: CachedState | None, t: float = 0.0) -> bool:
-        """Count and audit from t (µs) on for one run alone, with the trust that earlier ones left;
-        but continue where `state` is what `state_from_arrays` gave last. Whether it is."""
+        """Begin a run, or continue one; see `AuditedLaw`.
+
+        Counts and audits begin at zero, from t (µs) on; the trust that earlier runs left stays. But
+        where `state` is the one that `state_from_arrays` returned last, everything continues.
+
+        Returns:
+            Whether it continues.
+        """
         resumes = state is not None and state is self._restored
         self._restored = None
         if not resumes:
@@ -141,7 +161,12 @@ class CachedLaw(Viewed):
         return resumes
 
     def _begin(self, trust: Trust, since: float = 0.0) -> None:
-        """Count and audit again from zero, with this trust; of answers since this time, µs."""
+        """Set counts and audits to zero.
+
+        Args:
+            trust: how far the surrogate is trusted from here on.
+            since: time from which on answers are counted, µs.
+        """
         surrogate = self.surrogate
         settings = self.settings
         allowed = settings.tolerance * surrogate.stress_spread
@@ -155,8 +180,9 @@ class CachedLaw(Viewed):
         self._since = since
         self._window = Window(since, 0, self._trust.limit)
         self._decisions: list[dict[str, Any]] = []
-        self._marked: CachedState | None = None  # also of a run that resumed cold at its mark
-        self._points = 0  # of the last step
+        # the state at the last mark; None also where a run resumed cold there
+        self._marked: CachedState | None = None
+        self._points = 0  # number of points of the last step
         if not surrogate.is_calibrated and np.isfinite(allowed):
             self._trust.warn(
                 0,
@@ -185,7 +211,7 @@ class CachedLaw(Viewed):
         }
 
     def report(self) -> dict[str, Any]:
-        """`history` at the end of a run: what still waits is audited, then the closing sample."""
+        """Complete the audits, then the closing one, and return `history` at the end of a run."""
         self._audit.end(self._wanted())
         self._run_audit()
         while (solved := self.next_closing()) is not None:
@@ -200,11 +226,11 @@ class CachedLaw(Viewed):
 
     @property
     def closing_progress(self) -> tuple[int, int]:
-        """How many answers of the closing audit are solved, and of how many."""
+        """Two numbers: answers of the closing audit that are solved, and all that it takes."""
         return self._closing.progress
 
     def next_closing(self) -> Solved | None:
-        """The next batch of the closing audit, by RVEs; None where it is complete. Pure."""
+        """Solve the next batch of the closing audit by RVEs; None where it is complete. Pure."""
         return self._closing.next_batch()
 
     def commit_closing(self, solved: Solved) -> None:
@@ -215,25 +241,30 @@ class CachedLaw(Viewed):
 
     @property
     def is_audited(self) -> bool:
-        """Whether any answer is; see `AuditedLaw`."""
+        """Whether any answer is audited; see `AuditedLaw`."""
         return self.settings.audit > 0.0
 
     @property
     def decisions(self) -> list[dict[str, Any]]:
-        """On windows of steps, in order: which stand and which were rolled back, and why."""
-        return [dict(each) for each in self._decisions]
+        """The decisions on windows of steps, in order: which stand, which were rolled back, and
+        why.
+        """
+        return [dict(decision) for decision in self._decisions]
 
     def mark(self, t: float, state: CachedState | None) -> None:
-        """What was kept up to t stands; what follows may be rolled back to here. Where a window
-        ends before it is full, the next one carries on its audits and its try, so that the plan
-        holds for each.
+        """Let the steps up to t (µs) stand, and begin a window there, to which `roll_back` goes
+        back.
+
+        A window that ends before it has all its audits was not judged. The next one carries on its
+        audits and its try, so that the acceptance plan holds for each.
         """
         window = self._window
         if window.before is not None and t > window.begin:
             self._decide(t, "stands")
         if window.is_full and not window.failed:
             self._trust.stand()
-        carried = [] if window.is_full or window.failed else window.audits
+        was_judged = window.is_full or window.failed
+        carried = [] if was_judged else window.audits
         before = {"carried": carried, **self._counted()}
         tries = window.tries if carried else 1
         step = self._counts["steps"]
@@ -254,21 +285,29 @@ class CachedLaw(Viewed):
             self._run_audit()
         if not (window.stands or window.failed or trust.is_off):
             trust.fail(self._counts["steps"], window)
-        return False if window.failed else (True if is_over else None)
+        if window.failed:
+            return False
+        return True if is_over else None
 
     def _wanted(self) -> int:
-        """How many audits are missing: of a window that is tried again those that its try asks for,
-        else those that every run has."""
+        """Return how many audits are missing.
+
+        A window that is tried again needs as many as its try asks for, another one as many as every
+        run.
+        """
         window = self._window
         if window.tries > 1:
             return audits_of(window.tries) - len(window.audits)
         return AUDITS - self._audit.record.audited
 
     def roll_back(self, t: float) -> CachedState:
-        """The state at the mark, with the trust of now: if these answers failed, with less. Where
-        the run resumed cold at the mark, no point is on the fallback yet."""
+        """Return the state at the mark with the trust of now, which is less if the audits failed.
+
+        Counts and audits since the mark are forgotten. Where the run resumed cold at the mark, no
+        point is on the fallback yet.
+        """
         window = self._window
-        before = self._window.before
+        before = window.before
         assert before is not None
         self._decide(t, "rolled back")
         self._counts = Counter(before["counts"])
@@ -292,18 +331,24 @@ class CachedLaw(Viewed):
         return replace(self._marked, limit=limit, reach=reach)
 
     def _counted(self) -> dict[str, Any]:
-        """A copy of what is counted of accepted steps, plain values."""
+        """Return a copy of what is counted of accepted steps, as plain values."""
         record = asdict(self._audit.record)
         left_range = deepcopy(self._left_range)
         return {"counts": dict(self._counts), "left_range": left_range, "record": record}
 
     def _decide(self, t: float, decision: str) -> None:
+        """Record a decision on the window, at t (µs)."""
         step = self._counts["steps"]
         limit = self._trust.limit
         self._decisions.append(self._window.decision(t, step, limit, decision))
 
     def beyond_bifurcation(self, state: CachedState) -> Flags | None:
-        """(n,) as of the fallback at the points that it answers; none of the others is."""
+        """Return (n,) which points are beyond a bifurcation, as the fallback knows of those it
+        answers.
+
+        None of the others is, since a surrogate learns the stress of one branch alone. None: the
+        fallback does not know.
+        """
         if not is_branching(self.fallback):
             return None
         known = state.on_fallback
@@ -314,7 +359,7 @@ class CachedLaw(Viewed):
         return flags
 
     def state_to_arrays(self, state: CachedState) -> dict[str, NDArray]:
-        """All that decides what comes next, `state` being what `accept` gave last."""
+        """Return all that decides what comes next, where `accept` gave `state` last."""
         values = {
             **self._counted(),
             "since": self._since,
@@ -335,7 +380,9 @@ class CachedLaw(Viewed):
         }
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> CachedState:
-        """Continue where a law of the same parts and settings gave these; the state to do so by."""
+        """Continue where a law of the same parts and settings gave these arrays; return its
+        state.
+        """
         values = json.loads(arrays["values"].tobytes())
         self._counts = Counter(values["counts"])
         self._left_range = values["left_range"]
@@ -357,11 +404,14 @@ class CachedLaw(Viewed):
     def respond(
         self, F: Array, F_dot: Array, state: CachedState | None = None, *, tangents: bool = False
     ) -> StressResponse:
-        """Stress at n points; a point that neither part can answer has the fallback's status.
+        """Compute the stress at n points, each by the surrogate or by an RVE.
+
+        A point for which neither has a stress has the fallback's status.
 
         Raises:
             InputError: tangents are asked for, and surrogate or fallback have none.
         """
+        # the whole check costs as much as a lookup, so it is left out where lookups need none
         if not (_is_ready(F) and _is_ready(F_dot) and F.shape == F_dot.shape):
             F, F_dot = check_deformation(F, F_dot)
         if tangents:
@@ -390,25 +440,31 @@ class CachedLaw(Viewed):
                 switched[missed] = new.why
             risk[missed] = np.inf
             effort = Counter(effort_of(count, np.concatenate([state.on_fallback.why, new.why])))
-            for each in filter(len, (state.on_fallback, new)):
-                at = F[each.points], F_dot[each.points]
-                answer = self.fallback.respond(*at, each.state, tangents=tangents)
-                stress[each.points] = answer.stress
-                status[each.points] = answer.status
-                slopes.append((each.points, answer.tangents))
+            for part in (state.on_fallback, new):
+                if not len(part):
+                    continue
+                answer = self.fallback.respond(
+                    F[part.points], F_dot[part.points], part.state, tangents=tangents
+                )
+                stress[part.points] = answer.stress
+                status[part.points] = answer.status
+                slopes.append((part.points, answer.tangents))
                 effort.update(answer.effort)
-                known = known.and_also(replace(each, state=answer.state))
+                known = known.and_also(replace(part, state=answer.state))
         after = replace(state, on_fallback=known, risk=risk)
-        of_all = None
+        all_tangents = None
         if tangents:
             free = after.free()
-            of_free = self.surrogate.tangents(F[free], F_dot[free])
-            of_all = joined_values([(free.nonzero()[0], of_free), *slopes]) if slopes else of_free
+            all_tangents = self.surrogate.tangents(F[free], F_dot[free])
+            if slopes:
+                all_tangents = joined_values([(free.nonzero()[0], all_tangents), *slopes])
         sources = partial(self._sources, after)
-        return StressResponse(stress, status, after, effort, of_all, switched, sources=sources)
+        return StressResponse(
+            stress, status, after, effort, all_tangents, switched, sources=sources
+        )
 
     def _sources(self, state: CachedState) -> Sources:
-        """Return where an answer came from, `state` being the one that it carries."""
+        """Return where an answer came from, by the state that it carries."""
         source = np.full(state.count, SURROGATE if self.table is None else TABLE, dtype=np.int8)
         risk = np.zeros(state.count) if state.risk is None else state.risk.copy()
         known = state.on_fallback
@@ -417,13 +473,18 @@ class CachedLaw(Viewed):
         return Sources(source, risk)
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
-        """Let the fallback check what it answered; then count, audit, learn, and choose who is
-        answered by which part in the next step."""
+        """Let the fallback check its answers; then count, audit and learn.
+
+        The branches of the next step are chosen, too: which points the surrogate answers then.
+        """
         checked = self.check(F, F_dot, response)
         return checked if checked.status.any() else self.commit(F, F_dot, checked)
 
     def check(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
-        """The fallback accepts its points; see `LearningLaw`."""
+        """Let the fallback accept its points, and return the response with what it changes there.
+
+        See `LearningLaw`.
+        """
         state: CachedState = response.state
         known = state.on_fallback
         if not len(known):
@@ -458,7 +519,7 @@ class CachedLaw(Viewed):
             self._note_what_left(F[out], F_dot[out])
             self._distribute(F, F_dot, checked.stress, known)
         if not self._trust.is_off and state.risk is not None:
-            answers = counts["steps"], hits, F, F_dot, checked.stress, state.risk
+            answers = (counts["steps"], hits, F, F_dot, checked.stress, state.risk)
             self._closing.take(*answers)
             more = self._trust.more_audits
             if self._audit.choose(*answers, wanted=self._wanted(), more=more):
@@ -466,7 +527,9 @@ class CachedLaw(Viewed):
         return self._choose_branches(F, F_dot, checked)
 
     def _note_what_left(self, F: Array, F_dot: Array) -> None:
-        """Count points beyond the range by quantity, and keep the farthest value of each."""
+        """Count points beyond the range by the quantity that left it, and keep its farthest
+        value.
+        """
         if self.surrogate.range is None:
             return
         for which, value, bound in zip(*farthest_out(self.surrogate.range, F, F_dot), strict=True):
@@ -479,7 +542,9 @@ class CachedLaw(Viewed):
                     beyond["bound"] = float(bound)
 
     def _distribute(self, F: Array, F_dot: Array, stress: Array, known: PointSet) -> None:
-        """Give the fallback's answers at the known points to whoever keeps or learns them."""
+        """Give the fallback's answers at the known points to everything that keeps or learns
+        them.
+        """
         at = known.points
         answer = StressResponse(stress[at], np.zeros(len(at), dtype=np.int8), known.state)
         self._keep(F[at], F_dot[at], answer, FALLBACK, np.ones(len(at), dtype=np.bool_))
@@ -487,14 +552,22 @@ class CachedLaw(Viewed):
     def _keep(
         self, F: Array, F_dot: Array, answer: StressResponse, why: int, is_news: Flags
     ) -> Flags:
-        """Give RVE answers to whoever keeps them, and what is news to the table; (n,) which of them
-        the table has learnt."""
+        """Give RVE answers to the harvest, and those that are news to the table.
+
+        Args:
+            answer: stress, status and state of the RVEs.
+            why: `FALLBACK` or `AUDIT`.
+            is_news: (n,) where the table is to learn.
+
+        Returns:
+            (n,) where the table has learnt.
+        """
         unique = are_unique(answer.state, len(F))
         status = answer.status
         kept = unique.nonzero()[0]
         if self.on_true_answer is not None and len(kept):
-            answers = F[kept], F_dot[kept], answer.stress[kept], status[kept]
-            self.on_true_answer(*answers, np.full(len(kept), why, dtype=np.int8))
+            reasons = np.full(len(kept), why, dtype=np.int8)
+            self.on_true_answer(F[kept], F_dot[kept], answer.stress[kept], status[kept], reasons)
         if self.table is None:
             return np.zeros(len(F), dtype=np.bool_)
         is_learnt: Flags = unique & is_news & (status == 0)
@@ -505,20 +578,23 @@ class CachedLaw(Viewed):
         return is_learnt
 
     def _run_audit(self, *, whole: bool = True) -> None:
-        """Audit what waits, or full tiles of it; keep the RVEs' answers, learn from what was wrong,
-        and judge a window of steps that nobody marked, to which nobody goes back."""
+        """Audit the answers that wait, or full tiles of them, and learn where they were wrong.
+
+        A window of steps that nobody has marked is judged here: nobody can go back to its begin.
+        """
         result = self._audit.run(whole=whole)
         if result is None:
             return
         asked = result.asked
         is_learnt = self._keep(asked.F, asked.F_dot, result.truth, AUDIT, result.broken)
         x, _ = to_inputs(asked.F, asked.F_dot)
-        audits = asked.points, result.broken, result.error, is_learnt, asked.risk, np.abs(x)
+        # the columns of `Window.audits`
+        audits = (asked.points, result.broken, result.error, is_learnt, asked.risk, np.abs(x))
         window = self._window
         trust = self._trust
         window.audits += np.column_stack(audits).tolist()
         if window.before is not None or trust.is_off or (window.stands and not window.is_full):
-            return  # whoever marked the window judges it, or it is not over
+            return  # `verdict` judges a window that was marked; or it is not over
         if window.stands:
             trust.stand()
         else:
@@ -528,7 +604,9 @@ class CachedLaw(Viewed):
     def restart_step(
         self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
     ) -> StressResponse:
-        """The start of a step with the points `switched` on the fallback; see `SwitchingLaw`."""
+        """Return the start of a step with the points `switched` on the fallback; see
+        `SwitchingLaw`.
+        """
         state: CachedState = response.state
         points = (state.free() & (switched != 0)).nonzero()[0]
         new, answer = self._solve_cold(F, F_dot, PointSet(points, switched[points]))
@@ -540,8 +618,14 @@ class CachedLaw(Viewed):
         return replace(response, stress=stress, status=status, state=state)
 
     def learn_ahead(self, F: Array, F_dot: Array, switched: NDArray[np.int8]) -> NDArray[np.int8]:
-        """As of `ForesightLaw`: the table learns from RVEs at points that lie apart, a tile at a
-        time, as long as that answers further points."""
+        """Let a table learn at points that it does not answer; see `ForesightLaw`.
+
+        It learns from RVEs at points that lie apart, a tile at a time, as long as their stresses
+        answer further points.
+
+        Returns:
+            (n,) `switched` where the table still has no answer, else 0.
+        """
         table = self.table
         limit = self._trust.limit
         reach = np.array(self._trust.reach)
@@ -555,16 +639,16 @@ class CachedLaw(Viewed):
                 break
             chosen = points[table.apart(F[points], F_dot[points], TILE)]
             hopeless[chosen] = True  # each is asked once, whatever comes of it
-            at = F[chosen], F_dot[chosen]
-            answer = self.fallback.accept(*at, self.fallback.respond(*at))
+            F_chosen = F[chosen]
+            F_dot_chosen = F_dot[chosen]
+            answer = self._accepted_answer(F_chosen, F_dot_chosen)
             table.counts["table_rve_solves"] += len(chosen)
             learnt = (are_unique(answer.state, len(chosen)) & (answer.status == 0)).nonzero()[0]
             if len(learnt):
                 state = None if answer.state is None else answer.state.take(learnt)
-                table.learn(at[0][learnt], at[1][learnt], answer.stress[learnt], state)
+                table.learn(F_chosen[learnt], F_dot_chosen[learnt], answer.stress[learnt], state)
             open_points = np.flatnonzero(unanswered)
-            of_open = F[open_points], F_dot[open_points]
-            status = look_up(self.surrogate, *of_open, limit, reach)[1]
+            _, status, _ = look_up(self.surrogate, F[open_points], F_dot[open_points], limit, reach)
             unanswered[open_points[status == 0]] = 0
         return unanswered
 
@@ -601,14 +685,21 @@ class CachedLaw(Viewed):
         return replace(response, stress=stress, state=state)
 
     def _solve_cold(self, F: Array, F_dot: Array, new: PointSet) -> tuple[PointSet, StressResponse]:
-        """Points that the fallback does not know yet with its state, and its checked answer."""
-        at = F[new.points], F_dot[new.points]
-        answer = self.fallback.accept(*at, self.fallback.respond(*at))
+        """Solve RVEs at points that the fallback does not know yet.
+
+        Returns:
+            The points with the fallback's state, and its checked answer.
+        """
+        answer = self._accepted_answer(F[new.points], F_dot[new.points])
         return replace(new, state=answer.state), answer
+
+    def _accepted_answer(self, F: Array, F_dot: Array) -> StressResponse:
+        """Return the fallback's answer from a cold start, accepted as that of a step."""
+        return self.fallback.accept(F, F_dot, self.fallback.respond(F, F_dot))
 
 
 def _is_ready(tensors: Any) -> bool:
-    """Return whether tensors are a contiguous float64 array (n, 2, 2), as it must be."""
+    """Return whether tensors are a contiguous float64 array (n, 2, 2), as lookups need them."""
     return (
         isinstance(tensors, np.ndarray)
         and tensors.dtype == np.float64

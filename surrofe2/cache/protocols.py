@@ -1,4 +1,4 @@
-"""What a cache asks of its surrogate, its fallback and the fallback's state."""
+"""Interfaces that a cache needs: its surrogate, its fallback and the fallback's state."""
 
 from __future__ import annotations
 
@@ -14,18 +14,20 @@ from surrofe2.base.sampling import SamplingRange
 from surrofe2.law.stress_law import ResumableLaw, Tangents
 from surrofe2.plant_cell.parameters import CellParameters
 
+# A surrogate's stated spread of stress over that by the RVE's moduli may be so much; of trained
+# surrogates the ratio is within 1 ± 0.01.
 MOST_SPREAD = 2.0
-"""Of trained surrogates the ratio is within 1 ± 0.01."""
-_PROBE = 0.1  # of the range: within it moduli are constant enough
+# Fraction of the range over which stresses are differenced: within it moduli are constant enough.
+_PROBE = 0.1
 
 
+# A function that takes every RVE answer that a run has paid for, at accepted steps: F, Ḟ and stress
+# (n, 2, 2), status (n,), and why it was solved (n,): 0 as the fallback, 1 for an audit.
 OnTrueAnswer = Callable[[Array, Array, Array, NDArray[np.int8], NDArray[np.int8]], None]
-"""Takes every RVE answer that a run has paid for, at accepted steps: F, Ḟ and stress (n, 2, 2),
-status (n,), and why (n,): 0 fallback, 1 audit."""
 
 
 class Surrogate(Protocol):
-    """A stress that is quick to look up, and says where it may not be used."""
+    """A stress that is quick to look up, and knows where it may not be used."""
 
     @property
     def cell(self) -> CellParameters:
@@ -33,7 +35,7 @@ class Surrogate(Protocol):
 
     @property
     def initialisation(self) -> str:
-        """How its RVE was initialised."""
+        """How the RVE that was learnt was initialised, as of `RveLaw`."""
 
     @property
     def density(self) -> float | Array:
@@ -41,7 +43,7 @@ class Surrogate(Protocol):
 
     @property
     def range(self) -> SamplingRange | None:
-        """Bounds outside which there is no answer, to say what left them; None: not known."""
+        """Bounds of strain and rate outside which there is no answer; None: not known."""
 
     @property
     def stress_spread(self) -> float:
@@ -56,38 +58,49 @@ class Surrogate(Protocol):
         """Whether `tangents` answers."""
 
     def with_tolerance(self, tolerance: float, relative: float) -> Surrogate:
-        """The same, whose risks are by this tolerance; shares of the spread, and of the local
-        stress. An infinite tolerance leaves no risk. The surrogate itself stays as it is; one that
-        learns shares what it learns with the other, but not the tolerance."""
+        """Return the same surrogate with risks by this tolerance; this one stays as it is.
+
+        Args:
+            tolerance: allowed error, as a fraction of the spread of stress; inf: no risk is left.
+            relative: allowed error, as a fraction of the local stress, where that is less.
+
+        A surrogate that learns shares with the other what it learns, but not the tolerance.
+        """
 
     def local_tolerance(self, F: Array, F_dot: Array) -> Array:
-        """(n,) what an error may be, as a fraction of the tolerance, at most 1."""
+        """Return (n,) the error that is allowed at a point, as a fraction of the tolerance, at
+        most 1.
+        """
 
     def lookup(
         self, F: Array, F_dot: Array, limit: float = np.inf
     ) -> tuple[Array, NDArray[np.int8], Array]:
-        """(stress (n, 2, 2) in µN/µm, status (n,), risk (n,)) in one pass; pure.
+        """Look up the stress and its risk at n points in one pass; pure.
 
-        The risk is the bound of the error over the error allowed at the point.
+        Args:
+            F, F_dot: contiguous float64 (n, 2, 2), else unchecked.
+            limit: largest risk that is trusted.
 
-        Input is contiguous float64 (n, 2, 2), else unchecked: status 0 only where it is finite,
-        det F > 0, the point is in range and the risk is at most `limit`.
+        Returns:
+            stress (n, 2, 2) in µN/µm; status (n,), 0 only where the input is finite, det F > 0, the
+            point is in range and the risk is at most `limit`; risk (n,), the bound of the error
+            over the error allowed at the point.
         """
 
     def status_and_risk(
         self, F: Array, F_dot: Array, limit: float = np.inf
     ) -> tuple[NDArray[np.int8], Array]:
-        """Return those of `lookup`, for less where no stress is needed."""
+        """Return status and risk as `lookup` does, for less where no stress is needed."""
 
     def tangents(self, F: Array, F_dot: Array) -> Tangents:
-        """Of the stress of `lookup`, for implicit macro steps; InputError where it has none."""
+        """Compute the derivatives of the stress of `lookup`; InputError where it has none."""
 
 
 class Fallback(ResumableLaw, Protocol):
     """The law of RVEs of the same plant cell.
 
-    Its states are values of n points, never changed in place, or None: `take(indices)` and
-    `put(indices, state)` give others, and `left_points` (n,) is where the stress is one of several,
+    Its states are values of n points, never changed in place, or None. `take(indices)` and
+    `put(indices, state)` return others; `left_points` (n,) says where the stress is one of several,
     beyond a bifurcation.
     """
 
@@ -97,26 +110,30 @@ class Fallback(ResumableLaw, Protocol):
 
     @property
     def initialisation(self) -> str:
-        """How its RVE is initialised."""
+        """How its RVE is initialised, as of `RveLaw`."""
 
 
 def check_parts(surrogate: Surrogate, fallback: Fallback) -> None:
-    """A MismatchError unless both are of one plant cell and initialisation, and where the spread of
-    stress that the surrogate states, the unit of tolerances, is more than `MOST_SPREAD` times what
-    the fallback's moduli at rest give over its range.
+    """Check that a surrogate and a fallback belong together.
 
-    Audits by a tolerance that is too large would find nothing. The moduli are differences of the
-    stress over a tenth of the range; of states that are uniform in it, a linear law's stress has
-    the spread √(Σ (∂σ/∂c w)²/3) over the seven entries c of U and RᵀḞ with half widths w.
+    The unit of tolerances is the spread of stress that the surrogate states. If it were too large,
+    audits would find nothing. So it is compared with the spread that the fallback's moduli at rest
+    give: of states that are uniform in the range, a linear law's stress has the spread
+    √(Σ (∂σ/∂c w)²/3), summed over the seven entries c of U and RᵀḞ with half widths w of the range.
+    The moduli are differences of the stress over a tenth of the range.
+
+    Raises:
+        MismatchError: they are not of one plant cell and initialisation, or the surrogate's spread
+            is more than `MOST_SPREAD` times that of the moduli.
     """
-    for what, here, there in (
+    for what, of_surrogate, of_fallback in (
         ("cell parameters", surrogate.cell.fingerprint, fallback.cell.fingerprint),
         ("initialisation", surrogate.initialisation, fallback.initialisation),
     ):
-        if here != there:
+        if of_surrogate != of_fallback:
             raise MismatchError(
-                f"cache: the surrogate is of {what} {here}, the fallback of {there}; train a "
-                "surrogate for the fallback's"
+                f"cache: the surrogate is of {what} {of_surrogate}, the fallback of "
+                f"{of_fallback}; train a surrogate for the fallback's"
             )
     if surrogate.range is None:
         return
@@ -124,6 +141,7 @@ def check_parts(surrogate: Surrogate, fallback: Fallback) -> None:
     stretch = _PROBE * max(abs(low - 1.0), abs(high - 1.0))
     shear = _PROBE * surrogate.range.shear
     rate = _PROBE * surrogate.range.rate
+    # the state at rest, and one with each of the three strains and four rates
     F = np.tile(np.eye(2), (8, 1, 1))
     F_dot = np.zeros((8, 2, 2))
     F[1, 0, 0] += stretch

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from surrofe2.base.settings import check_settings, setting
 
-_RELATIVE = 30.0  # times the tolerance
+# Allowed error relative to the local stress, over the tolerance, where a recipe does not state it.
+_RELATIVE = 30.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +44,7 @@ class CacheSettings:
 
     @property
     def relative(self) -> float:
-        """`relative_tolerance`, stated or not."""
+        """Allowed error relative to the local stress, stated or by default."""
         stated = self.relative_tolerance
         return _RELATIVE * self.tolerance if stated is None else stated
 

@@ -13,15 +13,17 @@ from surrofe2.law.stress_law import StressLaw
 
 @runtime_checkable
 class ForesightLaw(StressLaw, Protocol):
-    """A switching law that can learn at the states of a trial that points would leave it for."""
+    """A switching law that can learn at the states where a trial step would have points leave
+    it.
+    """
 
     def learn_ahead(self, F: Array, F_dot: Array, switched: NDArray[np.int8]) -> NDArray[np.int8]:
         """Learn at some of the points that `StressResponse.switched` marks.
 
         Args:
-            F, F_dot: (n, 2, 2) of the trial.
-            switched: (n,) why points must leave their branch, 0 where they need not.
+            F, F_dot: (n, 2, 2) of the trial step.
+            switched: (n,) codes why points must leave their branch, 0 where they need not.
 
         Returns:
-            (n,) the same of the points that still must leave.
+            (n,) the same, 0 at the points that need not leave any more.
         """

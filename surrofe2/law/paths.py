@@ -18,21 +18,25 @@ from surrofe2.base.tensors import cofactor
 from surrofe2.law.stress_law import StressLaw, StressResponse, describe, require_tangents
 
 Entries = tuple[Index, ...]
+# A function that returns (F, Ḟ), (2, 2) each, at a time in µs; entries that are free do not count.
 Motion = Callable[[float], tuple[Array, Array]]
-"""(F, Ḟ) (2, 2) at a time in µs; entries that are free are not looked at."""
 
+# Newton's method for the free entries of F: it ends at a step of this size, and fails after so many
+# iterations.
 _TOLERANCE = 1e-12
 _ITERATIONS = 20
+# Steps in a period, below which a modulus is not computed.
 _LEAST_STEPS = 8
 
 
 @dataclass(frozen=True, slots=True)
 class StressPath:
-    """What a law answered along a path.
+    """The response of a law along a path.
 
     Attributes:
         t: (n,) µs, evenly spaced from 0.
-        F, F_dot: (n, 2, 2). stress: (n, 2, 2) Cauchy stress, µN/µm.
+        F, F_dot: (n, 2, 2) deformation gradient and its rate, 1/µs.
+        stress: (n, 2, 2) Cauchy stress, µN/µm.
         first_piola: (n, 2, 2) P = det F σ F⁻ᵀ, µN/µm.
     """
 
@@ -43,9 +47,9 @@ class StressPath:
     first_piola: Array
 
     def modulus(self, direction: Array, frequency: float) -> tuple[float, float]:
-        """Storage and loss modulus, µN/µm, of P in a direction over the last whole period.
+        """Compute storage and loss modulus, µN/µm, over the last whole period.
 
-        The path is `oscillation` in that direction (2, 2) at that frequency (1/µs):
+        The path must be an `oscillation` in the direction H (2, 2) at this frequency (1/µs). Then
         (P : H)/(H : H) = G′ a sin ωt + G″ a cos ωt to first order in the amplitude a.
 
         Raises:
@@ -53,7 +57,7 @@ class StressPath:
         """
         h = self.t[1] - self.t[0]
         steps = round(1.0 / (frequency * h))
-        whole = abs(steps * frequency * h - 1.0) < 1e-6
+        whole = abs(steps * frequency * h - 1.0) < 1e-6  # a whole number of steps is one period
         if len(self.t) <= steps or steps < _LEAST_STEPS or not whole:
             raise InputError(
                 f"frequency: {frequency:g} per µs; the path must hold a whole period of at least "
@@ -65,12 +69,20 @@ class StressPath:
         along = np.einsum("nij,ij->n", self.first_piola[last], direction) / size
         strain = np.einsum("nij,ij->n", self.F[last] - np.eye(2), direction) / size
         wave = np.exp(-1j * omega * self.t[last])
+        # the ratio of the Fourier coefficients of stress and strain is the complex modulus G′ + i
+        # G″
         ratio = (along @ wave) / (strain @ wave)
         return float(ratio.real), float(ratio.imag)
 
 
 def oscillation(direction: Array, amplitude: float, frequency: float) -> Motion:
-    """F = I + a sin(2π f t) H with H = `direction` (2, 2), a the amplitude, f in 1/µs."""
+    """Make the motion F = I + a sin(2π f t) H.
+
+    Args:
+        direction: H, (2, 2).
+        amplitude: a.
+        frequency: f, 1/µs.
+    """
     omega = 2.0 * np.pi * frequency
 
     def motion(t: float) -> tuple[Array, Array]:
@@ -82,7 +94,10 @@ def oscillation(direction: Array, amplitude: float, frequency: float) -> Motion:
 
 
 def ramp_and_hold(target: Array, length: float) -> Motion:
-    """F from I to `target` (2, 2) by s³ (10 − 15 s + 6 s²), s = t/length (µs), held from there.
+    """Make a motion from I to `target` (2, 2), which is then held.
+
+    The ramp of this length (µs) is s³ (10 − 15 s + 6 s²) with s = t/length; it begins and ends
+    without a jump of rate or acceleration.
 
     Examples:
         >>> import numpy as np
@@ -114,11 +129,13 @@ def follow_path(
     *,
     free: Sequence[tuple[int, int]] = (),
 ) -> StressPath:
-    """The stress of a law along a motion, from F = I at rest.
+    """Compute the stress of a law along a motion, from F = I at rest.
 
     Args:
+        law: any stress law; with free entries it must have tangents.
         motion: F and Ḟ in time; see `oscillation` and `ramp_and_hold`.
-        duration: µs. steps: number of even steps.
+        duration: length of the path, µs.
+        steps: number of even steps.
         free: entries (i, j) of F, from 0, that follow from P_ij = 0; (1, 1) is a uniaxial test
             along x.
 
@@ -150,21 +167,25 @@ def follow_path(
     state = None
     t: Array = h * np.arange(steps + 1.0)
     entries: Entries = tuple(np.array(free, dtype=np.int64).reshape(-1, 2).T)
-    F, F_dot, stress = (np.empty((steps + 1, 2, 2)) for _ in range(3))
+    F = np.empty((steps + 1, 2, 2))
+    F_dot = np.empty((steps + 1, 2, 2))
+    stress = np.empty((steps + 1, 2, 2))
     for n in range(steps + 1):
         F[n], F_dot[n] = motion(float(t[n]))
+        # free entries begin Newton's method where they were one step before
         F[n][entries] = F[n - 1][entries] if n else np.eye(2)[entries]
         if n == 0:
             F_dot[0][entries] = 0.0
         if n == 0 or not free:
             answer = _checked(law.respond(F[n : n + 1], F_dot[n : n + 1], state), t[n])
         else:
+            # Ḟ = (F − base)/weight, by backward Euler in the first step and BDF 2 later
             base = F[n - 1]
             weight = h
             if n > 1:
                 base = (4.0 * F[n - 1] - F[n - 2]) / 3.0
                 weight = 2.0 * h / 3.0
-            rule = base[entries], weight
+            rule = (base[entries], weight)
             answer = _without_stress(law, F[n], F_dot[n], entries, rule, state, t[n])
         accepted = _checked(law.accept(F[n : n + 1], F_dot[n : n + 1], answer), t[n])
         state = accepted.state
@@ -173,6 +194,7 @@ def follow_path(
 
 
 def _checked(response: StressResponse, t: float) -> StressResponse:
+    """Return the response, or raise a `SimulationError` with the reason why it has no stress."""
     if response.status.any():
         raise SimulationError(f"t = {t:.6g} µs: {describe(response.status[0])}")
     return response
@@ -187,9 +209,15 @@ def _without_stress(
     state: object,
     t: float,
 ) -> StressResponse:
-    """The answer at (F, F_dot), whose free entries are changed until P is zero there.
+    """Change the free entries of F and F_dot, in place, until P is zero there; return the response.
 
-    rule: (base, weight) of Ḟ = (F − base)/weight of the free entries.
+    Args:
+        rule: (base, weight) of Ḟ = (F − base)/weight of the free entries.
+        state: the law's committed state.
+        t: time, for messages, µs.
+
+    Raises:
+        SimulationError: Newton's method does not converge.
     """
     base, weight = rule
     for _ in range(_ITERATIONS):

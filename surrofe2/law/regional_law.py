@@ -1,4 +1,4 @@
-"""One stress law for tissue of several cell types: each point asks the law of its region."""
+"""A stress law for tissue of several plant cells: the law of its region computes each point."""
 
 from __future__ import annotations
 
@@ -28,26 +28,31 @@ from surrofe2.run.views import Facts, Viewed
 
 
 class RegionalLaw(Viewed):
-    """Laws by region, each asked for its own points all at once.
+    """Laws by region, each called for its own points all at once.
 
-    The state is a tuple of the states of the laws. An answer costs what the laws' answers cost. A
-    law counts and learns only from steps to which no other objects.
+    The state is a tuple of the states of the laws. Efforts are summed. A law counts and learns only
+    from steps in which no law rejects a point.
+
+    Args:
+        laws: by name of the region.
+        points: by name of the region, (k,) numbers of its points; together 0 … n − 1, each once.
 
     Attributes:
-        laws: by name of the region.
-        points: by name, (k,) numbers of the region's points.
+        laws, points: those of the regions that have points.
         density: (n,) mass per reference area at each point, ng/µm².
+
+    Raises:
+        InputError: a region has no law, or a point belongs to no region or to two.
     """
 
     def __init__(self, laws: Mapping[str, StressLaw], points: Mapping[str, Index]) -> None:
-        """A law of `laws` for each entry of `points`, which together number 0 … n − 1 once. Raises
-        `InputError` where a region has no law, or a point belongs to no region or to two.
-        """
+        """Check that each point is of one region that has a law."""
         for name in points:
             if name not in laws:
                 raise InputError(f"laws: none for region {name}; there are {', '.join(laws)}")
-        everyone = np.sort(np.concatenate([*points.values()]))
-        missing = np.setdiff1d(np.arange(everyone.size), everyone)
+        all_points = np.sort(np.concatenate([*points.values()]))
+        # with n numbers in all, one that is there twice leaves out another one
+        missing = np.setdiff1d(np.arange(all_points.size), all_points)
         if missing.size:
             raise InputError(
                 f"points: point {missing[0]} is in no region or another one in two; "
@@ -58,29 +63,32 @@ class RegionalLaw(Viewed):
         self._audited = [law for law in self.laws.values() if isinstance(law, AuditedLaw)]
         self._learning = [isinstance(law, LearningLaw) for law in self.laws.values()]
         self._parts = [(law, self.points[name]) for name, law in self.laws.items()]
-        self.density = np.empty(everyone.size)
+        self.density = np.empty(all_points.size)
         for law, numbers in self._parts:
             self.density[numbers] = law.density
 
     def facts(self) -> Facts:
+        """Return what a notebook shows: the laws."""
         return self.laws
 
     @property
     def has_tangents(self) -> bool:
-        """Whether all laws have them."""
+        """Whether all laws have tangents."""
         return all(law.has_tangents for law in self.laws.values())
 
     def at(self, points: Index) -> RegionalLaw:
-        """The law of these points alone, (k,) numbers, by laws that are the same."""
-        numbers = {
-            name: np.flatnonzero(np.isin(points, all_of)) for name, all_of in self.points.items()
-        }
-        return RegionalLaw(self.laws, {name: part for name, part in numbers.items() if len(part)})
+        """Return the law of some points alone, (k,) numbers, made of the same laws."""
+        numbers = {}
+        for name, points_of_region in self.points.items():
+            chosen = np.flatnonzero(np.isin(points, points_of_region))
+            if len(chosen):
+                numbers[name] = chosen
+        return RegionalLaw(self.laws, numbers)
 
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
     ) -> StressResponse:
-        """As of `StressLaw`, for all n points."""
+        """Compute the stress at all n points; see `StressLaw`."""
         if len(F) != self.density.size:
             raise InputError(f"F: {len(F)} points; the regions have {self.density.size}")
         states = (None,) * len(self._parts) if state is None else state
@@ -92,35 +100,47 @@ class RegionalLaw(Viewed):
         )
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
+        """Let all laws check their points; if none rejects one, let them commit.
+
+        A law that is no `LearningLaw` checks and commits in one, since it changes nothing but its
+        state.
+        """
         parts = self._parts_of(response)
-        checked = [
-            (cast(LearningLaw, law).check if learns else law.accept)(F[own], F_dot[own], part)
-            for (law, own), learns, part in zip(self._parts, self._learning, parts, strict=True)
-        ]
-        if not any(each.status.any() for each in checked):
-            checked = [
-                cast(LearningLaw, law).commit(F[own], F_dot[own], each) if learns else each
-                for (law, own), learns, each in zip(
-                    self._parts, self._learning, checked, strict=True
-                )
-            ]
-        return self._together(response, checked, parts)
+        checked = []
+        for (law, points), learns, part in zip(self._parts, self._learning, parts, strict=True):
+            check = cast(LearningLaw, law).check if learns else law.accept
+            checked.append(check(F[points], F_dot[points], part))
+        if any(answer.status.any() for answer in checked):
+            return self._together(response, checked, parts)
+        committed = []
+        for (law, points), learns, answer in zip(self._parts, self._learning, checked, strict=True):
+            if learns:
+                commit = cast(LearningLaw, law).commit
+                committed.append(commit(F[points], F_dot[points], answer))
+            else:
+                committed.append(answer)
+        return self._together(response, committed, parts)
 
     def restart_step(
         self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
     ) -> StressResponse:
-        """As of `SwitchingLaw`; a law none of whose points switched stays as it is."""
+        """Return the start of a step with the points `switched` on their new branch; see
+        `SwitchingLaw`.
+
+        A law none of whose points switched is not called.
+        """
         parts = self._parts_of(response)
-        answers = [
-            cast(SwitchingLaw, law).restart_step(F[points], F_dot[points], part, switched[points])
-            if switched[points].any()
-            else part
-            for (law, points), part in zip(self._parts, parts, strict=True)
-        ]
+        answers = []
+        for (law, points), part in zip(self._parts, parts, strict=True):
+            answer = part
+            if switched[points].any():
+                switching = cast(SwitchingLaw, law)
+                answer = switching.restart_step(F[points], F_dot[points], part, switched[points])
+            answers.append(answer)
         return self._together(response, answers, parts)
 
     def learn_ahead(self, F: Array, F_dot: Array, switched: NDArray[np.int8]) -> NDArray[np.int8]:
-        """As of `ForesightLaw`, of the laws that can."""
+        """Let the laws that can learn at points that need it; see `ForesightLaw`."""
         unanswered = switched.copy()
         for law, points in self._parts:
             if switched[points].any() and isinstance(law, ForesightLaw):
@@ -129,93 +149,121 @@ class RegionalLaw(Viewed):
 
     @property
     def is_audited(self) -> bool:
-        """Whether all laws are."""
+        """Whether all laws are audited."""
         return len(self._audited) == len(self.laws) and all(law.is_audited for law in self._audited)
 
     def begin_run(self, state: Any, t: float = 0.0) -> bool:
-        """As of `AuditedLaw`; whether all laws know the state that they go on from."""
+        """Begin a run of all laws; see `AuditedLaw`.
+
+        Returns:
+            Whether all laws know the state and continue from it.
+        """
         states = (None,) * len(self.laws) if state is None else state
         pairs = zip(self.laws.values(), states, strict=True)
         known = [law.begin_run(part, t) for law, part in pairs if isinstance(law, AuditedLaw)]
         return all(known)
 
     def mark(self, t: float, state: Any) -> None:
+        """Let the steps up to t (µs) stand, for all laws."""
         states = (None,) * len(self._audited) if state is None else state
         for law, part in zip(self._audited, states, strict=True):
             law.mark(t, part)
 
     def verdict(self, *, final: bool = False) -> bool | None:
-        """As of `AuditedLaw`; where one law has come to its own, all do."""
+        """Return whether the steps since the mark stand; None: not known yet.
+
+        All laws have one window: where one of them has its verdict, the others must give theirs.
+        """
         verdicts = [law.verdict(final=final) for law in self._audited]
         if True in verdicts and not final:
             verdicts = [law.verdict(final=True) for law in self._audited]
-        return False if False in verdicts else (None if None in verdicts else True)
+        if False in verdicts:
+            return False
+        return None if None in verdicts else True
 
     def roll_back(self, t: float) -> Any:
-        """As of `AuditedLaw`, of all laws; only those that failed are then more cautious."""
+        """Return the states of all laws at the mark; only those that failed are then more
+        cautious.
+        """
         return tuple(law.roll_back(t) for law in self._audited)
 
     @property
     def closing_progress(self) -> tuple[int, int]:
-        """As of `AuditedLaw`, of all laws together."""
+        """Two numbers, of all laws together: answers of the closing audits solved, and all of
+        them.
+        """
         parts = [law.closing_progress for law in self._audited]
         return sum(done for done, _ in parts), sum(count for _, count in parts)
 
     def next_closing(self) -> list[Any] | None:
-        """A batch of each law, None of one whose closing audit is complete; None where all are."""
+        """Solve a batch of each law's closing audit.
+
+        Returns:
+            A batch for each law, None for one whose audit is complete; None where all are complete,
+            or where a law is not audited, since then nothing is reported.
+        """
         if len(self._audited) < len(self.laws):
-            return None  # nothing would be reported
+            return None
         solved = [law.next_closing() for law in self._audited]
-        return None if all(each is None for each in solved) else solved
+        return None if all(batch is None for batch in solved) else solved
 
     def commit_closing(self, solved: Sequence[Any]) -> None:
-        for law, each in zip(self._audited, solved, strict=True):
-            if each is not None:
-                law.commit_closing(each)
+        """Record the batches that `next_closing` returned."""
+        for law, batch in zip(self._audited, solved, strict=True):
+            if batch is not None:
+                law.commit_closing(batch)
 
     def beyond_bifurcation(self, state: Any) -> Flags | None:
-        """(n,) as of the laws; None where one of them cannot tell."""
+        """Return (n,) which points are beyond a bifurcation; None where a law does not know."""
         flags = np.zeros(self.density.size, dtype=np.bool_)
         for (law, points), part in zip(self._parts, state, strict=True):
-            at_own = beyond_bifurcation(law, part)
-            if at_own is None:
+            in_region = beyond_bifurcation(law, part)
+            if in_region is None:
                 return None
-            flags[points] = at_own
+            flags[points] = in_region
         return flags
 
     def state_to_arrays(self, state: Any) -> dict[str, NDArray]:
+        """Return the arrays of all laws, each under the name of its region."""
         arrays: dict[str, NDArray] = {}
         for (name, law), part in zip(self.laws.items(), state, strict=True):
             arrays |= within(name, state_arrays(law, part))
         return arrays
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> Any:
+        """Return the states for which `state_to_arrays` gave these arrays; None where no law has
+        one.
+        """
         states = [state_of(law, part_of(arrays, name)) for name, law in self.laws.items()]
         return None if all(state is None for state in states) else tuple(states)
 
     def history(self) -> dict[str, Any] | None:
+        """Return the reports of all laws so far; see `AuditedLaw`."""
         return self._reported([law.history() for law in self._audited])
 
     def report(self) -> dict[str, Any] | None:
+        """Complete all audits, and return the reports at the end of a run; see `AuditedLaw`."""
         return self._reported([law.report() for law in self._audited])
 
     def _reported(self, reports: Sequence[Any]) -> dict[str, Any] | None:
-        """What all laws report, each under the name of its region; None where one does not."""
+        """Join the reports of all laws by name of the region; None where a law has none."""
         if len(reports) < len(self.laws):
             return None
         return {"cells": dict(zip(self.laws, reports, strict=True))}
 
     @property
     def decisions(self) -> list[dict[str, Any]] | None:
-        """Those of all laws, each with the name of its region."""
+        """The decisions of all laws, each with the name of its region, in the order of time."""
         if not self.is_audited:
             return None
-        pairs = zip(self.laws, self._audited, strict=True)
-        decisions = [{"cell": name, **line} for name, law in pairs for line in law.decisions or ()]
-        return sorted(decisions, key=lambda line: float(line["t"]))
+        decisions = []
+        for name, law in zip(self.laws, self._audited, strict=True):
+            for decision in law.decisions or ():
+                decisions.append({"cell": name, **decision})
+        return sorted(decisions, key=lambda decision: float(decision["t"]))
 
     def _parts_of(self, response: StressResponse) -> list[StressResponse]:
-        """Stress, status and state of each law's points."""
+        """Split a response: stress, status and state of each law's points."""
         return [
             StressResponse(response.stress[points], response.status[points], state)
             for points, state in zip(self.points.values(), response.state, strict=True)
@@ -227,13 +275,18 @@ class RegionalLaw(Viewed):
         answers: Sequence[StressResponse],
         parts: Sequence[StressResponse],
     ) -> StressResponse:
-        """What all laws make of their `parts` of a response; its own stress if none changed."""
+        """Join the laws' answers to their `parts` of a response.
+
+        The stress stays the same array where no law changed it, by which callers see that.
+        """
         whole = self._joined(answers)
-        changed = any(a.stress is not part.stress for a, part in zip(answers, parts, strict=True))
-        return whole if changed else replace(whole, stress=response.stress)
+        pairs = zip(answers, parts, strict=True)
+        if any(answer.stress is not part.stress for answer, part in pairs):
+            return whole
+        return replace(whole, stress=response.stress)
 
     def _joined(self, answers: Iterable[StressResponse]) -> StressResponse:
-        """The responses of all laws as one."""
+        """Join the responses of all laws, in their order, into one."""
         answers = tuple(answers)
         parts = [*zip(self.points.values(), answers, strict=True)]
         return joined(parts, tuple(answer.state for answer in answers))

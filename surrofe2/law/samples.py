@@ -16,12 +16,12 @@ from surrofe2.law.stress_law import Status
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.run.views import Facts, Viewed
 
-TANGENTS = ("P_by_F", "P_by_F_dot")
+TANGENTS = ("P_by_F", "P_by_F_dot")  # the arrays of `Tangents`, by name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class StressSamples(Viewed):
-    """Stress of one RVE at sampled deformations, and whose stress it is.
+    """Stress of one RVE at sampled deformations, with the plant cell that it is of.
 
     Attributes:
         F: (n, 2, 2) deformation gradient.
@@ -35,9 +35,13 @@ class StressSamples(Viewed):
         rest_length: wall rest length in µm, if known.
         P_by_F: (n, 2, 2, 2, 2) ∂P/∂F in µN/µm as in `Tangents`, finite where `status` is 0; None
             where the samples have no tangents.
-        P_by_F_dot: the same by Ḟ, µN µs/µm; given if and only if `P_by_F` is.
+        P_by_F_dot: the same by Ḟ, µN µs/µm; there if and only if `P_by_F` is.
         left_bifurcation: (n,) whether the RVE left its branch at a bifurcation: its stress is
             that of one of several stable equilibria. None: nowhere.
+
+    Raises:
+        InputError: arrays of wrong shape, a code that is none, or a sample of status 0 that is not
+            finite.
 
     Examples:
         `sample_stress` makes them, `read_data_set` reads them from a file:
@@ -68,8 +72,11 @@ class StressSamples(Viewed):
     def __post_init__(self) -> None:
         if (self.P_by_F is None) != (self.P_by_F_dot is None):
             raise InputError("samples.P_by_F, samples.P_by_F_dot: give both or neither")
-        shapes = {name: (2, 2, 2, 2) if name in TANGENTS else (2, 2) for name in self._float_arrays}
-        for name, shape in {**shapes, "status": (), "left_bifurcation": ()}.items():
+        shapes: dict[str, tuple[int, ...]] = {}  # of one sample
+        for name in self._float_arrays:
+            shapes[name] = (2, 2, 2, 2) if name in TANGENTS else (2, 2)
+        shapes |= {"status": (), "left_bifurcation": ()}
+        for name, shape in shapes.items():
             array = getattr(self, name)
             wanted = (len(self.F), *shape)
             if array is not None and np.shape(array) != wanted:
@@ -83,6 +90,7 @@ class StressSamples(Viewed):
                 raise InputError(f"samples.{name}: not finite at a sample whose status is 0")
 
     def facts(self) -> Facts:
+        """Return what a notebook shows: how many samples there are, and whose."""
         usable = len(self.valid.F)
         failed = int((self.status != 0).sum())
         return {
@@ -106,7 +114,7 @@ class StressSamples(Viewed):
 
     @property
     def fingerprint(self) -> str:
-        """16 hexadecimal digits that two equal sets of samples share and no others."""
+        """A digest of 16 hexadecimal digits, the same for equal sets of samples alone."""
         digest = hashlib.sha256()
         identity = (self.cell.fingerprint, self.initialisation, asdict(self.range), self.seed)
         digest.update(repr((*identity, self.rest_length)).encode())
@@ -126,7 +134,7 @@ class StressSamples(Viewed):
         return replace(self, left_bifurcation=None).at(kept)
 
     def at(self, chosen: Flags | Index) -> StressSamples:
-        """Return those of the samples with these numbers, or where True."""
+        """Return the samples with these numbers, or where True."""
         arrays: dict[str, Any] = {k: array[chosen] for k, array in self._float_arrays.items()}
         has_left = None if self.left_bifurcation is None else self.left_bifurcation[chosen]
         return replace(self, status=self.status[chosen], left_bifurcation=has_left, **arrays)

@@ -21,7 +21,7 @@ from surrofe2.base.tensors import cofactor
 
 
 class Status(IntEnum):
-    """Why a point has no stress; 0 where it has one."""
+    """The reason why a point has no stress; 0 where it has one."""
 
     OK = 0
     NOT_CONVERGED = 1
@@ -91,9 +91,10 @@ class Tangents:
     P_by_F_dot: Array
 
     def over_step(self, dt: float) -> Array:
-        """(n, 2, 2, 2, 2) ∂P/∂F + (1/dt) ∂P/∂Ḟ, µN/µm: the slope of the stress by F at the end of
-        a step in which F_dot = (F − F_old)/dt, so that it follows F.
+        """Combine both derivatives into the slope of the stress by F at the end of a time step.
 
+        Within a step of length dt the rate follows F, F_dot = (F − F_old)/dt, so dP/dF is
+        ∂P/∂F + (1/dt) ∂P/∂Ḟ: (n, 2, 2, 2, 2), µN/µm.
         Args:
             dt: length of the step, µs; infinite for a rest.
 
@@ -105,11 +106,14 @@ class Tangents:
         return self.P_by_F if dt == np.inf else self.P_by_F + self.P_by_F_dot / dt
 
     def cauchy(self, F: Array, stress: Array) -> tuple[Array, Array]:
-        """∂σ/∂F and ∂σ/∂Ḟ, (n, 2, 2, 2, 2), from σ = P Fᵀ/det F.
+        """Convert to derivatives of the Cauchy stress σ = P Fᵀ/det F, by the product rule.
 
         Args:
             F: (n, 2, 2) where the tangents hold.
             stress: (n, 2, 2) Cauchy stress there.
+
+        Returns:
+            ∂σ/∂F and ∂σ/∂Ḟ, (n, 2, 2, 2, 2) each, µN/µm and µN µs/µm.
         """
         J = np.linalg.det(F)
         inverse = np.linalg.inv(F)
@@ -122,16 +126,21 @@ class Tangents:
         return by_F, by_F_dot / J[:, None, None, None, None]
 
 
+# Codes of `Sources.source`. Codes of `Status`, 0 and above, mean there that an RVE was solved, for
+# that reason; so these are negative.
 SURROGATE = -2
 TABLE = -3
-"""Codes of `Sources` below the reasons of `Status` for which an RVE was asked."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """Where the stress of n points came from: `source` (n,) int8 is `SURROGATE`, `TABLE`, or the
-    `Status` for which an RVE was solved, `risk` (n,) the bound of the error over the error allowed
-    there, 0 where an RVE was solved."""
+    """Where the stress of n points came from.
+
+    Attributes:
+        source: (n,) `SURROGATE`, `TABLE`, or the code of `Status` for which an RVE was solved.
+        risk: (n,) bound of the error over the error that is allowed there; 0 where an RVE was
+            solved.
+    """
 
     source: NDArray[np.int8]
     risk: Array
@@ -139,7 +148,7 @@ class Sources:
 
 @dataclass(frozen=True, slots=True)
 class StressResponse:
-    """What a stress law answers for n points.
+    """The answer of a stress law at n points.
 
     Attributes:
         stress: (n, 2, 2) Cauchy stress in µN/µm; NaN where `status` is not 0.
@@ -147,15 +156,16 @@ class StressResponse:
         state: warm start (or history) for the next call; opaque to everyone but its law.
         effort: what the answer cost, by name, e.g. ``{"rve_solves": 80, "hits": 0}``; summable.
         tangents: derivatives of the stress, where they were asked for.
-        switched: (n,) int8, None from most laws: not 0 where the law answers by another branch
-            than it would have at the start of this step. The step then mixes both and must be
-            restarted, see `SwitchingLaw`.
+        switched: (n,) int8, None from laws of one branch. Not 0 where the law computed this stress
+            by another branch (by an RVE, where the step began with the surrogate). The step then
+            mixes both branches and must be started again, see `SwitchingLaw`.
         left_bifurcation: (n,) whether the point left its branch at a bifurcation on its way: the
-            stress is that of a stable equilibrium, but other ways may lead to another one. None:
+            stress is that of a stable equilibrium, but other paths may lead to another one. None:
             nowhere.
-        reasons: by number of a point without stress, what a law has to say beyond `describe`; of
-            some of them, the first one included.
-        sources: tells where the stress came from; None: from the law itself.
+        reasons: by number of a point without stress, more words on it than those of `describe`.
+            Some points have them, and the first one without stress does if any has.
+        sources: a function that computes where the stress came from; None where all of it is the
+            law's own.
     """
 
     stress: Array
@@ -169,10 +179,14 @@ class StressResponse:
     sources: Callable[[], Sources] | None = None
 
     def first_piola(self, F: Array) -> Array:
-        """(n, 2, 2) first Piola–Kirchhoff stress P = det F σ F⁻ᵀ, µN/µm: force per unloaded length.
+        """Return the first Piola–Kirchhoff stress P = det F σ F⁻ᵀ, µN/µm: force per unloaded
+        length.
 
         Args:
             F: (n, 2, 2) for which the law was asked.
+
+        Returns:
+            (n, 2, 2).
         """
         return np.asarray(self.stress @ cofactor(F))
 
@@ -185,15 +199,26 @@ class StressResponse:
 
 
 def joined(parts: Sequence[tuple[Index, StressResponse]], state: Any) -> StressResponse:
-    """One response of all points, with this state, from those at parts of them and the indices of
-    each part; see `joined_values`. Efforts are summed."""
+    """Join responses at parts of the points into one response at all of them.
+
+    Args:
+        parts: indices of a part's points, and the response there; together they are 0 … n − 1.
+        state: the state that the joined response carries.
+
+    Efforts are summed. Arrays that some parts lack (None) are filled by `joined_values`.
+    """
     effort = Counter[str]()
     reasons = dict[int, str]()
     for index, part in parts:
         effort.update(part.effort)
         reasons |= {int(index[k]): reason for k, reason in part.reasons.items()}
-    tell: list[tuple[Index, Any]] = [(index, part.sources) for index, part in parts]
-    known = all(sources for _, sources in tell)
+    makers: list[tuple[Index, Any]] = [(index, part.sources) for index, part in parts]
+    all_know = all(sources for _, sources in makers)
+
+    def joined_sources() -> Any:
+        """Compute the sources of each part, only when they are asked for."""
+        return joined_values([(index, sources()) for index, sources in makers])
+
     arrays = {
         name: joined_values([(index, getattr(part, name)) for index, part in parts])
         for name in ("stress", "status", "tangents", "switched", "left_bifurcation")
@@ -202,22 +227,28 @@ def joined(parts: Sequence[tuple[Index, StressResponse]], state: Any) -> StressR
         state=state,
         effort=effort,
         reasons=reasons,
-        sources=(lambda: joined_values([(points, of()) for points, of in tell])) if known else None,
+        sources=joined_sources if all_know else None,
         **arrays,
     )
 
 
 def joined_values(parts: Sequence[tuple[Index, Any]]) -> Any:
-    """Values of all points from those at parts of them, whose indices together are 0 … n − 1:
-    arrays (k, …), 0 where a part has None; or tangents or sources of such arrays. None if all are.
+    """Join values at parts of the points into values at all of them.
+
+    Args:
+        parts: indices of a part's points, and arrays (k, …) of values there, or `Tangents` or
+            `Sources` of such arrays. Together the indices are 0 … n − 1.
+
+    Returns:
+        Arrays (n, …), 0 where a part has None; None if all parts have None.
     """
     known: Any = next((values for _, values in parts if values is not None), None)
     if known is None:
         return None
     if isinstance(known, Tangents | Sources):
-        columns = (
-            [(points, getattr(v, item.name)) for points, v in parts] for item in fields(known)
-        )
+        columns = []
+        for item in fields(known):
+            columns.append([(index, getattr(values, item.name)) for index, values in parts])
         return type(known)(*map(joined_values, columns))
     whole = np.zeros((sum(len(index) for index, _ in parts), *known.shape[1:]), known.dtype)
     for index, values in parts:
@@ -229,8 +260,8 @@ def joined_values(parts: Sequence[tuple[Index, Any]]) -> Any:
 class StressLaw(Protocol):
     """A constitutive law σ(F, Ḟ) for tissue.
 
-    `respond` is pure: asked twice, the same answer. `state` is a warm start or a history that
-    only the time loop commits, by `accept` at the end of a step it keeps.
+    `respond` is pure: asked twice, it gives the same answer. `state` is a warm start or a history
+    that only the time loop commits, by `accept` at the end of a step that it accepts.
     """
 
     @property
@@ -260,93 +291,120 @@ class StressLaw(Protocol):
         """Commit `response`, which was given at (F, F_dot), the end of an accepted step.
 
         Returns:
-            The response by which the next step begins: `response` itself, from most laws. Its
-            `status` may object where a check is too expensive for every trial: a law that objects
-            at a point changes nothing, and the step is not kept. Its `state` is carried into the
-            next step. Its `stress` is another array where the law answers by another branch from
-            there on; `left_bifurcation` then marks points that lost stability in this step and were
-            moved to another equilibrium.
+            The response by which the next step begins; most laws return `response` itself. A law
+            may differ from it in these fields:
+
+            status: not 0 at a point whose answer the law rejects after all, because of a check that
+                is too expensive for every iteration (stability of an RVE). Then the law has
+                committed nothing, and the caller must discard the step.
+            state: what the next call of `respond` gets.
+            stress: changed at points that begin the next step on another branch (of a cached law:
+                by an RVE instead of the surrogate), or at another equilibrium.
+            left_bifurcation: (n,) whether a point lost stability in this step and was moved to
+                another equilibrium.
         """
 
 
 @runtime_checkable
 class LearningLaw(StressLaw, Protocol):
-    """A law that an accepted step changes beyond its state, as by what it counts or learns. Its
-    `accept` is `commit` of what `check` returns, unless that objects."""
+    """A law that an accepted step changes beyond its state: it counts, or learns from the answers.
+
+    Its `accept` is `check`, followed by `commit` unless the check rejected a point. A caller that
+    joins several laws can so check all of them before any of them changes.
+    """
 
     def check(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
-        """`response` with what the law objects to, without a change of the law."""
+        """Return `response` with the status of each point that the law rejects; change nothing."""
 
     def commit(self, F: Array, F_dot: Array, checked: StressResponse) -> StressResponse:
-        """Change by a checked response; the response by which the next step begins."""
+        """Count and learn from a checked response; return the one by which the next step begins."""
 
 
 class SwitchingLaw(StressLaw, Protocol):
     """A law of several branches, which gives `StressResponse.switched`.
 
-    Within a step a point may leave a branch but not come back. The first answer of a step that
-    finds a point to leave marks it `switched`; whoever steps then asks `restart_step` at the start
-    of the step, takes its state and stress, and repeats the step at the same length.
+    Within a step a point may leave its branch (the surrogate) but not come back. The first answer
+    that computes a point by another branch marks it `switched`. The stepper then calls
+    `restart_step` for the start of the step, takes its state and stress, and repeats the step at
+    the same length.
     """
 
     def restart_step(
         self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
     ) -> StressResponse:
-        """The start of the step once more, with the points `switched` (n,) on their new branch.
+        """Compute the start of the step again, with the points `switched` on their new branch.
 
         Args:
             F, F_dot: (n, 2, 2) at the start of the step.
-            response: stress and status there, and the committed state."""
+            response: stress and status there, and the committed state.
+            switched: (n,) not 0 at the points that change their branch.
+
+        Returns:
+            The response at the start of the step, by which it begins again.
+        """
 
 
 @runtime_checkable
 class AuditedLaw(StressLaw, Protocol):
-    """A law that learns only later how wrong its answers were, as a cached law does.
+    """A law that learns only later how wrong its answers were, as a cached law does by audits.
 
-    Whoever steps marks where a window of steps begins, and asks for the verdict after every
-    accepted step. A window that stands ends there, and the next one begins; one that does not
-    is made again from its mark, by the state that `roll_back` gives. When all stand, a closing
-    audit of a sample of the answers, which decides nothing, says how many are wrong at most.
+    The stepper calls `mark` where a window of steps begins, and `verdict` after every accepted
+    step. If the answers of a window were right enough, its steps stand and the next window begins.
+    If not, the stepper goes back to the mark, by the state that `roll_back` returns, and makes them
+    again. When the run is over, a closing audit samples all answers that stand. It decides nothing:
+    it states how many of them are wrong at most.
     """
 
     def begin_run(self, state: Any, t: float = 0.0) -> bool:
-        """A run begins, or continues from a committed `state`: count and audit for it alone, from t
-        (µs) on, unless the state is what `state_from_arrays` gave last. Whether it is, so that the
-        law knows the window that it lies in."""
+        """Begin a run, or continue one; counts and audits are for this run alone.
+
+        Args:
+            state: the committed state where the run begins.
+            t: time from which on answers are counted, µs.
+
+        Returns:
+            Whether `state` is the one that `state_from_arrays` returned last. Then the law resumes
+            a run with its counts, and the window of steps in which it was interrupted is known.
+        """
 
     @property
     def is_audited(self) -> bool:
-        """Whether it ever gives a verdict."""
+        """Whether the law ever gives a verdict."""
 
     def mark(self, t: float, state: Any) -> None:
-        """What was kept up to t stands; `state` is what was committed there, None where the run
-        resumes cold from there."""
+        """Let all steps up to t (µs) stand, and begin a window there.
+
+        `state` is what was committed at t; None where the run resumes cold from there.
+        """
 
     def verdict(self, *, final: bool = False) -> bool | None:
-        """Return whether the steps since the mark stand; None: not known yet, unless `final`."""
+        """Return whether the steps since the mark stand; None: not known yet.
+
+        With `final` no step follows, and the verdict must be given.
+        """
 
     def roll_back(self, t: float) -> Any:
-        """The state at the mark, to continue from; t is where the verdict fell."""
+        """Return the state at the mark, to go back to; t (µs) is where the window failed."""
 
     @property
     def closing_progress(self) -> tuple[int, int]:
-        """How many answers of the closing audit are solved, and of how many."""
+        """Two numbers: answers of the closing audit that are solved, and all that it takes."""
 
     def next_closing(self) -> Any:
-        """The next batch of the closing audit; None where it is complete or there is none. Pure."""
+        """Solve the next batch of the closing audit and return it; None where none is due. Pure."""
 
     def commit_closing(self, solved: Any) -> None:
-        """Take down what `next_closing` gave."""
+        """Record the batch that `next_closing` returned."""
 
     def history(self) -> dict[str, Any] | None:
-        """How it has done so far, as plain values for run.json; None: it has nothing to report."""
+        """Return counts, audits and trust so far, as plain values for run.json; None: no report."""
 
     def report(self) -> dict[str, Any] | None:
-        """`history` at the end of a run, when no audit waits and the closing one is complete."""
+        """Complete the audits, the closing one too, and return `history` at the end of a run."""
 
     @property
     def decisions(self) -> list[dict[str, Any]] | None:
-        """Its decisions on windows of steps, in the order of time; None: it decides nothing."""
+        """The decisions on windows of steps in the order of time; None: the law decides nothing."""
 
 
 @runtime_checkable
@@ -357,23 +415,25 @@ class ResumableLaw(StressLaw, Protocol):
         """Return what the law must know to resume from the committed `state`."""
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> Any:
-        """The committed state whose `state_to_arrays` gave these arrays."""
+        """Return the committed state for which `state_to_arrays` gave these arrays."""
 
 
 def state_arrays(law: StressLaw, state: Any) -> dict[str, NDArray]:
-    """Return what any law must know to resume from the committed `state`, which may be None."""
+    """Return what any law must know to resume from the committed `state`; empty without one."""
     if state is None or not isinstance(law, ResumableLaw):
         return {}
     return law.state_to_arrays(state)
 
 
 def state_of(law: StressLaw, arrays: Mapping[str, NDArray]) -> Any:
-    """The committed state whose `state_arrays` these are; None of a law that keeps none."""
-    return law.state_from_arrays(arrays) if isinstance(law, ResumableLaw) and arrays else None
+    """Return the committed state whose `state_arrays` these are; None of a law that keeps none."""
+    if not isinstance(law, ResumableLaw) or not arrays:
+        return None
+    return law.state_from_arrays(arrays)
 
 
 def require_tangents(law: StressLaw, purpose: str = "tangents") -> None:
-    """An `InputError` that begins with the purpose unless the law gives tangents."""
+    """Raise an `InputError` that begins with the purpose, unless the law gives tangents."""
     if not law.has_tangents:
         raise InputError(
             f"{purpose}: {type(law).__name__} has no tangents; use RVEs (--law rve, solver "
@@ -382,7 +442,14 @@ def require_tangents(law: StressLaw, purpose: str = "tangents") -> None:
 
 
 def check_deformation(F: Any, F_dot: Any) -> tuple[Array, Array]:
-    """(F, F_dot) as contiguous float64 arrays of shape (n, 2, 2), or an InputError."""
+    """Check a deformation and its rate at n points.
+
+    Returns:
+        F and F_dot as contiguous float64 arrays (n, 2, 2).
+
+    Raises:
+        InputError: wrong shape, not real and finite numbers, or det F ≤ 0; the point is named.
+    """
     F = _as_tensors("F", F)
     F_dot = _as_tensors("F_dot", F_dot)
     if F.shape != F_dot.shape:
@@ -398,10 +465,11 @@ def check_deformation(F: Any, F_dot: Any) -> tuple[Array, Array]:
 
 
 def _as_tensors(name: str, value: Any) -> Array:
+    """Return a value as a contiguous float64 array (n, 2, 2), or raise an error with this name."""
     try:
         tensors = np.asanyarray(value)
     except (TypeError, ValueError):
-        tensors = np.array(None)
+        tensors = np.array(None)  # ragged lists make no array; this one is rejected below
     if tensors.dtype.kind not in "fiu":
         raise InputError(f"{name}: {tensors.dtype}; it must be an array (n, 2, 2) of real numbers")
     if np.ma.isMaskedArray(tensors):

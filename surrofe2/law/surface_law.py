@@ -16,7 +16,7 @@ from surrofe2.base.arrays import Array, Flags
 
 
 class SurfaceResponse(NamedTuple):
-    """What a surface law answers for n points.
+    """The answer of a surface law at n points.
 
     Attributes:
         tension: (n,) nominal tension P_s, µN: its power is P_s λ̇ per undeformed length; NaN where
@@ -31,7 +31,7 @@ class SurfaceResponse(NamedTuple):
 
     @property
     def valid(self) -> Flags:
-        """(n,) whether there is an answer."""
+        """(n,) flags: where there is an answer."""
         return ~np.isnan(self.tension)
 
 
@@ -40,11 +40,11 @@ class SurfaceLaw(Protocol):
 
     @property
     def mass(self) -> float:
-        """What the surface weighs beyond the bulk, ng per µm of undeformed length; any sign."""
+        """Mass of the surface beyond that of the bulk, ng per µm of undeformed length; any sign."""
 
     @property
     def depth(self) -> float:
-        """How far below the outline it acts, µm: λ is the stretch there."""
+        """Depth below the outline at which it acts, µm: λ is the stretch there."""
 
     @property
     def width(self) -> float:
@@ -53,7 +53,7 @@ class SurfaceLaw(Protocol):
     def respond(
         self, stretch: Array, stretch_rate: Array, *, tangents: bool = False
     ) -> SurfaceResponse:
-        """Tension at n points.
+        """Compute the tension at n points.
 
         Args:
             stretch: (n,) λ along the side, positive.

@@ -1,13 +1,13 @@
 """The error of a rest by approximate stresses: of its displacements and forces, not of a stress.
 
-With f(u) the internal force by the true law, f̃(u) that of the law which was used, l(u) all other
+With f(u) the internal force by the RVEs' law, f̃(u) that of the law which was used, l(u) all other
 forces and K = ∂(f̃ − l)/∂u at the equilibrium ũ of the latter, Newton's correction is
 
     δu = −K⁻¹ Δf,    Δf = f(ũ) − f̃(ũ) = Σ_e Δf_e,
 
-summed over elements, of which one that the true law answered already has Δf_e = 0. Here f̃(ũ) is
-that of the stresses that balanced all forces. The law as it is now may give others: a cache chooses
-at the end of a load step who answers a point in the next one, and a table learns from the audits.
+summed over elements, of which one that RVEs answered already has Δf_e = 0. Here f̃(ũ) is that of
+the stresses that balanced all forces. The law as it is now may give others: a cache chooses at the
+end of a load step which points RVEs answer in the next one, and a table learns from the audits.
 
 What is wanted, a displacement or a force, is linear in Δf: δq = Σ_e w·Δf_e with a virtual
 displacement w, which is −K⁻ᵀ a for a displacement a·u, and e − K⁻ᵀ ∂q/∂u for a force whose part by
@@ -38,31 +38,36 @@ from surrofe2.macro.history import Frames
 from surrofe2.macro.rest import Rest, evaluation_at
 from surrofe2.macro.system import System
 
+# Elements of a sample, at least, where there are so many.
 LEAST = 128
-"""Elements of a sample, at least, where there are so many."""
+# Standard deviations on each side of an interval of 95 %.
 _CONFIDENT = 1.96
-"""Standard deviations on each side of an interval of 95 %."""
+# Points for which the true law is called at once.
 _BATCH = 1024
-"""Points that the true law is asked for at once."""
 
+# A function that computes the stresses of the true law (RVEs) at rest, from numbers (k,) of points
+# and F (k, 2, 2) there.
 TrueStress = Callable[[Index, Array], StressResponse]
-"""The answer of the true law at rest: numbers (k,) of points and F (k, 2, 2) there."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnswerError:
-    """By how much a rest is off, by one Newton correction; what is true is the answer plus this.
+    """The error of a rest, estimated by one Newton correction; the corrected answer is its own plus
+    this.
 
     Attributes:
-        elements: whose points the true law answered, of so many `of`; `solved`: points that it was
-            asked for. Where both are equal nothing is estimated from a sample.
+        elements: number of elements whose points were solved by the true law.
+        of: number of all elements; where both are equal nothing is estimated from a sample.
+        solved: number of points at which the true law was called.
         residual: largest entry of Δf, of the elements that were asked, µN.
         displacement: (n, 2) of all nodes and bodies, µm; None of a sample.
-        watched: (2,) of the first watched point, µm; watched_interval: half width of its interval
-            of 95 % confidence, 0 where all elements were asked.
-        forces: (k, 2) of `System.force_names`, µN, with `forces_interval`.
-        stress: (n_points, 2, 2) error of the stress at ũ, µN/µm; 0 in elements that are not
-            of the sample, where nobody asked for it.
+        watched: (2,) of the first watched point, µm.
+        watched_interval: (2,) half width of its interval of 95 % confidence, 0 where all elements
+            were asked.
+        forces: (k, 2) of `System.force_names`, µN.
+        forces_interval: (k, 2) half width of theirs.
+        stress: (n_points, 2, 2) error of the stress at ũ, µN/µm; 0 in elements that are not of the
+            sample, where it is not known.
     """
 
     elements: int
@@ -181,7 +186,7 @@ def corrected(rest: Rest, law: Any, error: AnswerError) -> tuple[Rest, Frames]:
 
 
 def _evaluated(rest: Rest, law: Any) -> tuple[EquationsOfMotion, Evaluation]:
-    """The equations of a rest by a law, and their evaluation there.
+    """Return the equations of a rest by a law, and their evaluation there.
 
     Raises:
         SimulationError: the law has no stress there any more.
@@ -194,16 +199,16 @@ def _evaluated(rest: Rest, law: Any) -> tuple[EquationsOfMotion, Evaluation]:
 
 
 def _changes(names: Any, vectors: Array) -> dict[str, float]:
-    """Entries of (k, 2) vectors by name and axis."""
-    return {
-        f"{name} {axis}": float(vector[i])
-        for name, vector in zip(names, vectors, strict=True)
-        for i, axis in enumerate("xy")
-    }
+    """Return the entries of vectors (k, 2) by name and axis."""
+    changes = {}
+    for name, vector in zip(names, vectors, strict=True):
+        for i, axis in enumerate("xy"):
+            changes[f"{name} {axis}"] = float(vector[i])
+    return changes
 
 
 def _unknown(now: Evaluation) -> Flags:
-    """(n_points,) whether a point's stress is not the true law's own."""
+    """Return (n_points,) whether a point's stress is not the true law's own."""
     if now.response.sources is None:
         return np.ones(len(now.F), dtype=np.bool_)
     return np.isin(now.response.sources().source, (SURROGATE, TABLE))
@@ -235,7 +240,16 @@ def _ask(
 
 
 def _estimate(space: Any, F: Array, error: Array, w: Array, asked: Index) -> tuple[float, float]:
-    """w·Δf over all elements and the half width of its interval, from the elements `asked`."""
+    """Estimate w·Δf over all elements from the sampled ones.
+
+    Args:
+        error: (n_points, 2, 2) error of the stress.
+        w: (n, 2) virtual displacement.
+        asked: numbers of the sampled elements.
+
+    Returns:
+        The sum, and the half width of its interval of 95 % confidence; 0 of all elements.
+    """
     _, gradient, _ = deformation_gradient(space, np.zeros_like(w), w)
     parts = stress_power(space, F, gradient, error)[asked]
     count = len(space.elements)
@@ -243,6 +257,7 @@ def _estimate(space: Any, F: Array, error: Array, w: Array, asked: Index) -> tup
     total = count / sampled * float(parts.sum())
     if sampled == count:
         return total, 0.0
+    # drawn without replacement, hence the last factor
     scatter = float(parts.std(ddof=1)) / np.sqrt(sampled) * np.sqrt(1.0 - sampled / count)
     return total, _CONFIDENT * count * scatter
 
@@ -250,8 +265,11 @@ def _estimate(space: Any, F: Array, error: Array, w: Array, asked: Index) -> tup
 def _virtual_displacements(
     equations: EquationsOfMotion, now: Evaluation, rest: Rest
 ) -> list[Array]:
-    """(n, 2) w of the watched displacement along x and y, then of the forces of supports, loads and
-    bodies along x and y."""
+    """Compute the virtual displacements w (n, 2) of all quantities that are estimated.
+
+    They are of the watched displacement along x and y, then of the forces of supports, loads and
+    bodies along x and y.
+    """
     system: System = rest.system
     n_nodes = len(equations.discretisation.nodes)
     transposed = factorised(rest.stiffness.T.tocsc())
@@ -266,8 +284,8 @@ def _virtual_displacements(
     for support in system.holding:
         for axis in range(2):
             e = none.copy()
-            mine = support.unknowns[support.unknowns % 2 == axis]
-            e.ravel()[mine] = 1.0
+            along_axis = support.unknowns[support.unknowns % 2 == axis]
+            e.ravel()[along_axis] = 1.0
             parts.append((e, equations.stiffness_transposed_times(now, e)))
     for slopes in equations.slopes_of_each_force(now):
         for axis in range(2):

@@ -1,4 +1,4 @@
-"""An audited law in a run or rest: whether what was recorded stands, and the closing audit."""
+"""An audited law in a run or rest: its verdicts on what was recorded, and its closing audit."""
 
 from __future__ import annotations
 
@@ -13,19 +13,25 @@ State = TypeVar("State")
 
 
 class Report(NamedTuple):
-    """Report of an audited law on a run: `cache`, plain values for run.json, and its decisions on
-    windows of steps; None of other laws."""
+    """The report of an audited law on a run; both are None of other laws.
+
+    Attributes:
+        cache: plain values for run.json.
+        decisions: its decisions on windows of steps.
+    """
 
     cache: dict[str, Any] | None
     decisions: list[dict[str, Any]] | None
 
 
 class RunAudits:
-    """Asks the law of a run for its verdicts, if it is an audited one; of other laws nothing.
+    """The audits of a run: calls its law for verdicts if that is an `AuditedLaw`; else does
+    nothing.
 
-    It is made before the law is asked for the first time: from there on the law counts.
+    It must be made before the law is called for the first time, since the law counts from there on.
 
     Args:
+        equations: of the run, with the law.
         law_state: what the law had committed where the run resumes; None at its start.
         t: where that is, µs, or the factor of the load.
     """
@@ -38,20 +44,20 @@ class RunAudits:
         self._is_window_known = self._law is not None and self._law.begin_run(law_state, t)
 
     def watch(self, *, has_mark: bool) -> bool:
-        """From here on the law is asked after every step whether what was recorded stands.
+        """Begin to ask the law after every step whether what was recorded stands.
 
         Args:
             has_mark: whether the run resumes from a state with a mark.
 
         Returns:
-            Whether the caller must mark where it stands: a window that the law knows from the state
-            that the run resumes from carries on.
+            Whether the caller must mark where it stands. It need not where it resumes within a
+            window that the law knows from its state.
         """
         self._is_watching = self._law is not None and self._law.is_audited
         return self._is_watching and not (has_mark and self._is_window_known)
 
     def mark(self, t: float) -> None:
-        """Let what was kept up to t stand."""
+        """Let what was recorded up to t stand, and begin a window there."""
         assert self._law is not None
         self._law.mark(t, self._equations.law_state)
 
@@ -63,13 +69,16 @@ class RunAudits:
         *,
         final: bool = False,
     ) -> State | None:
-        """The state to go back to where the steps since the mark do not stand, else None.
+        """Ask the law for its verdict, and return the state to go back to, if any.
 
         Args:
             t: where the run stands.
-            keep: called where they stand, to mark the end of the last one.
-            go_back: called where they do not, when the law is back at the mark; gives the state.
+            keep: called where the steps since the mark stand, to mark the end of the last one.
+            go_back: called where they do not, when the law is back at the mark; returns the state.
             final: no step follows, or none can.
+
+        Returns:
+            The state to go back to; None where the steps stand, or there is no verdict yet.
         """
         equations = self._equations
         back = None
@@ -85,8 +94,14 @@ class RunAudits:
         return back
 
     def close(self, closing: Callable[[int, int], None] | None) -> bool:
-        """Solve a batch of the law's closing audit, and report how many are done of how many;
-        False: there is none, or it is complete."""
+        """Solve a batch of the law's closing audit.
+
+        Args:
+            closing: called then with the number of answers that are solved, and of all.
+
+        Returns:
+            Whether there was a batch; False: there is no closing audit, or it is complete.
+        """
         law = self._law
         equations = self._equations
         if law is None:
@@ -103,8 +118,9 @@ class RunAudits:
         return solved is not None
 
     def report(self, *, finished: bool) -> Report:
-        """Return the report of the law on this run, or of a run that is not finished its
-        history; and its decisions."""
+        """Return the law's report on a finished run, or its history of an unfinished one; and
+        its decisions.
+        """
         law = self._law
         if law is None:
             return Report(None, None)

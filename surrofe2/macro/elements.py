@@ -32,15 +32,23 @@ from surrofe2.base.errors import InputError
 from surrofe2.base.tensors import cofactor, det
 from surrofe2.problem.mesh import CLOSED, DIGITS, element_nodes, region, region_numbers
 
-Matrix = Any
-"""Of scipy.sparse."""
+Matrix = Any  # of scipy.sparse, which has no types
 
+# The elements by their number of nodes.
 ELEMENTS = {4: skfem.ElementQuad1(), 6: skfem.ElementTriP2()}
-"""By the number of nodes."""
+# The centre of each reference element, the unit square or the unit triangle.
 CENTRE = {4: (0.5, 0.5), 6: (1.0 / 3.0, 1.0 / 3.0)}
-"""Of the unit square and the unit triangle, which are the references."""
+# The degree of polynomials that the points of the stress law integrate exactly.
 ORDER = {4: 3, 6: 2}
-"""Of the polynomials that the points at which the stress law is asked integrate exactly."""
+
+# `find_element`: an element is searched where the position lies in its box, widened by this
+# fraction, since sides of six-node triangles may bulge beyond their nodes.
+_BULGE = 0.1
+# Reference coordinates within which a point on a side is still inside, at least.
+_INSIDE = 1e-9
+# Newton's method for reference coordinates: it ends at a step of this size, or after so many.
+_LOCAL_STEP = 1e-14
+_LOCAL_ITERATIONS = 20
 
 
 class Discretisation(NamedTuple):
@@ -62,7 +70,7 @@ class Discretisation(NamedTuple):
 
     @property
     def points_per_element(self) -> int:
-        """n_q."""
+        """n_q, the number of points of an element at which the stress law is called."""
         return int(self.weights.shape[1])
 
     @property
@@ -72,30 +80,36 @@ class Discretisation(NamedTuple):
 
     @property
     def n_points(self) -> int:
-        """Points at which the stress law is asked."""
+        """The number of points at which the stress law is called."""
         return int(self.weights.size)
 
     @property
     def areas(self) -> Array:
         """(n_el,) reference areas, µm²."""
-        whole: Array = self.weights[:, -1] if self.pressure_apart else self.weights.sum(axis=1)
-        return whole
+        if self.pressure_apart:
+            return np.asarray(self.weights[:, -1])  # the last point stands for the whole element
+        return np.asarray(self.weights.sum(axis=1))
 
     def at_points(self, values: Array) -> Array:
-        """(n_points, 2) at all points of what nodes have, (n_nodes, 2)."""
+        """Interpolate values of the nodes (n_nodes, 2) to all points, (n_points, 2)."""
         return np.einsum("qa,eai->eqi", self.shape, values[self.elements]).reshape(-1, 2)
 
     def point_positions(self) -> Array:
-        """(n_points, 2) reference positions of all points, µm."""
+        """Return (n_points, 2), the reference positions of all points, µm."""
         return self.at_points(self.nodes)
 
     def point_near(self, node: int) -> int:
-        """First quadrature point of an element at the node."""
+        """Return the number of the first quadrature point of an element at the node."""
         return self.points_per_element * int(np.argwhere(self.elements == node)[0, 0])
 
     def locate(self, point: Array, name: str = "point") -> tuple[Index, Array]:
-        """Nodes and shape functions at a reference position, so that values there are N_a u_a.
-        Raises `InputError` where it is outside the mesh.
+        """Find a reference position in the mesh.
+
+        Returns:
+            Nodes (k,) and shape functions (k,), by which values at the position are N_a u_a.
+
+        Raises:
+            InputError: it is outside the mesh.
         """
         # A file of single precision has a node beside the place that its author means.
         distance = np.linalg.norm(self.nodes - point, axis=1)
@@ -108,22 +122,26 @@ class Discretisation(NamedTuple):
 
 
 def make_discretisation(mesh: skfem.Mesh) -> Discretisation:
-    """The finite elements of a mesh, integrated as the head of this file says. Raises `InputError`
-    where an element folds over within.
+    """Make the finite elements of a mesh, integrated as the head of this file describes.
+
+    Raises:
+        InputError: an element is folded over within.
     """
     elements = element_nodes(mesh)
     k = elements.shape[1]
     basis = skfem.Basis(mesh, mesh.elem(), intorder=ORDER[k])
     area = basis.mapping.detDF(basis.X)
+    # an element whose nodes go round clockwise is right; one with both signs is not
     area = area * np.sign(area.sum(axis=1, keepdims=True))
     worst = int(area.min(axis=1).argmin())
     if not area[worst].min() > 0.0:
         x, y = mesh.p[:, elements[worst]].mean(axis=1)
         raise InputError(f"mesh: element {worst} at ({x:.6g}, {y:.6g}) µm is inverted within")
-    gradients = np.stack([each[0].grad for each in basis.basis]).transpose(2, 3, 0, 1)
+    gradients = np.stack([field.grad for (field,) in basis.basis]).transpose(2, 3, 0, 1)
     weights = basis.dx
     points = basis.X
     if k == 4:
+        # the point of the pressure, behind the Gauss points: mean gradient and whole area
         whole = weights.sum(axis=1, keepdims=True)
         mean = np.einsum("eq,eqaj->eaj", weights / whole, gradients)[:, None]
         points = np.concatenate([points, np.array(CENTRE[k])[:, None]], axis=1)
@@ -139,22 +157,25 @@ def make_discretisation(mesh: skfem.Mesh) -> Discretisation:
 
 
 def displacement_basis(mesh: skfem.Mesh) -> skfem.Basis:
-    """scikit-fem's basis of a displacement: unknown 2 a + i is component i of node a."""
+    """Make scikit-fem's basis of a displacement: unknown 2 a + i is component i of node a."""
     return skfem.Basis(mesh, skfem.ElementVector(mesh.elem()))
 
 
 def n_points_of(mesh: skfem.Mesh) -> int:
-    """Points at which the stress law is asked on a mesh."""
-    return int(mesh.nelements) * (5 if isinstance(mesh, skfem.MeshQuad1) else 3)
+    """Return the number of points at which the stress law is called on a mesh."""
+    per_element = 5 if isinstance(mesh, skfem.MeshQuad1) else 3
+    return int(mesh.nelements) * per_element
 
 
 def points_by_region(
     mesh: skfem.Mesh, names: Sequence[str], where: str = "regions"
 ) -> dict[str, Index]:
-    """Numbers of the points in each of the regions, which together must be the whole mesh.
+    """Return the numbers of the points in each of the regions, which together must be the whole
+    mesh.
 
     Args:
-        where: what the error message names.
+        names: of the regions.
+        where: name of the entry, for messages.
 
     Raises:
         InputError: an element is in none of them or in two, or there is no region of a name.
@@ -162,16 +183,22 @@ def points_by_region(
     regions = {name: region(mesh, name, where) for name in names}
     region_numbers(mesh, regions, where, np.arange(mesh.nelements))
     n_q = n_points_of(mesh) // mesh.nelements
-    every = np.arange(n_q)
-    return {name: (n_q * own[:, None] + every).ravel() for name, own in regions.items()}
+    offsets = np.arange(n_q)
+    points = {}
+    for name, elements in regions.items():
+        points[name] = (n_q * elements[:, None] + offsets).ravel()
+    return points
 
 
 def find_element(
     nodes: Array, elements: Index, point: Array, name: str = "point"
 ) -> tuple[int, Array]:
-    """Number of an element that holds a reference position, and (2,) where in its reference.
+    """Find an element that holds a reference position.
 
     scikit-fem's own search knows no triangles with curved sides.
+
+    Returns:
+        Number of the element, and (2,) the position in its reference.
 
     Raises:
         InputError: the position is outside the mesh.
@@ -179,12 +206,16 @@ def find_element(
     corners = nodes[elements]
     k = elements.shape[1]
     size = np.ptp(corners, axis=1)
-    low = corners.min(axis=1) - 0.1 * size
-    high = corners.max(axis=1) + 0.1 * size
+    low = corners.min(axis=1) - _BULGE * size
+    high = corners.max(axis=1) + _BULGE * size
+    # positions have the digits of the largest coordinate
+    rounding = DIGITS * abs(nodes).max()
     for e in np.flatnonzero(((low <= point) & (point <= high)).all(axis=1)):
         local = _local_position(corners[e], point)
-        outside = max(-local.min(), (local.max() if k == 4 else local.sum()) - 1.0)
-        if outside <= min(max(1e-9, DIGITS * abs(nodes).max() / size[e].min()), CLOSED):
+        # the square is x, y ≤ 1, the triangle x + y ≤ 1; both are x, y ≥ 0
+        beyond = (local.max() if k == 4 else local.sum()) - 1.0
+        outside = max(-local.min(), beyond)
+        if outside <= min(max(_INSIDE, rounding / size[e].min()), CLOSED):
             return int(e), local
     low = nodes.min(axis=0)
     high = nodes.max(axis=0)
@@ -195,7 +226,9 @@ def find_element(
 
 
 def reference_shapes(k: int, points: Array) -> tuple[Array, Array]:
-    """(q, k) shape functions and (q, k, 2) their slopes at points (2, q) of the reference."""
+    """Return (q, k) shape functions and (q, k, 2) their slopes at points (2, q) of the
+    reference.
+    """
     functions = [ELEMENTS[k].lbasis(points, a) for a in range(k)]
     values = [np.broadcast_to(value, points.shape[1]) for value, _ in functions]
     slopes = [np.broadcast_to(slope, points.shape) for _, slope in functions]
@@ -203,21 +236,23 @@ def reference_shapes(k: int, points: Array) -> tuple[Array, Array]:
 
 
 def _local_position(corners: Array, point: Array) -> Array:
-    """(2,) reference coordinates of a point of an element, by Newton's method."""
+    """Compute the reference coordinates (2,) of a point of an element, by Newton's method."""
     k = len(corners)
     local = np.array(CENTRE[k])
-    for _ in range(20):
+    for _ in range(_LOCAL_ITERATIONS):
         shape, slopes = reference_shapes(k, local[:, None])
         step = np.linalg.solve(corners.T @ slopes[0], shape[0] @ corners - point)
         local = local - step
-        if abs(step).max() < 1e-14:
+        if abs(step).max() < _LOCAL_STEP:
             break
     return local
 
 
 def counted(space: Discretisation, stress: Array) -> Array:
-    """(n_el, n_q, 2, 2) the part of a stress (n_points, 2, 2) that counts at each point: all of it
-    in triangles; in quadrilaterals the pressure part at the last point, else the deviator.
+    """Return (n_el, n_q, 2, 2), the part of a stress (n_points, 2, 2) that counts at each point.
+
+    In triangles it is all of it; in quadrilaterals the pressure part at the last point, else the
+    deviator.
     """
     stress = stress.reshape(*space.weights.shape, 2, 2)
     if not space.pressure_apart:
@@ -228,8 +263,10 @@ def counted(space: Discretisation, stress: Array) -> Array:
 
 
 def element_mean_stress(space: Discretisation, F: Array, stress: Array) -> Array:
-    """(n_el, 2, 2) Cauchy stress: mean over the Gauss points by current area, of quadrilaterals
-    that of the deviator, and the pressure part of the last point.
+    """Compute (n_el, 2, 2), the mean of the Cauchy stress in each element by current area.
+
+    In quadrilaterals it is that of the deviator over the Gauss points, and the pressure part of the
+    last point.
     """
     gauss = slice(0, -1) if space.pressure_apart else slice(None)
     area = (det(F).reshape(space.weights.shape) * space.weights)[:, gauss]
@@ -240,7 +277,7 @@ def element_mean_stress(space: Discretisation, F: Array, stress: Array) -> Array
 
 
 def element_mean_F(space: Discretisation, F: Array) -> Array:
-    """(n_el, 2, 2) mean of F (n_points, 2, 2) over each element."""
+    """Compute (n_el, 2, 2), the mean of F (n_points, 2, 2) over each element."""
     F = F.reshape(*space.weights.shape, 2, 2)
     if space.pressure_apart:
         return F[:, -1]
@@ -249,7 +286,10 @@ def element_mean_F(space: Discretisation, F: Array) -> Array:
 
 
 def stress_power(space: Discretisation, F: Array, F_dot: Array, stress: Array) -> Array:
-    """(n_el,) power of a stress in each element, pJ/µs; together internal force times velocity."""
+    """Compute (n_el,), the power of a stress in each element, pJ/µs.
+
+    Together they are internal force times velocity.
+    """
     first_piola = counted(space, stress).reshape(F.shape) @ cofactor(F)
     power = np.einsum("nij,nij->n", first_piola, F_dot).reshape(space.weights.shape)
     whole: Array = (power * space.weights).sum(axis=1)
@@ -257,7 +297,8 @@ def stress_power(space: Discretisation, F: Array, F_dot: Array, stress: Array) -
 
 
 def point_tangents(space: Discretisation, F: Array, P: Array, slope: Array) -> Array:
-    """(n_points, 4, 4) w ∂T_ij/∂F_kl, rows (j, i), columns (l, k): B of `gradient_matrix`.
+    """Compute w ∂T_ij/∂F_kl as (n_points, 4, 4), rows (j, i), columns (l, k): B of
+    `gradient_matrix`.
 
     T is the first Piola stress of a point or, in quadrilaterals, the part of it that counts there.
 
@@ -272,40 +313,46 @@ def point_tangents(space: Discretisation, F: Array, P: Array, slope: Array) -> A
 
 
 def gradient_matrix(space: Discretisation, n_rows: int) -> Matrix:
-    """(4 n_points, 2 n_rows) sparse, from displacement to ∂u_i/∂X_j at entry (point, j, i)."""
+    """Make the sparse matrix (4 n_points, 2 n_rows) from displacement to ∂u_i/∂X_j, entry
+    (point, j, i).
+    """
     slopes = space.gradients.transpose(0, 1, 3, 2).reshape(2 * space.n_points, -1)
     columns = np.repeat(space.elements, 2 * space.points_per_element, axis=0)
     return for_components(sparse_rows(columns, slopes, n_rows))
 
 
 def sparse_rows(columns: Index, values: Array, size: int) -> Matrix:
-    """(p, size) sparse matrix with values (p, k) in the columns (p, k) of each row."""
+    """Make a sparse matrix (p, size) with values (p, k) in the columns (p, k) of each row."""
     p, k = values.shape
     parts = values.ravel(), columns.ravel(), k * np.arange(p + 1)
     return scipy.sparse.csr_matrix(parts, shape=(p, size))
 
 
 def for_components(matrix: Matrix) -> Matrix:
-    """What maps both components as the matrix maps one: entry 2 a + i is component i of row a."""
+    """Make the matrix that maps both components as the given one maps one.
+
+    Entry 2 a + i is component i of row a.
+    """
     return scipy.sparse.kron(matrix, np.eye(2), "csr")
 
 
 def with_transpose(S: Matrix) -> tuple[Matrix, Matrix]:
-    """S and Sᵀ, both by rows."""
+    """Return S and Sᵀ, both by rows."""
     return S.tocsr(), S.T.tocsr()
 
 
 def summed(S_and_transpose: tuple[Matrix, Matrix], blocks: Array) -> Matrix:
-    """Sᵀ B S, sparse by columns, B the blocks (p, m, m) on a diagonal."""
+    """Compute Sᵀ B S, sparse by columns, with the blocks B (p, m, m) on a diagonal."""
     S, S_T = S_and_transpose
     p = np.arange(len(blocks) + 1)
     transposed = np.ascontiguousarray(blocks.transpose(0, 2, 1))
-    # The transpose by rows is the matrix by columns.
+    # (Sᵀ Bᵀ S) by rows, transposed, is Sᵀ B S by columns, without a conversion.
     return (S_T @ (scipy.sparse.bsr_matrix((transposed, p[:-1], p)).tocsr() @ S)).T
 
 
 def _effective_slope(F: Array, P: Array, slope: Array, points_per_element: int) -> Array:
-    """∂T/∂F (n_points, 2, 2, 2, 2), T the part of P that a point of a quadrilateral contributes.
+    """Compute ∂T/∂F (n_points, 2, 2, 2, 2), T the part of P that a point of a quadrilateral
+    contributes.
 
     The force is Σ w T ∇N with T = J dev(σ) F⁻ᵀ at Gauss points and J tr(σ)/2 F⁻ᵀ at the last.
     As J tr σ = P : F, the pressure part is T_c = ½ (P : F) F⁻ᵀ, the deviator's P − T_c, and
@@ -325,11 +372,11 @@ def _effective_slope(F: Array, P: Array, slope: Array, points_per_element: int) 
 
 @kernel
 def deformation_gradient(space: Any, u: Any, v: Any) -> tuple[Array, Array, Array]:
-    """F = I + Σ_a u_a ⊗ ∇N_a, Ḟ = Σ_a v_a ⊗ ∇N_a (n_points, 2, 2) and det F (n_points,).
+    """Compute F = I + Σ_a u_a ⊗ ∇N_a, Ḟ = Σ_a v_a ⊗ ∇N_a (n_points, 2, 2) and det F (n_points,).
 
     Args:
         space: `Discretisation`.
-        u, v: (n, 2), n at least the nodes.
+        u, v: (n, 2) displacement and velocity; n may be more than the nodes, by rigid bodies.
     """
     elements = space.elements
     gradients = space.gradients
@@ -339,7 +386,7 @@ def deformation_gradient(space: Any, u: Any, v: Any) -> tuple[Array, Array, Arra
     F = np.empty((count, 2, 2))
     F_dot = np.empty((count, 2, 2))
     J = np.empty(count)
-    nodal = np.empty((k, 4))
+    nodal = np.empty((k, 4))  # u_x, u_y, v_x, v_y of the element's nodes
     for e in range(elements.shape[0]):
         for a in range(k):
             row = np.uint64(elements[e, a])  # numba tests signed indices for counting from the end
@@ -384,7 +431,7 @@ def deformation_gradient(space: Any, u: Any, v: Any) -> tuple[Array, Array, Arra
 
 @kernel
 def internal_force(space: Any, F: Any, stress: Any, n: Any = None) -> Array:
-    """Internal force on n rows, by default the nodes, (n, 2) in µN: the stress integral of (58).
+    """Compute the internal force (n, 2) in µN: the stress integral of (58).
 
         f_a = ∫ dev σ ∇ₓN_a dv + ∫ tr(σ)/2 ∇ₓN_a dv,   ∇ₓN = F⁻ᵀ ∇N,   dv = det F dV,
 
@@ -395,6 +442,11 @@ def internal_force(space: Any, F: Any, stress: Any, n: Any = None) -> Array:
     divided.
 
     It enters (58) as M a = load − f; (58) is printed with both signs reversed.
+
+    Args:
+        space: `Discretisation`.
+        F, stress: (n_points, 2, 2).
+        n: rows of the result, by default the nodes; further rows are 0.
     """
     total = np.zeros((space.nodes.shape[0] if n is None else n, 2))
     elements = space.elements
@@ -411,7 +463,7 @@ def internal_force(space: Any, F: Any, stress: Any, n: Any = None) -> Array:
             s01 = stress[p, 0, 1]
             s10 = stress[p, 1, 0]
             s11 = stress[p, 1, 1]
-            if k == 4:
+            if k == 4:  # the part of the stress that counts at this point, as of `counted`
                 pressure = 0.5 * (s00 + s11)
                 if q < n_q - 1:
                     s00 = s00 - pressure
@@ -422,7 +474,7 @@ def internal_force(space: Any, F: Any, stress: Any, n: Any = None) -> Array:
                     s01 = 0.0
                     s10 = 0.0
             w = weights[e, q]
-            c00 = F[p, 1, 1]
+            c00 = F[p, 1, 1]  # cof F, then w P = w σ cof F
             c01 = -F[p, 1, 0]
             c10 = -F[p, 0, 1]
             c11 = F[p, 0, 0]

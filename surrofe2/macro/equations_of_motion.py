@@ -39,16 +39,21 @@ from surrofe2.macro.system import System, Works
 
 
 class Evaluation(NamedTuple):
-    """The equations of motion at one state.
+    """The equations of motion at one state, of m free unknowns and n nodes and bodies.
 
     Attributes:
-        t: µs. within: a time inside the piece of all amplitudes that it belongs to, µs.
-        y: (2 m,) displacement and velocity of the m free unknowns, µm and µm/µs; rate: that of y.
-        u, v: (n, 2) displacement and velocity of all nodes and bodies. F, F_dot: (n_points, 2, 2).
-        internal: (n, 2) internal force, µN; forces: (k, n, 2) the other forces of the system.
+        t: µs.
+        within: a time inside the piece of all amplitudes that the state belongs to, µs.
+        y: (2 m,) displacement and velocity of the free unknowns, µm and µm/µs.
+        u, v: (n, 2) displacement and velocity of all nodes and bodies.
+        internal: (n, 2) internal force, µN.
+        forces: (k, n, 2) the other forces of the system, µN.
         residual: (m,) forces − internal − what prescribed accelerations take, µN.
         powers: of all that acts, pJ/µs.
-        response: what the stress law answered."""
+        rate: (2 m,) of y.
+        F, F_dot: (n_points, 2, 2).
+        response: of the stress law.
+    """
 
     t: float
     within: float
@@ -70,13 +75,13 @@ class Evaluation(NamedTuple):
         return self.rate[self.y.size // 2 :]
 
 
-class NoStress(Exception):  # noqa: N818 - of a trial state; whoever tries another catches it
-    """There is no stress at some point: whoever tried the state must take a shorter step.
+class NoStress(Exception):  # noqa: N818 - of a trial state; the caller tries a shorter step
+    """A point has no stress, so the caller must take a shorter step.
 
     Its text says which point, where, when, its F, and why.
 
     Attributes:
-        status: of the stress law, `Status.OK` where it is not the law that failed.
+        status: code of the stress law, `Status.OK` where it is not the law that failed.
     """
 
     status: int = Status.OK
@@ -87,9 +92,12 @@ class OutOfBalance(NoStress):
 
 
 class Switched(Exception):  # noqa: N818 - as above
-    """Points left their branch of the law within a step, which must be restarted.
+    """Points left their branch of the law within a step, which must be started again.
 
-    y (2 m,) is the state at which they were found, points (n_points,) `StressResponse.switched`."""
+    Attributes:
+        y: (2 m,) the state at which they left it.
+        points: (n_points,) `StressResponse.switched` there.
+    """
 
     def __init__(self, y: Array, points: NDArray[np.int8]) -> None:
         super().__init__("points left their branch of the law")
@@ -99,7 +107,7 @@ class Switched(Exception):  # noqa: N818 - as above
 
 @dataclass(slots=True)
 class Tally:
-    """Cost of a run so far."""
+    """The cost of a run so far: what is counted, effort of the law by name, and its seconds."""
 
     counts: Counter[str] = field(default_factory=Counter)
     effort: Counter[str] = field(default_factory=Counter)
@@ -107,16 +115,24 @@ class Tally:
 
 
 class EquationsOfMotion:
-    """ẏ = f(t, y), y = [u, v] of the free unknowns: u̇ = v, v̇ = M⁻¹ (forces − internal force).
+    """The first-order system ẏ = f(t, y), y = [u, v] of the free unknowns.
+
+    u̇ = v and v̇ = M⁻¹ (forces − internal force).
 
     `evaluate` changes nothing that a later call depends on: the state of the stress law moves on
     only in `accept` and `restart_step`, the piece of the amplitudes only in `enter_piece`.
 
     Attributes:
-        system: what is computed. clock: how a message calls the time, or a factor of the loads.
-        corners: (p + 1,) ends of the pieces of all amplitudes, µs; piece: number of the one now.
+        system: mesh, mass and forces.
+        law: the stress law.
+        clock: a format in which messages write the time, or a factor of the loads.
+        corners: (p + 1,) ends of the pieces of all amplitudes, µs.
+        piece: number of the piece that is computed now.
+        within: a time in its middle, µs.
+        tally: cost of the run.
         law_state: what the stress law committed last.
-        is_committing: whether the law may have taken down more than was recorded of the run."""
+        is_committing: whether the law may have committed more than was recorded of the run.
+    """
 
     def __init__(
         self, system: System, law: StressLaw, clock: str = "t = {:.6g} µs", t: float = 0.0
@@ -134,7 +150,7 @@ class EquationsOfMotion:
 
     @property
     def piece_end(self) -> float:
-        """End of the piece under way, µs."""
+        """End of the piece of the amplitudes that is computed now, µs."""
         return float(self.corners[self.piece + 1])
 
     def go_to(self, t: float) -> None:
@@ -145,15 +161,16 @@ class EquationsOfMotion:
         self.enter_piece(max(0, int(np.searchsorted(self.corners, t)) - 1))
 
     def enter_piece(self, piece: int) -> None:
-        """From here on amplitudes are those of this piece."""
+        """Take the amplitudes of this piece from here on."""
         self.piece = piece
         self.within = 0.5 * float(self.corners[piece] + self.corners[piece + 1])
 
     def evaluate(self, t: float, y: Array, *, tangents: bool = False) -> Evaluation:
-        """Stress, forces and rate at (t, y); the law's tangents where asked for.
+        """Compute stress, forces and rate at (t, y), and the law's tangents where asked for.
 
         Raises:
-            NoStress: a point has none. Switched: a point left its branch of the law.
+            NoStress: a point has none.
+            Switched: a point left its branch of the law.
         """
         self.tally.counts["right_hand_sides"] += 1
         u, v = self.system.spread(y, t, self.within)
@@ -173,19 +190,23 @@ class EquationsOfMotion:
         if not np.isfinite(now.internal).all():
             bad = ~np.isfinite(response.stress).all(axis=(1, 2))
             raise self.no_stress(t, int(np.argmax(bad)), F, describe(Status.NOT_FINITE))
+        # a surface law without an answer gives a force of NaN; the surface is the last force
         surface = self.system.surface
-        if surface is not None and not np.isfinite(now.powers.forces[-1]):  # that of the surface
+        if surface is not None and not np.isfinite(now.powers.forces[-1]):
             message = surface.refusal(self.discretisation.nodes, u, v)
             raise NoStress(f"{self.clock.format(t)}, {message}")
         return now
 
     def with_forces_of_now(self, now: Evaluation) -> Evaluation:
-        """The same state with the forces of the system as it is now, by the same stress."""
-        motion = now.u, now.v
-        return self._evaluation(now.t, now.y, motion, now.F, now.F_dot, now.response)
+        """Return the same state, by the same stress, with the forces of the system as it is now."""
+        return self._evaluation(now.t, now.y, (now.u, now.v), now.F, now.F_dot, now.response)
 
     def grip(self, now: Evaluation) -> Evaluation:
-        """The evaluation by which the next step begins, whose friction follows from here."""
+        """Let friction follow from this state on, the end of a step.
+
+        Returns:
+            The evaluation by which the next step begins.
+        """
         if not any(contact.sticks for contact in self.system.contacts):
             return now
         gripped = partial(Contact.gripped, u=now.u, v=now.v)
@@ -194,8 +215,13 @@ class EquationsOfMotion:
         return self._start
 
     def accept(self, now: Evaluation) -> Evaluation:
-        """Let the law commit its answer: the evaluation by which the next step begins. Raises
-        `NoStress` where the law does not accept a point.
+        """Let the law commit its answer at the end of a step.
+
+        Returns:
+            The evaluation by which the next step begins.
+
+        Raises:
+            NoStress: the law does not accept a point.
         """
         self.is_committing = True
         started = clock()
@@ -204,7 +230,11 @@ class EquationsOfMotion:
         return self._begin(now, accepted)
 
     def begin(self, t: float, y: Array) -> Evaluation:
-        """The evaluation by which the first step begins, accepted by the law; raises as both."""
+        """Return the evaluation by which the first step begins, accepted by the law.
+
+        Raises:
+            NoStress, Switched: as of `evaluate` and `accept`.
+        """
         return self.accept(self.evaluate(t, y))
 
     def resume(
@@ -215,11 +245,12 @@ class EquationsOfMotion:
         law_state: Any,
         drags: Mapping[str, Array] | None = None,
     ) -> Evaluation:
-        """The evaluation by which a step begins, of the stress that an earlier call found there.
+        """Return the evaluation by which a step begins, by the stress that an earlier call computed
+        there.
 
         Args:
             law_state: what the law had committed there.
-            drags: by body, friction of the springs there, µN/µm, for a run in time.
+            drags: friction of the springs there, µN/µm, by name of the body; for a run in time.
         """
         u, v = self.system.spread(y, t, self.within)
         if drags:
@@ -231,14 +262,18 @@ class EquationsOfMotion:
         return self._start
 
     def cross_corner(self, now: Evaluation) -> tuple[Evaluation, Array]:
-        """Return the evaluation by which the next piece of the amplitudes begins, and the works
-        (k + 3,) of a jump of prescribed velocities.
+        """Cross a corner of an amplitude.
+
+        Returns:
+            The evaluation by which its next piece begins, and the row of works of a jump of
+            prescribed velocities.
         """
         before = self.within
         self.enter_piece(self.piece + 1)
         y, work = self.system.across_corner(now.y, now.t, before, self.within)
         motion = self.system.spread(y, now.t, self.within)
-        if np.array_equal(motion[1], now.v):
+        _, v = motion
+        if np.array_equal(v, now.v):  # no velocity jumps, so the stress stays
             self._start = self._evaluation(now.t, y, motion, now.F, now.F_dot, self._start.response)
             return self._start, work
         while True:
@@ -248,8 +283,10 @@ class EquationsOfMotion:
                 self.restart_step(switched.points)
 
     def restart_step(self, points: NDArray[np.int8]) -> Evaluation:
-        """The start of the step under way with these points on another branch of the law. Raises
-        `NoStress` where a point has none there.
+        """Return the start of the current step with these points on another branch of the law.
+
+        Raises:
+            NoStress: a point has none there.
         """
         start = self._start
         law = cast(SwitchingLaw, self.law)
@@ -261,8 +298,11 @@ class EquationsOfMotion:
         return self._begin(start, restarted)
 
     def learn_ahead(self, t: float, switched: Switched) -> NDArray[np.int8]:
-        """(n_points,) why points still must leave their branch, after the law has learnt at the
-        trial that found them."""
+        """Let the law learn at a trial in which points left their branch, if it can.
+
+        Returns:
+            (n_points,) codes why points still must leave their branch, 0 where they need not.
+        """
         if not isinstance(self.law, ForesightLaw):
             return switched.points
         u, v = self.system.spread(switched.y, t, self.within)
@@ -274,9 +314,10 @@ class EquationsOfMotion:
         return points
 
     def dissipation_rates(self, now: Evaluation) -> Array | None:
-        """(n_el,) ∫ J (σ(F, Ḟ) − σ(F, 0)) : L dV of each element, pJ/µs; None without σ(F, 0).
+        """Compute ∫ J (σ(F, Ḟ) − σ(F, 0)) : L dV of each element, (n_el,) pJ/µs; None without σ(F,
+        0).
 
-        Deviator and pressure at their own points: it is the excess internal force times v.
+        Deviator and pressure count at their own points: it is the excess internal force times v.
         """
         still = self._ask(now.F, np.zeros_like(now.F_dot))
         self.tally.counts["dissipation_points"] += len(now.F)
@@ -287,27 +328,27 @@ class EquationsOfMotion:
         return stress_power(self.discretisation, now.F, now.F_dot, excess)
 
     def reaction(self, now: Evaluation) -> Array:
-        """(n, 2) force by which supports act on what they hold: M a − forces, µN."""
+        """Compute the force (n, 2) by which supports act on what they hold: M a − forces, µN."""
         reaction = now.internal - now.forces.sum(axis=0) + self.inertia(now)
         reaction.ravel()[self.system.free] = 0.0
         return reaction
 
     def inertia(self, now: Evaluation) -> Array:
-        """(n, 2) M ü of all rows, those of supports that move included, µN."""
+        """Compute M ü (n, 2) of all rows, those of supports that move included, µN."""
         pushed = self.system.prescribed_acceleration(now.t, now.within)
         a = np.zeros((self.system.n_rows, 2)) if pushed is None else pushed
         a.ravel()[self.system.free] = now.acceleration
         return self.system.inertia(a)
 
     def tangents(self, now: Evaluation) -> Slopes:
-        """K = ∂(f − l)/∂u (µN/µm) and C = ∂(f − l)/∂v (µN µs/µm), sparse (m, m).
+        """Compute K = ∂(f − l)/∂u (µN/µm) and C = ∂(f − l)/∂v (µN µs/µm), sparse (m, m).
 
-        f is the internal force and l all others. Neither need be symmetric.
+        f is the internal force and l all others. Neither matrix need be symmetric.
         """
         return self.slope(now, 1.0, 0.0), self.slope(now, 0.0, 1.0)
 
     def slope(self, now: Evaluation, of_u: float, of_v: float) -> Matrix:
-        """of_u K + of_v C of `tangents`, at about half the cost of both."""
+        """Compute of_u K + of_v C of `tangents`, at about half the cost of both."""
         slopes = _tangents(now.response)
         P = of_u * now.response.first_piola(now.F)
         slope = of_u * slopes.P_by_F + of_v * slopes.P_by_F_dot
@@ -319,20 +360,29 @@ class EquationsOfMotion:
         return total
 
     def stiffness_times(self, now: Evaluation, w: Array) -> Array:
-        """(m,) ∂(f − l)/∂u w for a displacement w (n, 2) of all rows, those of supports as well."""
+        """Compute ∂(f − l)/∂u w, (m,), for a displacement w (n, 2) of all rows, supports
+        included.
+        """
         of_forces = [K for K, _ in self._slopes_of_forces(now)]
         return self._applied(now, "pij,pj->pi", of_forces, w)[self.system.free]
 
     def stiffness_transposed_times(self, now: Evaluation, w: Array) -> Array:
-        """(n, 2) (∂(f − l)/∂u)ᵀ w for w (n, 2), of all rows."""
+        """Compute (∂(f − l)/∂u)ᵀ w, (n, 2), for w (n, 2) of all rows."""
         of_forces = [K.T for K, _ in self._slopes_of_forces(now)]
         return self._applied(now, "pij,pi->pj", of_forces, w).reshape(-1, 2)
 
     def _applied(
         self, now: Evaluation, at_each_point: str, of_forces: Sequence[Matrix], w: Array
     ) -> Array:
-        """(2 n,) a sum of linear maps of w (n, 2), of all rows: the tangents of all points, whose
-        blocks are applied by this rule of `einsum`, and slopes of forces."""
+        """Sum linear maps of w (n, 2), of all rows: tangents of all points, and slopes of forces.
+
+        Args:
+            at_each_point: rule of `einsum` by which the blocks of tangents are applied.
+            of_forces: the slopes.
+
+        Returns:
+            (2 n,).
+        """
         S = self._gradients
         P = now.response.first_piola(now.F)
         blocks = point_tangents(self.discretisation, now.F, P, _tangents(now.response).P_by_F)
@@ -343,22 +393,25 @@ class EquationsOfMotion:
         return np.asarray(total)
 
     def slopes_of_each_force(self, now: Evaluation) -> list[Slopes | None]:
-        """∂(−l)/∂u and ∂(−l)/∂v of each force of the system; None of one that is dead."""
-        return [f.slopes(now.t, now.within, now.u, now.v) for f in self.system.forces]
+        """Return ∂(−l)/∂u and ∂(−l)/∂v of each force of the system; None of one that is dead."""
+        return [force.slopes(now.t, now.within, now.u, now.v) for force in self.system.forces]
 
     @cached_property
     def _gradients(self) -> Matrix:
+        """The matrix from displacement of all rows to its gradient at all points."""
         return gradient_matrix(self.discretisation, self.system.n_rows)
 
     @cached_property
     def _free_gradients(self) -> tuple[Matrix, Matrix]:
+        """The same matrix from the free unknowns, and its transpose."""
         return with_transpose(self._gradients[:, self.system.free])
 
     def _slopes_of_forces(self, now: Evaluation) -> list[Slopes]:
-        return [each for each in self.slopes_of_each_force(now) if each is not None]
+        """Return the slopes of the forces that have any."""
+        return [slopes for slopes in self.slopes_of_each_force(now) if slopes is not None]
 
     def no_stress(self, t: float, point: int, F: Array, reason: str) -> NoStress:
-        """The failure that names the point."""
+        """Make the failure that names the point, where it is, when, and its F."""
         x, y = self.discretisation.point_positions()[point]
         entries = ", ".join(f"[{row[0]:.6g}, {row[1]:.6g}]" for row in F[point])
         return NoStress(
@@ -367,13 +420,22 @@ class EquationsOfMotion:
         )
 
     def out_of_balance(self, now: Evaluation, residual: Array, reason: str) -> NoStress:
-        """The failure that names a point near the unknown with the largest residual (m,)."""
+        """Make the failure that names a point near the unknown with the largest residual (m,)."""
         node = int(self.system.free[abs(residual).argmax()]) // 2
-        point = self.discretisation.point_near(node) if node < len(self.discretisation.nodes) else 0
+        is_of_mesh = node < len(self.discretisation.nodes)
+        point = self.discretisation.point_near(node) if is_of_mesh else 0  # a body has no point
         return OutOfBalance(str(self.no_stress(now.t, point, now.F, reason)))
 
     def _begin(self, at: Evaluation, accepted: StressResponse) -> Evaluation:
-        """The evaluation by which a step begins, after what the law committed there."""
+        """Return the evaluation by which a step begins, after what the law committed there.
+
+        Args:
+            at: the evaluation that the law was given.
+            accepted: its response.
+
+        Raises:
+            NoStress: the law rejects a point.
+        """
         if accepted.status.any():
             raise self._failed(at.t, at.F, accepted.status)
         self.law_state = accepted.state
@@ -398,7 +460,7 @@ class EquationsOfMotion:
         F_dot: Array,
         response: StressResponse,
     ) -> Evaluation:
-        """The forces and the rate by a stress."""
+        """Compute forces and rate by a stress."""
         system = self.system
         u, v = motion
         internal = internal_force(self.discretisation, F, response.stress, system.n_rows)
@@ -428,6 +490,7 @@ class EquationsOfMotion:
         return now._replace(powers=powers._replace(motion=of_supports, inertia=of_inertia))
 
     def _ask(self, F: Array, F_dot: Array, tangents: bool = False) -> StressResponse:
+        """Call the law from its committed state, and count what that costs."""
         started = clock()
         response = self.law.respond(F, F_dot, self.law_state, tangents=tangents)
         self.tally.law_seconds += clock() - started
@@ -438,8 +501,9 @@ class EquationsOfMotion:
     def _failed(
         self, t: float, F: Array, status: NDArray[np.int8], reasons: Mapping[int, str] | None = None
     ) -> NoStress:
+        """Make the failure of the first point without stress."""
         point = int(np.flatnonzero(status)[0])
-        details = (reasons or {}).get(point), describe(status[point])
+        details = ((reasons or {}).get(point), describe(status[point]))
         failure = self.no_stress(t, point, F, "; ".join(filter(None, details)))
         failure.status = int(status[point])
         return failure
@@ -452,9 +516,9 @@ def _tangents(response: StressResponse) -> Tangents:
 
 
 def factorised(matrix: Matrix) -> Callable[[Array], Array] | None:
-    """matrix⁻¹ applied to (n,) or (n, k); None where the matrix is singular."""
+    """Return matrix⁻¹, applied to (n,) or (n, k); None where the matrix is singular."""
     try:
         solve: Callable[[Array], Array] = scipy.sparse.linalg.splu(matrix).solve
-    except RuntimeError:
+    except RuntimeError:  # SuperLU's word for an exactly singular matrix
         return None
     return solve

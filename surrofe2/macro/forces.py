@@ -10,7 +10,8 @@ more where a rounding of the body would fit between two of them. Friction follow
 is τ + k Δ, at most µ p, so that a point sticks to the body by the spring k or slips by Coulomb's
 law; in time a dashpot acts beside the spring. With a slip speed, friction in time is a function of
 the sliding velocity instead, by which points creep. The body takes the opposite forces, so momentum
-is kept to rounding."""
+is kept to rounding.
+"""
 
 from __future__ import annotations
 
@@ -44,11 +45,11 @@ from surrofe2.problem.mesh import boundary, element_nodes, nodes_on, region
 from surrofe2.problem.problem import Problem, label
 from surrofe2.problem.rigid_bodies import RigidBody, Shape, check_outside
 
-Slopes = tuple[Matrix, Matrix]
+Slopes = tuple[Matrix, Matrix]  # K = −∂f/∂u and C = −∂f/∂v, (2 n, 2 n) each
 
 
 class Force(Protocol):
-    """A force on nodes and rigid bodies.
+    """A force on nodes and rigid bodies, of which there are n in all.
 
     Attributes:
         name: of the condition it comes from.
@@ -58,18 +59,25 @@ class Force(Protocol):
     def name(self) -> str: ...
 
     def at(self, t: float, within: float, u: Array, v: Array) -> Array:
-        """(n, 2) µN at displacement u and velocity v (n, 2); `within` as of `Amplitude`."""
+        """Compute the force (n, 2), µN, at displacement u and velocity v (n, 2).
+
+        `within` is a time in the step, by which amplitudes with jumps know their side of it, see
+        `Amplitude`.
+        """
 
     def slopes(self, t: float, within: float, u: Array, v: Array) -> Slopes | None:
-        """−∂f/∂u and −∂f/∂v, (2 n, 2 n); None where both are zero."""
+        """Compute −∂f/∂u and −∂f/∂v, (2 n, 2 n); None where both are zero."""
 
 
 @dataclass(frozen=True, slots=True)
 class LinearForce:
-    """f = A(t) (f₀ − K u − C v): dead loads, follower pressure, springs and dashpots.
+    """A force f = A(t) (f₀ − K u − C v): dead loads, follower pressure, springs and dashpots.
 
     Attributes:
-        dead: (n, 2) f₀, µN. slopes_at_one: K and C (2 n, 2 n), µN/µm and µN µs/µm; None: zero.
+        name: of the condition.
+        dead: (n, 2) f₀, µN.
+        amplitude: A.
+        slopes_at_one: K and C (2 n, 2 n) where A is 1, µN/µm and µN µs/µm; None: both are zero.
     """
 
     name: str
@@ -82,36 +90,38 @@ class LinearForce:
         if self.slopes_at_one is not None:
             K, C = self.slopes_at_one
             force = force - (K @ u.ravel() + C @ v.ravel()).reshape(u.shape)
-        return self.amplitude.at(t, within)[0] * force
+        factor, _, _ = self.amplitude.at(t, within)
+        return factor * force
 
     def slopes(self, t: float, within: float, u: Array, v: Array) -> Slopes | None:
         if self.slopes_at_one is None:
             return None
-        factor = self.amplitude.at(t, within)[0]
+        factor, _, _ = self.amplitude.at(t, within)
         K, C = self.slopes_at_one
         return factor * K, factor * C
 
 
 def facet_basis(mesh: skfem.Mesh, facets: Index) -> skfem.FacetBasis:
-    """Displacements along outer facets."""
+    """Make scikit-fem's basis of displacements along outer facets."""
     return skfem.FacetBasis(mesh, skfem.ElementVector(mesh.elem()), facets=facets)
 
 
 def traction_load(mesh: skfem.Mesh, facets: Index, traction: tuple[float, float]) -> Array:
-    """(n_nodes, 2) ∫ N_a t dL over reference facets, µN."""
+    """Compute the nodal forces ∫ N_a t dL (n_nodes, 2) of a traction over reference facets, µN."""
     form = skfem.LinearForm(lambda v, w: traction[0] * v[0] + traction[1] * v[1])
     load: Array = form.assemble(facet_basis(mesh, facets)).reshape(-1, 2)
     return load
 
 
 def pressure_load(mesh: skfem.Mesh, facets: Index, pressure: float) -> tuple[Array, Matrix]:
-    """f₀ (n_nodes, 2) and B (2 n_nodes, 2 n_nodes) of a follower pressure.
+    """Compute f₀ (n_nodes, 2) and B (2 n_nodes, 2 n_nodes) of a follower pressure, f = f₀ + B u.
 
     f = −p ∫ v · cof(I + ∇u) n dL: the current normal times length is the cofactor of F times the
     reference normal n times length, and in the plane the cofactor is linear in F.
     """
 
     def work(u: Any, v: Any, w: Any) -> Any:
+        """The integrand of B: the power of the pressure on cof(∇u) n."""
         (xx, xy), (yx, yy) = u.grad
         return -pressure * (v[0] * (yy * w.n[0] - yx * w.n[1]) + v[1] * (xx * w.n[1] - xy * w.n[0]))
 
@@ -122,29 +132,33 @@ def pressure_load(mesh: skfem.Mesh, facets: Index, pressure: float) -> tuple[Arr
 
 
 def foundation_matrix(mesh: skfem.Mesh, facets: Index, components: str) -> Matrix:
-    """(2 n_nodes, 2 n_nodes) ∫ N_a N_b dL over reference facets for the components, µm."""
-    x = float("x" in components)
-    y = float("y" in components)
-    form = skfem.BilinearForm(lambda u, v, w: x * u[0] * v[0] + y * u[1] * v[1])
+    """Compute ∫ N_a N_b dL (2 n_nodes, 2 n_nodes) over reference facets for the components, µm."""
+    # a component that is not held has the weight 0
+    weight_x = float("x" in components)
+    weight_y = float("y" in components)
+    form = skfem.BilinearForm(lambda u, v, w: weight_x * u[0] * v[0] + weight_y * u[1] * v[1])
     return form.assemble(facet_basis(mesh, facets))
 
 
 def make_loads(problem: Problem, mass_of: Callable[[Array], Matrix], n: int) -> list[Force]:
-    """The forces of the conditions and on free bodies, on n rows.
+    """Make the forces of the conditions, and those on free bodies.
 
     Args:
-        mass_of: the mass (2 n_nodes, 2 n_nodes) of a share (n_el,) of each element.
+        mass_of: the mass (2 n_nodes, 2 n_nodes) of a fraction (n_el,) of each element.
+        n: rows of a force, the nodes and then the bodies.
     """
     mesh = problem.mesh
     loads = list[Force]()
     n_nodes = mesh.p.shape[1]
 
     def add(name: str, dead: Array, amplitude: Amplitude, *slopes: Matrix) -> None:
+        """Add a force to the list, with its arrays extended from the nodes to all rows."""
         dead = np.pad(dead, ((0, n - len(dead)), (0, 0)))
         K_and_C = [scipy.sparse.csc_matrix(slope) for slope in slopes]
         for slope in K_and_C:
             slope.resize(2 * n, 2 * n)
-        loads.append(LinearForce(name, dead, amplitude, (*K_and_C,) if K_and_C else None))
+        both = (K_and_C[0], K_and_C[1]) if K_and_C else None
+        loads.append(LinearForce(name, dead, amplitude, both))
 
     for condition in problem.conditions:
         name = label(condition)
@@ -170,39 +184,40 @@ def make_loads(problem: Problem, mass_of: Callable[[Array], Matrix], n: int) -> 
             case Foundation():
                 facets = boundary(mesh, condition.on, where)
                 base = foundation_matrix(mesh, facets, condition.components)
-                slopes = condition.stiffness * base, condition.damping * base
-                add(name, np.zeros((n, 2)), ONE, *slopes)
+                K = condition.stiffness * base
+                C = condition.damping * base
+                add(name, np.zeros((n, 2)), ONE, K, C)
     for k, body in enumerate(problem.bodies):
         if body.mass is not None and any(body.acceleration):
             load = np.zeros((n, 2))
             load[n_nodes + k] = body.mass * np.array(body.acceleration)
-            grows = isinstance(body.amplitude, Proportional)
-            add(f"{body.name} load", load, body.amplitude if grows else ONE)
+            # a load factor scales the weight of a body, too; a course in time is of its motion
+            is_scaled = isinstance(body.amplitude, Proportional)
+            add(f"{body.name} load", load, body.amplitude if is_scaled else ONE)
     return loads
 
 
+# Defaults of a contact: k by modulus over the length h of a side, k δ by modulus, c by the critical
+# damping of the mass by which k moves the boundary of a mesh, ρ h/√12 a length.
 MODULI = 200.0
 ONSET = 0.04
 DAMPING = 0.5
-"""Defaults: k by modulus over the length h of a side, k δ by modulus, c by the critical damping of
-the mass by which k moves the boundary of a mesh, ρ h/√12 a length."""
-
+# Fewest and most contact points of a side.
 FEWEST_POINTS = 3
 MOST_POINTS = 40
-"""Contact points of a side."""
+# Depth or gap, as a fraction of a side, at which a body begins in touch.
 _TOUCHING = 0.01
-"""Of a side: the depth or gap at which a body begins in touch."""
 
 
 @dataclass(frozen=True, slots=True)
 class Grip:
-    """An equilibrium or the end of a time step, from which points stick or slip.
+    """The state from which points stick or slip: an equilibrium, or the end of a time step.
 
     Attributes:
         u: (n, 2) displacement, µm.
         drag: (p,) friction of the springs, µN/µm.
         slips: (p,) 0 of a point that sticks, else the sign of its sliding, while a correction of
-            Newton's method holds them; None: Coulomb's law says so at every displacement.
+            Newton's method holds them; None: Coulomb's law decides at every displacement.
     """
 
     u: Array
@@ -215,12 +230,20 @@ class Contact:
     """The contact force of one rigid body with p points of a boundary.
 
     Attributes:
-        name: of the body. shape: its outline. position: (2,) at t = 0, µm.
-        relative: (p, n) from the displacement of nodes and bodies to that of the points relative
-            to the body; by_component: that of `for_components`, and its transpose.
-        points: (p, 2) reference positions. lengths: (p,) µm. side: mean length of a side, µm.
-        stiffness: k, µN/µm². smoothing: δ, µm. damping: c, µN µs/µm².
-        friction: µ. slip_speed: s, µm/µs; None: points stick.
+        name: of the body.
+        shape: its outline.
+        position: (2,) at t = 0, µm.
+        relative: (p, n) matrix from the displacement of nodes and bodies to that of the points
+            relative to the body.
+        by_component: that matrix for both components (`for_components`), and its transpose.
+        points: (p, 2) reference positions, µm.
+        lengths: (p,) of side that each point stands for, µm.
+        side: mean length of a side, µm.
+        stiffness: k, µN/µm².
+        smoothing: δ, µm.
+        damping: c, µN µs/µm².
+        friction: µ.
+        slip_speed: s, µm/µs; None: points stick.
         grip: the last equilibrium or the end of the last step; None: friction in time with a slip
             speed.
     """
@@ -251,7 +274,7 @@ class Contact:
             tangent = _turned(normal)
             moved = _dot(self._moved(u), tangent)
             drag, *_ = self._drag(pressure, moved, _dot(relative, tangent))
-            traction -= drag[:, None] * tangent
+            traction -= drag[:, None] * tangent  # friction acts against the sliding
         force: Array = self.relative.T @ (self.lengths[:, None] * traction)
         return force
 
@@ -287,17 +310,19 @@ class Contact:
 
     @property
     def sticks(self) -> bool:
-        """Tell whether points stick until they slip, so that friction depends on the way."""
+        """Whether points stick until they slip, so that friction depends on the path."""
         return self.friction > 0.0 and self.grip is not None
 
     def gripped(self, u: Array, v: Array) -> Contact:
-        """Return the same after a step that ends at u and v (n, 2); its force there stays."""
+        """Return the same contact after a step that ends at u and v (n, 2); its friction there
+        stays.
+        """
         if not self.sticks:
             return self
         return replace(self, grip=Grip(u, self.drag(u, v)))
 
     def drag(self, u: Array, v: Array) -> Array:
-        """(p,) friction of the springs at all points, µN/µm; zeros without a grip."""
+        """Compute the friction of the springs at all points, (p,), µN/µm; zeros without a grip."""
         gap, normal, _ = self._gaps(u)
         if self.grip is None:
             return np.zeros(len(gap))
@@ -306,70 +331,88 @@ class Contact:
         return np.clip(self._tried(_dot(self._moved(u), _turned(normal))), -limit, limit)
 
     def held(self, u: Array, part: float = 0.0) -> Contact:
-        """The same with points that stick or slip as they do at u, until they are held again.
+        """Return the contact with points that stick or slip as they do at u, until they are held
+        again.
 
         Args:
-            part: 0 to 1; points that are held already change only where their friction is off by
-                this part of what it is off by at most, since all together may swing for ever.
+            u: (n, 2) displacement, µm.
+            part: 0 to 1. Points that are held already change only where their friction is off by at
+                least this fraction of the largest such error, since all together may swing for
+                ever.
         """
         assert self.grip is not None
         gap, normal, _ = self._gaps(u)
         pressure, *_ = self._pressure(-gap, 0.0 * gap)
         limit = self.friction * pressure
         tried = self._tried(_dot(self._moved(u), _turned(normal)))
-        slips = np.where(tried < 0.0, -1.0, 1.0)
+        slips = np.where(tried < 0.0, -1.0, 1.0)  # all slip; below, those within the limit stick
         slips[(abs(tried) <= limit) & (limit > 0.0)] = 0.0
         before = self.grip.slips
         if before is not None:
             # A point that slid the other way sticks first, or Newton's method throws it to and fro.
             slips[(before * slips < 0.0) & (limit > 0.0)] = 0.0
-            acts = np.where(before == 0.0, tried, before * limit)
-            off = np.where(slips == before, 0.0, abs(np.clip(tried, -limit, limit) - acts))
+            held_drag = np.where(
+                before == 0.0, tried, before * limit
+            )  # friction as it is held so far
+            error = abs(np.clip(tried, -limit, limit) - held_drag)
+            off = np.where(slips == before, 0.0, error)
             stays = off < part * off.max(initial=0.0)
             slips[stays] = before[stays]
         return replace(self, grip=replace(self.grip, slips=slips))
 
     def penetration(self, u: Array) -> float:
-        """Deepest penetration of any point, µm."""
+        """Return the deepest penetration of any point, µm."""
         return float(max(0.0, -self._gaps(u)[0].min()))
 
     def check_start(self) -> None:
-        """An `InputError` if the body begins with a part of the tissue deep inside it."""
+        """Raise an `InputError` if the body begins with a part of the tissue deep inside it."""
         check_outside(self.name, self.shape, self.position, self.points, _TOUCHING * self.side)
 
     def blocked(self, motions: Array) -> Array:
-        """(q, k) of motions (2 n, k): what the points that touch at the start, or almost, move
-        against the body along its normal, and along its surface where friction resists.
+        """Compute what the points that touch at the start, or almost, move against the body.
+
+        Args:
+            motions: (2 n, k), k motions of all nodes and bodies.
+
+        Returns:
+            (q, k) displacement along the normals, and along the surface where friction resists.
         """
         gap, normal, _ = self._gaps(np.zeros((len(motions) // 2, 2)))
         near = gap <= _TOUCHING * self.side
         moved = (self.by_component[0] @ motions).reshape(len(gap), 2, -1)
-        directions = (normal, _turned(normal))[: 2 if self.friction else 1]
-        return np.concatenate([np.einsum("pi,pik->pk", each, moved)[near] for each in directions])
+        blocked = [np.einsum("pi,pik->pk", normal, moved)[near]]
+        if self.friction:
+            blocked.append(np.einsum("pi,pik->pk", _turned(normal), moved)[near])
+        return np.concatenate(blocked)
 
     def energy(self, u: Array) -> float:
-        """Energy stored in the springs, pJ."""
+        """Compute the energy stored in the springs, pJ."""
         depth = np.maximum(-self._gaps(u)[0], 0.0)
         density = contact_law.stored(depth, self.stiffness, self.smoothing)
         return float(density @ self.lengths)
 
     def _gaps(self, u: Array) -> tuple[Array, Array, Array]:
+        """Compute gap (p,) µm, normal (p, 2) and curvature (p,) 1/µm of the body at all points."""
         return self.shape.gap(self.points + self.relative @ u - self.position)
 
     def _acting(self, gap: Array) -> Flags:
-        """(p,) points that touch, or are held to the body."""
+        """Return (p,) flags: points that touch, or are held to the body."""
         acting = gap < 0.0
         if self.grip is not None and self.grip.slips is not None:
             acting |= self.grip.slips == 0.0
         return acting
 
     def _pressure(self, depth: Array, closing: Array) -> tuple[Array, Array, Array]:
-        """Pressure and its slopes by the depth and by the speed of closing."""
-        law = self.stiffness, self.smoothing, self.damping
+        """Compute the pressure and its slopes by the depth and by the speed of closing, (p,)
+        each.
+        """
+        law = (self.stiffness, self.smoothing, self.damping)
         return contact_law.pressure(np.maximum(depth, 0.0), closing, law)
 
     def _moved(self, u: Array) -> Array:
-        """(p, 2) displacement relative to the body since the grip, µm; zeros without one."""
+        """Return (p, 2), the displacement relative to the body since the grip, µm; zeros without
+        one.
+        """
         if self.grip is None:
             return np.zeros(self.points.shape)
         return np.asarray(self.relative @ (u - self.grip.u))
@@ -377,11 +420,19 @@ class Contact:
     def _drag(
         self, pressure: Array, moved: Array, sliding: Array
     ) -> tuple[Array, Array, Array, Array]:
-        """Friction per length, and its slopes by the pressure, by what the point has moved along
-        the body since the grip, and by the sliding velocity."""
+        """Compute friction per length and its slopes at all points.
+
+        Args:
+            pressure: (p,) µN/µm.
+            moved: (p,) displacement along the body since the grip, µm.
+            sliding: (p,) velocity along the body, µm/µs.
+
+        Returns:
+            Friction (p,), and its slopes by the pressure, by `moved` and by `sliding`.
+        """
         if self.grip is None:
             assert self.slip_speed is not None
-            law = self.friction, self.slip_speed
+            law = (self.friction, self.slip_speed)
             drag, by_pressure, by_sliding = contact_law.friction(pressure, sliding, law)
             return drag, by_pressure, 0.0 * drag, by_sliding
         limit = self.friction * pressure
@@ -392,6 +443,7 @@ class Contact:
             drag = np.where(sticks, tried, slips * limit)
             stiffness = np.where(sticks, self.stiffness, 0.0)
             return drag, self.friction * slips, stiffness, 0.0 * drag
+        # Coulomb's law limits the spring's friction first, then that of spring and dashpot together
         slips = np.where(abs(tried) <= limit, 0.0, np.sign(tried))
         spring = np.where(slips == 0.0, tried, slips * limit)
         total = spring + self.damping * sliding
@@ -405,46 +457,60 @@ class Contact:
         )
 
     def _tried(self, moved: Array) -> Array:
-        """(p,) friction of the springs if all points stuck since the grip, µN/µm."""
+        """Compute the friction of the springs if all points stuck since the grip, (p,), µN/µm."""
         assert self.grip is not None
         return self.grip.drag + self.stiffness * moved
 
 
 def _dot(a: Array, b: Array) -> Array:
-    """(n,) of (n, 2) vectors."""
+    """Compute the dot products (n,) of vectors (n, 2)."""
     return np.einsum("ni,ni->n", a, b)
 
 
 def _outer(a: Array, b: Array) -> Array:
-    """(n, 2, 2) of (n, 2) vectors."""
+    """Compute the outer products (n, 2, 2) of vectors (n, 2)."""
     return a[:, :, None] * b[:, None, :]
 
 
 def _turned(normal: Array) -> Array:
-    """(n, 2) tangents."""
+    """Return the tangents (n, 2) to normals, turned counterclockwise."""
     return np.stack([-normal[:, 1], normal[:, 0]], axis=1)
 
 
 def check_bodies(problem: Problem) -> None:
-    """Check that no rigid body begins with a part of the tissue deep inside it; an `InputError`
-    names the first that does."""
+    """Check that no rigid body begins with a part of the tissue deep inside it.
+
+    Raises:
+        InputError: naming the first body that does.
+    """
     n_nodes = int(element_nodes(problem.mesh).max()) + 1
     n = n_nodes + len(problem.bodies)
     for k, body in enumerate(problem.bodies, n_nodes):
+        # the start depends on shapes and places alone, so any stiffness will do
         make_contact(problem, body, k, n, modulus=1.0, density=1.0).check_start()
 
 
 def contact_points(mesh: skfem.Mesh, facets: Index, shape: Shape) -> tuple[int, float]:
-    """Return how many contact points each of these sides has for a body of this shape, and how far
-    two neighbours of the longest side are apart at most, µm."""
+    """Return the number of contact points of a side, and the largest distance between two of them.
+
+    Args:
+        facets: the sides; the longest one decides.
+        shape: outline of the body.
+
+    Returns:
+        The number, and the distance in µm.
+    """
     longest = float(facet_basis(mesh, facets).dx.sum(axis=1).max())
     points = points_per_side(shape, longest)
     return points, contact_gap(points, longest)
 
 
 def points_per_side(shape: Shape, side: float) -> int:
-    """Return how many contact points a side of this length has, µm: so many that a rounding of the
-    body does not fit between two of them, from `FEWEST_POINTS` up to `MOST_POINTS`."""
+    """Return the number of contact points of a side of this length, µm.
+
+    It is so large that a rounding of the body does not fit between two of them, from
+    `FEWEST_POINTS` up to `MOST_POINTS`.
+    """
     radius = getattr(shape, "radius", np.inf)
     wanted = FEWEST_POINTS
     while wanted < MOST_POINTS and contact_gap(wanted, side) > radius:
@@ -453,7 +519,7 @@ def points_per_side(shape: Shape, side: float) -> int:
 
 
 def contact_gap(points: int, side: float) -> float:
-    """The largest distance between neighbouring contact points of a side, µm."""
+    """Return the largest distance between neighbouring contact points of a side, µm."""
     places, _ = np.polynomial.legendre.leggauss(points)
     return float(0.5 * side * np.diff(places).max())
 
@@ -461,14 +527,20 @@ def contact_gap(points: int, side: float) -> float:
 def make_contact(
     problem: Problem, body: RigidBody, row: int, n: int, modulus: float, density: float
 ) -> Contact:
-    """The contact of `body`, `row` of n, with a tissue of this modulus (µN/µm) and density."""
+    """Make the contact of a body with a boundary of the tissue.
+
+    Args:
+        row: number of the body among the n rows of nodes and bodies.
+        modulus, density: of the tissue, µN/µm and ng/µm², from which defaults follow.
+    """
     mesh = problem.mesh
     facets = boundary(mesh, body.on, f"{body.name}.on")
     per_side, _ = contact_points(mesh, facets, body.shape)
     basis = skfem.FacetBasis(mesh, mesh.elem(), facets=facets, intorder=2 * per_side - 1)
     side = float(basis.dx.sum() / len(facets))
     nodes = np.repeat(element_nodes(mesh)[mesh.f2t[0, facets]], len(basis.W), axis=0)
-    shapes = np.stack([np.ravel(each[0]) for each in basis.basis], axis=1)
+    shapes = np.stack([np.ravel(values) for (values,) in basis.basis], axis=1)
+    # the displacement of a point, N_a u_a, less that of the body
     columns = np.insert(nodes, 0, row, axis=1)
     relative = sparse_rows(columns, np.insert(shapes, 0, -1.0, axis=1), n)
     relative.eliminate_zeros()

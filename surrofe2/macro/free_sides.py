@@ -4,7 +4,8 @@ T is the undeformed direction of a side, L its length, and F̄ the mean deformat
 outer plant cell there: F at the law's depth d below the side, in the mean over the width w of a
 plant cell, whatever the mesh. With g = F̄ T = T + D u, λ = |g|, n = g/λ and λ̇ = n·ġ the force is
 −Dᵀ (L P_s(λ, λ̇) n). The unknowns count from the rest under surface tension, F̄ from the undeformed
-state."""
+state.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +31,10 @@ from surrofe2.problem.conditions import FREE, Surface
 from surrofe2.problem.mesh import boundary, facet_nodes, region, region_numbers
 from surrofe2.problem.problem import SURFACE, Problem
 
+# Degrees off the rows of plant cells up to which a side runs along them.
 _ALONG = 1.0
-"""Degrees off the rows of plant cells up to which a side runs along them."""
+# Squared spread of depths over the area of a patch, below which they count as all the same.
+_EVEN = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,11 +42,13 @@ class FreeSides:
     """Sides with a surface law.
 
     Attributes:
-        facets: (m,) of the mesh.
+        facets: (m,) numbers of facets of the mesh.
         nodes: (m, 2) or (m, 3) nodes of each, as of `facet_nodes`.
-        elements: (m,) beside them.
-        names: of the boundaries; boundary: (m,) which of them.
-        laws: of the sides; law: (m,) which of them.
+        elements: (m,) the element beside each.
+        names: names of the boundaries.
+        boundary: (m,) number of the boundary of each side.
+        laws: the surface laws.
+        law: (m,) number of the law of each side.
         oblique: (m,) degrees off the nearer direction of the plant cells' rows, x or y; 0 along it.
     """
 
@@ -75,15 +80,17 @@ def free_sides(problem: Problem) -> FreeSides:
     else:
         names = tuple(surface.on)
         parts = [boundary(mesh, name, "surface.on") for name in names]
-    every = np.concatenate(parts)
-    first = np.sort(np.unique(every, return_index=True)[1])  # a side of two boundaries counts once
-    facets = every[first]
-    of_boundary = np.repeat(np.arange(len(parts)), [*map(len, parts)])[first]
+    all_facets = np.concatenate(parts)
+    _, first = np.unique(all_facets, return_index=True)
+    first = np.sort(first)  # a side of two boundaries counts once, with the first
+    facets = all_facets[first]
+    of_boundary = np.repeat(np.arange(len(parts)), [len(part) for part in parts])[first]
     nodes = facet_nodes(mesh, facets)
     elements = mesh.f2t[0, facets].astype(np.int64)
     laws, law = _laws(surface, mesh, elements)
     along = np.diff(mesh.p.T[nodes[:, :2]], axis=1)[:, 0]
-    angle = np.degrees(np.arctan2(*np.sort(abs(along), axis=1).T))
+    shorter, longer = np.sort(abs(along), axis=1).T
+    angle = np.degrees(np.arctan2(shorter, longer))  # to the nearer axis
     oblique = np.where(angle > _ALONG, angle, 0.0)
     return FreeSides(facets, nodes, elements, names, of_boundary, laws, law, oblique)
 
@@ -99,13 +106,13 @@ def _laws(
     return tuple(surface.law.values()), law
 
 
-_EVEN = 1e-12
-"""Squared spread of depths over that of the patch, below which they are all the same."""
-
-
 def stretched_nodes(sides: FreeSides, space: Discretisation, n: int) -> Matrix:
-    """(m, n) D of F̄ T = T + D u for all sides, 1/µm."""
-    n_q = space.points_per_element - space.pressure_apart
+    """Make the matrix D (m, n) of F̄ T = T + D u for all sides, 1/µm.
+
+    A side takes the mean gradient of the points in a box below it, as wide as a plant cell and down
+    to twice the law's depth, weighted so that their mean depth is the law's.
+    """
+    n_q = space.points_per_element - space.pressure_apart  # Gauss points alone
     position = space.point_positions().reshape(len(space.elements), -1, 2)[:, :n_q]
     corners = space.nodes[sides.nodes[:, :2]]
     centres = scipy.spatial.KDTree(position.mean(axis=1))
@@ -124,25 +131,29 @@ def stretched_nodes(sides: FreeSides, space: Discretisation, n: int) -> Matrix:
         ahead = (position[near] - middle) @ along
         depth = (position[near] - middle) @ inward
         taken = (abs(ahead) <= 0.5 * law.width) & (depth >= 0.0) & (depth <= 2.0 * law.depth)
-        taken[near == element] = True
-        own, q = np.nonzero(taken)
-        own = near[own]
-        weights = _weights(space.weights[own, q], depth[taken], law.depth)
-        slopes = weights[:, None] * (space.gradients[own, q] @ along)
-        nodes = space.elements[own].ravel()
+        taken[near == element] = True  # at least the element beside the side
+        within, q = np.nonzero(taken)
+        element_of_point = near[within]
+        weights = _weights(space.weights[element_of_point, q], depth[taken], law.depth)
+        slopes = weights[:, None] * (space.gradients[element_of_point, q] @ along)
+        nodes = space.elements[element_of_point].ravel()
         selected.append((slopes.ravel(), np.full(nodes.size, p), nodes))
-    slopes, rows, columns = (np.concatenate(each) for each in zip(*selected, strict=True))
-    return scipy.sparse.csr_matrix((slopes, (rows, columns)), shape=(len(selected), n))
+    values, rows, columns = (np.concatenate(parts) for parts in zip(*selected, strict=True))
+    return scipy.sparse.csr_matrix((values, (rows, columns)), shape=(len(selected), n))
 
 
 def _weights(areas: Array, depths: Array, wanted: float) -> Array:
-    """Return those of points, whose mean depth is the wanted one."""
+    """Return weights of points, with the sum 1, by which their mean depth is the wanted one.
+
+    They are the areas, times a factor that is linear in the depth. Where all depths are the same,
+    that cannot be, and the areas alone count.
+    """
     shares = areas / areas.sum()
     apart = depths - shares @ depths
-    spread = float(shares @ apart**2)
-    if spread <= _EVEN * areas.sum():
+    variance = float(shares @ apart**2)
+    if variance <= _EVEN * areas.sum():
         return shares
-    return np.asarray(shares * (1.0 + (wanted - shares @ depths) / spread * apart))
+    return np.asarray(shares * (1.0 + (wanted - shares @ depths) / variance * apart))
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,11 +161,12 @@ class SurfaceForce:
     """The force of all free sides.
 
     Attributes:
-        sides: which they are.
-        D: (m, n) sparse, from displacement to the change of g, 1/µm. D_T: (n, m).
+        sides: the m sides.
+        D: (m, n) sparse, from displacement to the change of g, 1/µm.
+        D_T: (n, m) its transpose.
         lengths: (m,) L, µm.
         directions: (m, 2) g where the unknowns are zero.
-        share: of the tension that acts, below 1 on the way to rest.
+        share: factor of the tension, below 1 on the way to rest.
     """
 
     sides: FreeSides
@@ -166,15 +178,17 @@ class SurfaceForce:
 
     @property
     def name(self) -> str:
+        """The name of the force in results."""
         return SURFACE
 
     def at(self, t: float, within: float, u: Array, v: Array) -> Array:
-        """As of `Force`; NaN where a law has no answer."""
+        """Compute the force as `Force.at`; NaN where a law has no answer."""
         g, stretch, rate = self._stretches(u, v)
         pull = self.lengths * self.share * self._ask(stretch, rate).tension / stretch
         return self.D_T @ (-pull[:, None] * g)
 
     def slopes(self, t: float, within: float, u: Array, v: Array) -> Slopes:
+        """Compute −∂f/∂u and −∂f/∂v, see `Force.slopes`."""
         g, stretch, rate = self._stretches(u, v)
         answer = self._ask(stretch, rate, tangents=True)
         assert answer.tangent is not None
@@ -191,18 +205,18 @@ class SurfaceForce:
         return summed(S, lengths * by_g), summed(S, lengths * by_g_dot)
 
     def dissipation_rates(self, u: Array, v: Array) -> Array:
-        """(b,) ∫ (P_s(λ, λ̇) − P_s(λ, 0)) λ̇ dS along each of `FreeSides.names`, pJ/µs."""
+        """Compute ∫ (P_s(λ, λ̇) − P_s(λ, 0)) λ̇ dS along each of `FreeSides.names`, (b,) pJ/µs."""
         _, stretch, rate = self._stretches(u, v)
         excess = self._ask(stretch, rate).tension - self._ask(stretch, 0.0 * rate).tension
         power = self.lengths * excess * rate
         return np.bincount(self.sides.boundary, power, len(self.sides.names)).astype(np.float64)
 
     def from_rest(self, u: Array) -> SurfaceForce:
-        """The same with unknowns that count from the displacement u (n, 2)."""
+        """Return the same force with unknowns that count from the displacement u (n, 2)."""
         return replace(self, directions=self.directions + self.D @ u)
 
     def mass(self, mesh: skfem.Mesh, inside: Array) -> Matrix:
-        """(2 n_nodes, 2 n_nodes) mass excess, ng.
+        """Compute the mass (2 n_nodes, 2 n_nodes) of the sides beyond that of the bulk, ng.
 
         Args:
             inside: (n_el,) factor of the sides beside each element.
@@ -214,7 +228,7 @@ class SurfaceForce:
         return for_components(form.assemble(basis, scale=scale[:, None] * np.ones(basis.dx.shape)))
 
     def refusal(self, nodes: Array, u: Array, v: Array) -> str:
-        """Return where a law has no answer, and for which stretch."""
+        """Say where a law has no answer, and for which stretch."""
         _, stretch, rate = self._stretches(u, v)
         p = int(np.argmin(self._ask(stretch, rate).valid))
         x, y = nodes[self.sides.nodes[p, :2]].mean(axis=0)
@@ -224,12 +238,13 @@ class SurfaceForce:
         )
 
     def _stretches(self, u: Array, v: Array) -> tuple[Array, Array, Array]:
-        """(m, 2) g, (m,) λ and λ̇."""
+        """Return g (m, 2), and λ and λ̇ (m,) of all sides."""
         g = self.directions + self.D @ u
         stretch = np.hypot(g[:, 0], g[:, 1])
         return g, stretch, np.einsum("mi,mi->m", g, self.D @ v) / stretch
 
     def _ask(self, stretch: Array, rate: Array, *, tangents: bool = False) -> SurfaceResponse:
+        """Return the answer of each side's law at (m,) stretches and rates."""
         laws = self.sides.laws
         if len(laws) == 1:
             return laws[0].respond(stretch, rate, tangents=tangents)
@@ -242,7 +257,7 @@ class SurfaceForce:
 
 
 def make_surface(problem: Problem, space: Discretisation, n: int) -> SurfaceForce:
-    """The free sides of a problem that has a surface, at the undeformed mesh; n rows."""
+    """Make the force of the free sides of a problem that has a surface, on n rows."""
     sides = free_sides(problem)
     ends = space.nodes[sides.nodes[:, :2]]
     along = ends[:, 1] - ends[:, 0]

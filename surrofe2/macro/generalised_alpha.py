@@ -7,7 +7,8 @@ algorithmic acceleration a is not ü; it lags by (α_m − α_f) h, to second or
 A step of h leaves the error of [u, v] that a third-order method finds: the integral of the
 parabola through the rates [v, ü] at the last three ends of steps (Adams–Moulton), minus the step.
 Stiff modes would drown it, so it passes through S⁻¹ (1 − α_m) M, S the Newton matrix, which
-leaves slow modes as they are and damps fast ones."""
+leaves slow modes as they are and damps fast ones.
+"""
 
 from __future__ import annotations
 
@@ -29,13 +30,19 @@ from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.system import Works
 from surrofe2.macro.time_stepping import StepControl, StepResult
 
-MAX_ITERATIONS = 12
+MAX_ITERATIONS = 12  # of Newton's method in a step
+# Errors of steps add up over an oscillation, so each may take only this fraction of the tolerance.
 _ACCUMULATION = 25.0
-"""Errors of steps add up over an oscillation, so each may take this part of the tolerance."""
+# Length of the first step: where nothing accelerates, this fraction of the run; else so short that
+# the acceleration moves something by five times the absolute tolerance.
+_FIRST_FRACTION = 1e-2
+_FIRST_GAIN = 10.0
 
 
 class Weights(NamedTuple):
-    """α_m, α_f, β, γ; second order and unconditionally stable for linear problems."""
+    """The weights α_m, α_f, β, γ; of second order and unconditionally stable for linear
+    problems.
+    """
 
     alpha_m: float
     alpha_f: float
@@ -44,7 +51,7 @@ class Weights(NamedTuple):
 
     @classmethod
     def of(cls, spectral_radius: float) -> Weights:
-        """The weights whose amplification at infinite frequency is `spectral_radius`."""
+        """Return the weights whose amplification at infinite frequency is `spectral_radius`."""
         rho = spectral_radius
         alpha_m = (2.0 * rho - 1.0) / (rho + 1.0)
         alpha_f = rho / (rho + 1.0)
@@ -53,8 +60,13 @@ class Weights(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """End of a step: its evaluation, algorithmic acceleration (m,), the residual (m,) that Newton
-    left, µN, and S⁻¹ of the last correction, applied to (m,).
+    """The end of a step.
+
+    Attributes:
+        now: its evaluation.
+        a: (m,) algorithmic acceleration, µm/µs².
+        residual: (m,) that Newton left, µN.
+        solve: S⁻¹ of the last correction, applied to (m,).
     """
 
     now: Evaluation
@@ -64,8 +76,12 @@ class Solved(NamedTuple):
 
 
 class _Past(NamedTuple):
-    """Of the step before: its length h, µs, the algorithmic acceleration (m,) at its end, and
-    [v, ü] (2 m,) at its start, None if there is no step before.
+    """The step before.
+
+    Attributes:
+        h: its length, µs; 1 if there is none.
+        a: (m,) algorithmic acceleration at its end.
+        rate: (2 m,) [v, ü] at its start; None if there is none.
     """
 
     h: float
@@ -74,22 +90,27 @@ class _Past(NamedTuple):
 
 
 def _past(start: Evaluation, memory: Array) -> _Past:
-    """From h, a, and the rates at both ends, which are the memory of a step.
+    """Read the step before from the memory it left: h, a, and the rates at both of its ends.
 
-    Where the law has come to answer by another branch, what was known moves by the jump, so that
-    neither the error nor the first guess of the next step takes it for a motion.
+    Where the law has changed its branch since, what was known moves by the jump of the rate, so
+    that neither the error nor the first guess of the next step takes it for a motion.
     """
     rate = start.rate
     size = start.y.size
     if memory.size == 0:
         return _Past(1.0, start.acceleration, None)
-    h, a, before, then = np.split(memory, [1, 1 + size // 2, 1 + size // 2 + size])
-    jump = rate - then
-    return _Past(float(h[0]), a + jump[size // 2 :], before + jump)
+    m = size // 2
+    h, a, rate_before, rate_after = np.split(memory, [1, 1 + m, 1 + m + size])
+    jump = rate - rate_after
+    return _Past(float(h[0]), a + jump[m:], rate_before + jump)
 
 
 class GeneralisedAlpha:
-    """The implicit `Method`; it keeps nothing but the pattern of its matrices."""
+    """The implicit `Method`.
+
+    Raises:
+        InputError: the law has no tangents.
+    """
 
     control: ClassVar[StepControl] = StepControl(
         order=3, gain=1.0, largest_growth=2.0, splits_rest=True
@@ -104,17 +125,18 @@ class GeneralisedAlpha:
         self._inertia = (1.0 - self.weights.alpha_m) * self._mass
 
     def first_length(self, start: Evaluation, t_end: float) -> float:
-        """So short that the displacement gained is what the tolerance allows."""
-        limit = 1e-2 * t_end
+        """Return a length so short that the displacement gained is what the tolerance allows."""
+        limit = _FIRST_FRACTION * t_end
         strongest = float(abs(start.acceleration).max())
         if strongest == 0.0:
             return limit
-        return min(limit, float(np.sqrt(10.0 * self._settings.absolute_tolerance / strongest)))
+        gain = _FIRST_GAIN * self._settings.absolute_tolerance
+        return min(limit, float(np.sqrt(gain / strongest)))
 
     def step(
         self, start: Evaluation, memory: Array, t: float, restarted: Switched | None = None
     ) -> StepResult:
-        """The step from `start` to time t; its works are those of `_works`."""
+        """Make the step from `start` to time t; see `Method.step`."""
         h = t - start.t
         past = _past(start, memory)
         # The algorithmic acceleration, its lag brought from the last step's to this one's; at the
@@ -142,13 +164,14 @@ class GeneralisedAlpha:
         )
 
     def solve(self, start: Evaluation, a: Array, guess: Array, t: float) -> Solved:
-        """The step to time t from `start` with algorithmic acceleration a.
+        """Solve the step to time t from `start` with algorithmic acceleration a.
 
         Args:
             guess: (m,) acceleration at the end that Newton begins with.
 
         Raises:
-            NoStress: a point has none, or Newton does not converge. Switched: as of `evaluate`.
+            NoStress: a point has none, or Newton does not converge.
+            Switched: as of `EquationsOfMotion.evaluate`.
         """
         w = self.weights
         equations = self._equations
@@ -206,9 +229,14 @@ class GeneralisedAlpha:
     def _factorised(
         self, now: Evaluation, h: float
     ) -> tuple[Callable[[Array], Array] | None, float]:
-        """S⁻¹ if there is one, S = (1 − α_m) M + (1 − α_f) h² β (K + γ/(h β) C) the slope of the
-        residual by a₁, and the least scale of a residual: the force that moves the stiffest
-        unknown by what the tolerance allows, for a body at rest has no other.
+        """Factorise the Newton matrix S = (1 − α_m) M + (1 − α_f) h² β (K + γ/(h β) C).
+
+        S is the slope of the residual by the acceleration at the end.
+
+        Returns:
+            S⁻¹, applied to (m,), None if S is singular; and the least scale of a residual: the
+            force that moves the stiffest unknown by what the tolerance allows, for a body at rest
+            has no other.
         """
         w = self.weights
         K = self._equations.slope(now, 1.0, 1.0 / (h * w.beta / w.gamma))
@@ -219,7 +247,7 @@ class GeneralisedAlpha:
         return factorised(scipy.sparse.csc_matrix(S)), least
 
     def _error(self, start: Evaluation, past: _Past, solved: Solved, h: float) -> float:
-        """Root mean square of the error of y relative to what is allowed."""
+        """Compute the root mean square of the error of y relative to what is allowed."""
         end = solved.now
         # Mean rate over the step, (start + end)/2 − h²/6 [before, start, end] with the second
         # divided difference; without a step before, the straight line has to do.

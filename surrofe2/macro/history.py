@@ -27,8 +27,15 @@ from surrofe2.macro.system import System
 from surrofe2.macro.time_stepping import Stepper, StepResult
 from surrofe2.run.journal import BEYOND, CROSSINGS, Journal, RunState, frame_series
 
+# Extremes as of `widen_extremes`, before any point was met.
 NO_EXTREMES = np.broadcast_to([[[[np.inf]]], [[[-np.inf]]]], (2, 4, 2, 2))
-"""Of no point yet."""
+
+# The rows of `widen_extremes`: the entries 11, 12, 21, 22 of four tensors, one after another.
+_F = 0
+_F_DOT = 4
+_U = 8
+_RT_F_DOT = 12
+_ROWS = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,11 +52,11 @@ class MetRange:
 
     @classmethod
     def of(cls, extremes: Array) -> MetRange:
-        """From lowest and highest entries as `widen_extremes` has them."""
+        """Make it from the lowest and highest entries that `widen_extremes` keeps."""
         return cls(*extremes.swapaxes(0, 1))
 
     def to_dict(self) -> dict[str, Any]:
-        """The extremes, and `stretch`, `shear`, `rate` of the sampling range that holds them."""
+        """Return the extremes, and `stretch`, `shear`, `rate` of the sampling range of them."""
         bounds = {"stretch": self.stretch, "shear": self.shear, "rate": self.rate}
         return asdict(self) | bounds
 
@@ -74,69 +81,87 @@ class MetRange:
 
 @kernel
 def widen_extremes(extremes: Any, F: Any, F_dot: Any) -> None:
-    """Widen (2, 4, 2, 2) lowest and highest values by F, Ḟ, U = RᵀF and RᵀḞ of all points.
+    """Widen the lowest and highest entries of F, Ḟ, U = RᵀF and RᵀḞ by those of n points.
 
-    R is the rotation of the polar decomposition, cos θ : sin θ = F₁₁ + F₂₂ : F₂₁ − F₁₂. Eight
-    points are taken at once; behind the last one it is repeated.
+    R is the rotation of the polar decomposition, cos θ : sin θ = F₁₁ + F₂₂ : F₂₁ − F₁₂.
+
+    Args:
+        extremes: (2, 4, 2, 2) lowest and highest entries so far of these four tensors, in this
+            order; changed in place.
+        F, F_dot: (n, 2, 2).
+
+    Eight points are taken at once, one in each lane. Where the last eight are not complete, the
+    last point is repeated, which widens nothing.
     """
-    values = np.empty((16, TILE))
-    low = np.empty((16, TILE))
-    high = np.empty((16, TILE))
-    for k in range(16):
-        low[k, :] = extremes[0, k // 4, k // 2 % 2, k % 2]
-        high[k, :] = extremes[1, k // 4, k // 2 % 2, k % 2]
+    values = np.empty((_ROWS, TILE))
+    low = np.empty((_ROWS, TILE))
+    high = np.empty((_ROWS, TILE))
+    for row in range(_ROWS):
+        tensor = row // 4
+        i = row // 2 % 2
+        j = row % 2
+        low[row, :] = extremes[0, tensor, i, j]
+        high[row, :] = extremes[1, tensor, i, j]
     for start in range(0, F.shape[0], TILE):
         for lane in range(TILE):
             p = np.uint64(min(start + lane, F.shape[0] - 1))
-            for k in range(4):
-                values[k, lane] = F[p, k // 2, k % 2]
-                values[4 + k, lane] = F_dot[p, k // 2, k % 2]
-        c = load(values, 0) + load(values, 3)
-        s = load(values, 2) - load(values, 1)
-        norm = root(c * c + s * s)
-        c = c / norm
-        s = s / norm
-        for k in range(0, 8, 4):
-            for j in range(2):
-                x = load(values, k + j)
-                y = load(values, k + 2 + j)
-                store(c * x + s * y, values, 8 + k + j)
-                store(c * y - s * x, values, 10 + k + j)
-        for k in range(16):
-            value = load(values, k)
-            lowest = load(low, k)
-            highest = load(high, k)
-            store(where_less(value, lowest, value, lowest), low, k)
-            store(where_less(highest, value, value, highest), high, k)
-    for k in range(16):
-        extremes[0, k // 4, k // 2 % 2, k % 2] = low[k].min()
-        extremes[1, k // 4, k // 2 % 2, k % 2] = high[k].max()
+            for i in range(2):
+                for j in range(2):
+                    values[_F + 2 * i + j, lane] = F[p, i, j]
+                    values[_F_DOT + 2 * i + j, lane] = F_dot[p, i, j]
+        cosine = load(values, _F) + load(values, _F + 3)
+        sine = load(values, _F + 2) - load(values, _F + 1)
+        norm = root(cosine * cosine + sine * sine)
+        cosine = cosine / norm
+        sine = sine / norm
+        for original, rotated in ((_F, _U), (_F_DOT, _RT_F_DOT)):
+            for j in range(2):  # a column (x, y) of the tensor becomes Rᵀ (x, y)
+                x = load(values, original + j)
+                y = load(values, original + 2 + j)
+                store(cosine * x + sine * y, values, rotated + j)
+                store(cosine * y - sine * x, values, rotated + 2 + j)
+        for row in range(_ROWS):
+            value = load(values, row)
+            lowest = load(low, row)
+            highest = load(high, row)
+            store(where_less(value, lowest, value, lowest), low, row)
+            store(where_less(highest, value, value, highest), high, row)
+    for row in range(_ROWS):
+        tensor = row // 4
+        i = row // 2 % 2
+        j = row % 2
+        extremes[0, tensor, i, j] = low[row].min()
+        extremes[1, tensor, i, j] = high[row].max()
 
 
+# An array of what a run or law does not have.
 NOTHING: Array = np.empty(0)
+# Values at the law's points, which are large, are kept at each frame whose number this divides, and
+# at the last.
 POINTS_EVERY = 10
-"""Points of the law are kept at each frame whose number this divides, and at the last."""
 
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """Whole fields at k times, each the end of the first step that passed an even fraction of the
-    duration: there the stress is the one the run went on with, and nothing is interpolated.
+    """Whole fields at k times.
+
+    Each time is the end of the first step that passed an even fraction of the duration. There the
+    stress is the one by which the run continued, and nothing is interpolated.
 
     Attributes:
         t: (k,) µs, increasing, from 0 to the end.
         displacement, velocity: (k, n_nodes, 2) µm and µm/µs.
         stress: (k, n_el, 2, 2) element mean of the Cauchy stress, µN/µm.
         F, F_dot: (k, n_el, 2, 2) element mean of the deformation gradient, and of its rate, 1/µs.
-        source, risk: (k, n_el) of `Sources`, the largest of the element's points; (k, 0) of a law
-            that does not tell.
+        source, risk: (k, n_el) as of `Sources`, the largest of the element's points; (k, 0) of a
+            law that does not know them.
         beyond: (k, n_el) 1 where a point of the element is beyond a bifurcation, else 0; (k, 0) of
             a law that cannot tell.
         dissipated: (k, n_el) energy by reference area since t = 0, pJ/µm²; (k, 0) if not recorded.
-            Between the samples of `MacroState` the rate counts as the one of the last.
+            Between the samples of `MacroState` the rate counts as that of the last sample.
         point_t: (p,) µs, those of t at which the law's points are kept too: a tenth of them.
         point_stress: (p, n_points, 2, 2) Cauchy stress as the law answered, µN/µm.
-        point_source, point_risk: (p, n_points) of `Sources`; (p, 0) of a law that does not tell.
+        point_source, point_risk: (p, n_points) as of `Sources`; (p, 0) of a law without them.
     """
 
     t: Array
@@ -155,21 +180,20 @@ class Frames:
     point_risk: Array
 
     def one_by_one(self) -> Iterator[Frames]:
-        """Each of them alone, with its points where they are kept."""
+        """Iterate over the frames, each alone, with its points where they are kept."""
         point = 0
         for k, t in enumerate(self.t):
             row = slice(k, k + 1)
             points = slice(point, point)
+            # points are kept at some of the times; both are in the order of time
             if point < len(self.point_t) and self.point_t[point] == t:
                 points = slice(point, point + 1)
                 point += 1
-            values = {item.name: getattr(self, item.name) for item in fields(self)}
-            yield Frames(
-                **{
-                    name: each[points if name.startswith("point_") else row]
-                    for name, each in values.items()
-                }
-            )
+            rows = {}
+            for item in fields(self):
+                kept = points if item.name.startswith("point_") else row
+                rows[item.name] = getattr(self, item.name)[kept]
+            yield Frames(**rows)
 
     @classmethod
     def of(
@@ -182,15 +206,25 @@ class Frames:
         beyond: Flags | None = None,
         points: bool = True,
     ) -> Frames:
-        """Those of one state, with values at the points if asked for, `dissipated` (n_el,), and
-        which points (n_points,) are beyond a bifurcation."""
+        """Make the frame of one state of a run.
+
+        Args:
+            space: the finite elements.
+            now: motion and stress of the state.
+            sources: where the stress came from, if the law knows it.
+            dissipated: (n_el,) energy by reference area since t = 0, pJ/µm²; empty: not recorded.
+            beyond: (n_points,) which points are beyond a bifurcation; None: not known.
+            points: whether values at the law's points are kept, too.
+        """
         n = len(space.nodes)
         stress = now.response.stress
-        known = np.empty((2, 0))
+        at_points = np.empty((2, 0))  # source and risk
         if sources is not None:
-            known = np.stack([sources.source, sources.risk]).astype(np.float64)
-        largest = known.reshape(2, len(space.elements), -1).max(axis=2) if known.size else known
-        kept = slice(0, int(points))  # of the only row
+            at_points = np.stack([sources.source, sources.risk]).astype(np.float64)
+        in_elements = at_points
+        if at_points.size:
+            in_elements = at_points.reshape(2, len(space.elements), -1).max(axis=2)
+        kept = slice(0, int(points))  # of rows by time, of which there is one: that one or none
         return cls(
             t=np.array([now.t]),
             displacement=now.u[None, :n],
@@ -198,14 +232,14 @@ class Frames:
             stress=element_mean_stress(space, now.F, stress)[None],
             F=element_mean_F(space, now.F)[None],
             F_dot=element_mean_F(space, now.F_dot)[None],
-            source=largest[:1],
-            risk=largest[1:],
+            source=in_elements[:1],
+            risk=in_elements[1:],
             beyond=_in_elements(space, beyond)[None],
             dissipated=dissipated[None],
             point_t=np.array([now.t])[kept],
             point_stress=stress[None][kept],
-            point_source=known[:1][kept],
-            point_risk=known[1:][kept],
+            point_source=at_points[:1][kept],
+            point_risk=at_points[1:][kept],
         )
 
 
@@ -217,9 +251,11 @@ def _in_elements(space: Discretisation, flags: Flags | None) -> Array:
     return np.where(in_element, 1.0, 0.0)
 
 
+# A function that takes whole fields at one time, with how many frames and how many frames of points
+# there are before it. A frame whose number exists already replaces that one and all behind it.
 KeepFrame = Callable[[Frames, int, int], None]
-"""Takes whole fields at one time, with how many frames and frames of points there are before it. A
-frame whose number was there already replaces that and those behind it."""
+
+# What a run counts, by the names of `MacroRun.counts`.
 
 COUNTS = (
     "steps",
@@ -240,24 +276,26 @@ class MacroState(RunState):
     """A run at the end of a step: all that carries it on, and all it has recorded.
 
     Attributes:
-        t: µs. y: (2 m,) displacement and velocity of the free unknowns.
+        t: time at the end of the step, µs.
+        y: (2 m,) displacement and velocity of the free unknowns.
         next_step: length proposed for the next step, µs.
         memory: what the integrator knows besides y; empty if and only if it is the explicit one.
         work: since t = 0, a row of `Works`, pJ.
         journal: ``rows`` (r, c) at the output times passed, the columns of `columns_of`;
             ``samples`` (s, 1 + k) t and rates of dissipation of `System.dissipating`, µs and pJ/µs,
             at ends of steps; ``frames.…`` as of `Frames`.
-        dissipated: (2, n_el) energy up to the last sample, pJ, and the rate there.
+        dissipated: (2, n_el) energy up to the last sample, pJ, and its rate there, pJ/µs.
         extremes: (2, 4, 2, 2) lowest and highest entries of F, Ḟ, U and RᵀḞ.
         largest_displacement: of all nodes at ends of steps so far, µm.
-        identity: by name, digests of the problem's parts; a resumed run must have the same.
+        identity: digests of the problem's parts by name; a resumed run must have the same.
         counts, effort, rolled_back, wall_time: as in `MacroRun`.
         stress: (n_points, 2, 2) by which the next step begins, µN/µm.
-        law_state: what the law has committed; None: it starts cold.
+        law_state: the state that the law has committed; None: it starts cold.
         rest: as `System.rest`; (0, 2) of None.
-        drags: by body whose points stick, friction of the springs, µN/µm.
-        mark: where the run goes back to if what follows does not stand, without the law's state,
-            which the law knows; None: it never does."""
+        drags: friction of the springs, µN/µm, by name of a body whose points stick.
+        mark: the state to go back to if the steps after it do not stand; None: there is none. It
+            is without the law's state, which the law itself keeps.
+    """
 
     SERIES: ClassVar[tuple[str, ...]] = (
         "rows", "samples", *(f"frames.{item.name}" for item in fields(Frames))
@@ -285,11 +323,11 @@ class MacroState(RunState):
 
     @property
     def frames(self) -> Frames:
-        """Whole fields at a few times."""
+        """The whole fields that the journal has, at a few times."""
         return Frames(**self.journal.part("frames"))
 
     def copy(self) -> MacroState:
-        """The same with memory of its own for what it has recorded."""
+        """Return the same state with arrays of its own for what it has recorded."""
         mark = None if self.mark is None else self.mark.copy()
         return replace(self, journal=self.journal.copy(), mark=mark)
 
@@ -317,7 +355,7 @@ def columns_of(system: System, *, in_time: bool) -> list[str]:
 def row_of(
     system: System, t: float, motion: tuple[Array, Array], forces: Array, beyond: float, work: Array
 ) -> Array:
-    """Return what `columns_of` lists, with the kinetic energy ½ v·M v.
+    """Return a row of a run's history: what `columns_of` lists, with the kinetic energy ½ v·M v.
 
     Args:
         t: µs, or the factor of the load.
@@ -333,13 +371,26 @@ def row_of(
     depths = [contact.penetration(u) for contact in system.contacts]
     stored = sum(contact.energy(u) for contact in system.contacts)
     flat = [part.ravel() for part in vectors]
+    # positions of the nodes, by which outer sides that cross are counted
     x = system.discretisation.nodes + system.from_mesh(u)[: len(system.discretisation.nodes)]
     crossings = system.outer_sides.crossings(x)
     return np.concatenate([[t], *flat, depths, [beyond, crossings, stored, kinetic], work])
 
 
 class Recorder:
-    """Records a run in a state that is replaced as a whole, so that no interrupt can tear it."""
+    """Records a run in a `MacroState`, which is replaced as a whole after each accepted step.
+
+    So no interrupt can tear what is recorded. `begin` or a state to resume from comes first; then
+    `record` takes each step. For an audited law (`AuditedLaw`), `settle` says after each step
+    whether to go back to the last mark.
+
+    Args:
+        equations: of the run.
+        settings: of the macro scale: how many frames, and whether dissipation is recorded.
+        resume: the state from which a run continues; None: it begins.
+        begin: reading of `clock` when the run began, s; None: now.
+        keep_frame: takes each frame instead of the state, which then has their times alone.
+    """
 
     def __init__(
         self,
@@ -370,7 +421,10 @@ class Recorder:
             self._state = resume.copy()
 
     def begin(self, stepper: Stepper, work: Array) -> None:
-        """Record the start; `work` is that of the jump of prescribed velocities there."""
+        """Record the start of a run.
+
+        `work` is a row of `Works`, pJ: that of the jump of prescribed velocities at the start.
+        """
         now = stepper.now
         system = self._system
         state = MacroState(
@@ -385,12 +439,17 @@ class Recorder:
             **self._end_of_step(stepper, work),
         )
         journal = state.journal.written({"samples": np.empty((0, 1 + len(system.dissipating)))})
-        recorded = self._fields(state, journal, now, is_sample=True, is_frame=True)
+        recorded = self._at_end(state, journal, now, is_sample=True, is_frame=True)
         self._state = replace(state, **recorded, **self._spent())
+        # a law without dissipation gave no sample at the start, so none follows
         self._record_dissipation &= len(self._state.journal["samples"]) > 0
 
     def record(self, step: StepResult, stepper: Stepper) -> None:
-        """Record an accepted step, after which `stepper` stands at its end."""
+        """Record an accepted step, after which `stepper` stands at the step's end.
+
+        Output times within the step get rows by interpolation. A frame and a sample of the
+        dissipation are taken at its end, where one is due.
+        """
         before = self._state
         end = step.end
         journal = before.journal
@@ -400,24 +459,25 @@ class Recorder:
         if end.t >= self.end:
             due = self._t.size  # rounding may put the last one beyond the duration
         if due > passed:
-            first = self._forces(step.start)
-            last = self._forces(end)
+            forces_begin = self._forces(step.start)
+            forces_end = self._forces(end)
             for t in self._t[passed:due]:
                 within = min(t, end.t)
-                part = (within - begin) / step.length
-                forces = (1.0 - part) * first + part * last
+                fraction = (within - begin) / step.length
+                forces = (1.0 - fraction) * forces_begin + fraction * forces_end
                 work = before.work + step.work(within)
                 row = self._row(t, step.interpolate(within), work, forces)
                 journal = journal.written({"rows": row[None]})
         is_frame = self._frames_due(end.t) > self._frames_due(begin)
-        # Dissipation, which costs another call of the law, about every other output time.
+        # A sample of the dissipation costs another call of the law: so at about every other output
+        # time, and at the last.
         is_sample = due // 2 > passed // 2 or passed < due == self._t.size
         work = before.work + step.work(end.t)
-        recorded = self._fields(before, journal, end, is_sample=is_sample, is_frame=is_frame)
+        recorded = self._at_end(before, journal, end, is_sample=is_sample, is_frame=is_frame)
         self._state = replace(before, **recorded, **self._end_of_step(stepper, work))
 
     def _end_of_step(self, stepper: Stepper, work: Array) -> dict[str, Any]:
-        """Return where the run stands, and what it has spent so far, but for the seconds."""
+        """Return the fields of a state that say where the run stands, and what it has spent."""
         return {
             "t": stepper.now.t,
             "y": stepper.now.y,
@@ -430,7 +490,7 @@ class Recorder:
             **self._spent(),
         }
 
-    def _fields(
+    def _at_end(
         self,
         state: MacroState,
         journal: Journal,
@@ -439,47 +499,81 @@ class Recorder:
         is_sample: bool,
         is_frame: bool,
     ) -> dict[str, Any]:
-        """The journal, dissipation and extremes of a state, with those at `now` where due."""
-        energy, before = state.dissipated
+        """Return the journal, dissipation and extremes of a state with those of the step's end.
+
+        Args:
+            state: the state before the step.
+            journal: its journal, with the rows of the step.
+            now: the end of the step.
+            is_sample, is_frame: whether a sample of the dissipation, or a frame, is due.
+        """
+        energy, rates = state.dissipated
         if is_sample and self._record_dissipation:
-            # At rest nothing dissipates.
-            rates = self._equations.dissipation_rates(now) if now.v.any() else 0.0 * before
-            if rates is not None:
-                samples = journal["samples"]
-                since = now.t - samples[-1, 0] if len(samples) else 0.0
-                energy = energy + 0.5 * since * (before + rates)
-                before = rates
-                surface = self._system.surface
-                regions = self._system.regions.values()
-                sides = () if surface is None else surface.dissipation_rates(now.u, now.v)
-                row = [now.t, *(rates[elements].sum() for elements in regions), *sides]
-                journal = journal.written({"samples": np.array([row])})
+            journal, energy, rates = self._sampled(journal, now, energy, rates)
         if is_frame:
-            density = NOTHING
-            samples = journal["samples"]
-            space = self._system.discretisation
-            if len(samples):
-                density = (energy + (now.t - samples[-1, 0]) * before) / space.areas
-            sources = None if now.response.sources is None else now.response.sources()
-            kept = (self._frames_due(now.t) - 1) % POINTS_EVERY == 0 or now.t >= self.end
-            equations = self._equations
-            beyond = beyond_bifurcation(equations.law, equations.law_state)
-            frame = Frames.of(space, now, sources, density, beyond=beyond, points=kept)
-            if self._keep_frame is not None:
-                lengths = journal.lengths
-                counts = lengths.get("frames.t", 0), lengths.get("frames.point_t", 0)
-                self._keep_frame(frame, *counts)
-            times_alone = self._keep_frame is not None
-            journal = journal.written(frame_series(frame, times_alone=times_alone))
+            journal = self._with_frame(journal, now, energy, rates)
         extremes = state.extremes.copy()
         widen_extremes(extremes, now.F, now.F_dot)
         largest = float(np.sqrt((now.u**2).sum(axis=1).max()))
         return {
             "journal": journal,
-            "dissipated": np.stack([energy, before]),
+            "dissipated": np.stack([energy, rates]),
             "extremes": extremes,
             "largest_displacement": max(state.largest_displacement, largest),
         }
+
+    def _sampled(
+        self, journal: Journal, now: Evaluation, energy: Array, last_rates: Array
+    ) -> tuple[Journal, Array, Array]:
+        """Take a sample of the dissipation.
+
+        Args:
+            energy: (n_el,) dissipated up to the last sample, pJ.
+            last_rates: (n_el,) rates of dissipation there, pJ/µs.
+
+        Returns:
+            Journal, energy and rates with those of `now`, the energy by the trapezoidal rule; the
+            same as before where the law does not know its dissipation.
+        """
+        rates: Array | None
+        if now.v.any():
+            rates = self._equations.dissipation_rates(now)
+        else:
+            rates = 0.0 * last_rates  # at rest nothing dissipates
+        if rates is None:
+            return journal, energy, last_rates
+        samples = journal["samples"]
+        since = now.t - samples[-1, 0] if len(samples) else 0.0
+        energy = energy + 0.5 * since * (last_rates + rates)
+        surface = self._system.surface
+        of_regions = [rates[elements].sum() for elements in self._system.regions.values()]
+        of_sides = () if surface is None else surface.dissipation_rates(now.u, now.v)
+        row = [now.t, *of_regions, *of_sides]
+        return journal.written({"samples": np.array([row])}), energy, rates
+
+    def _with_frame(
+        self, journal: Journal, now: Evaluation, energy: Array, rates: Array
+    ) -> Journal:
+        """Return the journal with the frame of `now`, or with its time where frames are given away.
+
+        The energy since the last sample is extrapolated by the rates there.
+        """
+        density = NOTHING
+        samples = journal["samples"]
+        space = self._system.discretisation
+        if len(samples):
+            density = (energy + (now.t - samples[-1, 0]) * rates) / space.areas
+        sources = None if now.response.sources is None else now.response.sources()
+        with_points = (self._frames_due(now.t) - 1) % POINTS_EVERY == 0 or now.t >= self.end
+        equations = self._equations
+        beyond = beyond_bifurcation(equations.law, equations.law_state)
+        frame = Frames.of(space, now, sources, density, beyond=beyond, points=with_points)
+        if self._keep_frame is not None:
+            frames_before = journal.lengths.get("frames.t", 0)
+            points_before = journal.lengths.get("frames.point_t", 0)
+            self._keep_frame(frame, frames_before, points_before)
+        times_alone = self._keep_frame is not None
+        return journal.written(frame_series(frame, times_alone=times_alone))
 
     @property
     def t(self) -> float:
@@ -487,16 +581,18 @@ class Recorder:
         return self._state.t
 
     def watch(self, resume: MacroState | None) -> None:
-        """From here on an audited law is asked after every step whether what was recorded stands;
-        the window of the state that the run continues from does so, too, where the law knows it.
+        """Begin to ask an audited law after every step whether the recorded steps stand.
+
+        Where the run resumes within a window of steps that the law knows, that window continues;
+        else a window begins here.
         """
         if self._audits.watch(has_mark=resume is not None and resume.mark is not None):
             self._mark()
 
     def settle(self, *, final: bool = False) -> MacroState | None:
-        """The state to go back to where the steps since the mark do not stand, else None.
+        """Return the state to go back to where the steps since the mark do not stand, else None.
 
-        final: no step follows, or none can.
+        With `final` no step follows, or none can, so the law must decide.
         """
         return self._audits.settle(self.t, self._mark, self._go_back, final=final)
 
@@ -509,14 +605,16 @@ class Recorder:
         return self._audits.report(finished=finished)
 
     def _mark(self) -> None:
-        """Let what was recorded so far stand."""
+        """Let what was recorded so far stand, and go back to here if what follows does not."""
         self._audits.mark(self.t)
         marked = replace(self._state, law_state=None, mark=None)
         self._state = replace(self._state, mark=marked)
 
     def _go_back(self) -> MacroState:
-        """The state at the mark, by the law's state as it is now, with its counts; what has been
-        counted since is rolled back."""
+        """Go back to the mark, and return the state there, with the law's state as it is now.
+
+        What was counted since the mark moves to `rolled_back`.
+        """
         mark = self._state.mark
         spent = self._spent()
         assert mark is not None
@@ -535,7 +633,8 @@ class Recorder:
 
     @property
     def may_be_kept(self) -> bool:
-        """Not in a step that the law is asked to commit: it may have taken down a part of it."""
+        """Whether the state may be kept: not while the law commits a step, of which it may have
+        recorded only a part."""
         return not self._equations.is_committing
 
     def checkpoint(self) -> MacroState:
@@ -547,17 +646,20 @@ class Recorder:
         return replace(self._state, wall_time=self._seconds(), **self._spent())
 
     def _spent(self) -> dict[str, Any]:
+        """Return counts and effort of the law so far, as fields of a state."""
         tally = self._equations.tally
         counts = {name: tally.counts[name] for name in COUNTS}
         return {"counts": counts, "effort": dict(tally.effort)}
 
     def _seconds(self) -> dict[str, float]:
+        """Return the seconds of the run so far: all, of the law, of the rest, and of processors."""
         total = clock() - self._started
         law = self._equations.tally.law_seconds
         cpu = cpu_clock() - self._cpu_started
         return {"total": total, "law": law, "macro": total - law, "cpu": cpu}
 
     def _frames_due(self, t: float) -> int:
+        """Return how many frames are due up to t."""
         return int(np.searchsorted(self._frame_fractions, t, side="right"))
 
     def _forces(self, now: Evaluation) -> Array:
@@ -565,7 +667,7 @@ class Recorder:
         return self._system.resultants(now.forces, self._equations.reaction(now))
 
     def _row(self, t: float, y: Array, work: Array, forces: Array) -> Array:
-        """What `columns_of` lists; points beyond a bifurcation are those at the end of the step."""
+        """Return what `columns_of` lists; points beyond a bifurcation are those after the step."""
         equations = self._equations
         motion = self._system.spread(y, t, equations.within)
         beyond = count_beyond(equations.law, equations.law_state)

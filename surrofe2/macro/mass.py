@@ -1,7 +1,7 @@
 """The consistent mass of the tissue, and its inverse, which every evaluation of a run applies once.
 
-Up to `DENSE_LIMIT` unknowns the inverse is a dense matrix. Beyond, the mass is factorised sparsely,
-and x and y, which it never couples, are solved for in the same pass over one factor.
+Up to `DENSE_LIMIT` unknowns the inverse is a dense matrix. Beyond, the mass is factorised sparsely.
+It never couples x and y, so both are solved for in the same pass over one factor.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from surrofe2.base.arrays import Array, Index
 from surrofe2.base.compilation import kernel
 from surrofe2.macro.elements import Matrix
 
+# Unknowns up to which the mass is inverted and not factorised: such a product is as fast.
 DENSE_LIMIT = 200
-"""Unknowns up to which the mass is inverted and not factorised: such a product is as fast."""
 
 
 def tissue_mass(mesh: skfem.Mesh, density: Array) -> Matrix:
-    """(2 n_nodes, 2 n_nodes) consistent mass, ng, sparse.
+    """Compute the consistent mass (2 n_nodes, 2 n_nodes), ng, sparse.
 
-    Eq. 59 with the reference density (n_el,), ng/µm², over the reference area, which mass
+    It is eq. 59 with the reference density (n_el,), ng/µm², over the reference area, which mass
     conservation makes constant.
     """
     basis = skfem.Basis(mesh, mesh.elem())
@@ -37,7 +37,7 @@ def tissue_mass(mesh: skfem.Mesh, density: Array) -> Matrix:
 
 
 def mass_solver(mass: Matrix, free: Index) -> Callable[[Array], Array]:
-    """Inverse of the mass (m, m) between the free unknowns, applied to (m,)."""
+    """Make the inverse of the mass (m, m) between the free unknowns, applied to (m,)."""
     if mass.shape[0] <= DENSE_LIMIT:
         inverse = np.linalg.inv(mass.toarray())
         return lambda r: inverse @ r
@@ -52,7 +52,9 @@ def mass_solver(mass: Matrix, free: Index) -> Callable[[Array], Array]:
 
 
 def _are_free_alike(free: Index) -> bool:
-    """Tell whether x and y of each node or body are free together, so that both have one factor."""
+    """Return whether x and y of each node or body are free together, so that both have one
+    factor.
+    """
     x = free[::2]
     y = free[1::2]
     return np.array_equal(x + 1, y) and not (x % 2).any()
@@ -71,9 +73,10 @@ def _factorised(mass: Matrix) -> Any:
 
 
 class MassFactor(NamedTuple):
-    """P M Pᵀ = L D Lᵀ of a mass M (n, n), L unit lower triangular; kernels take it as it is.
+    """The factor P M Pᵀ = L D Lᵀ of a mass M (n, n), L unit lower triangular.
 
-    Indices are unsigned: for others numba adds a test for counting from the end to every access.
+    Kernels take it as it is. Indices are unsigned: for others numba adds a test for counting from
+    the end to every access.
 
     Attributes:
         begins: (n + 1,) where the columns of L begin.
@@ -90,7 +93,7 @@ class MassFactor(NamedTuple):
 
     @classmethod
     def of(cls, lu: Any) -> MassFactor | None:
-        """The symmetric factor in what SuperLU computed; None where it moved a pivot."""
+        """Take the symmetric factor from what SuperLU computed; None where it moved a pivot."""
         if not np.array_equal(lu.perm_r, lu.perm_c):
             return None
         below = scipy.sparse.tril(lu.L, -1, "csc")
@@ -106,7 +109,7 @@ class MassFactor(NamedTuple):
 
 @kernel
 def solve_both(factor: Any, r: Any) -> Array:
-    """M⁻¹ r (2 n,), components x and y of each row one after the other."""
+    """Solve M x = r (2 n,), for the components x and y of each row at once."""
     begins = factor.begins
     rows = factor.rows
     values = factor.values

@@ -16,8 +16,10 @@ from surrofe2.macro.rest import Rest
 
 Complex = NDArray[np.complex128]
 
+# Number of unknowns up to which all eigenvalues are computed.
 DENSE_LIMIT = 400
-"""Number of unknowns up to which all eigenvalues are computed."""
+# A part of λ that is smaller relative to |λ| is rounding.
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +58,13 @@ class Modes:
 
     @property
     def stable(self) -> bool:
-        """Tell whether no motion found grows."""
+        """Whether no motion that was computed grows."""
         grown = np.append(self.eigenvalues.real, self.creeping)
-        return bool((grown <= 1e-9 * abs(self.eigenvalues).max(initial=0.0)).all())
+        return bool((grown <= _ROUNDING * abs(self.eigenvalues).max(initial=0.0)).all())
 
 
 def find_modes(rest: Rest, count: int = 6) -> Modes:
-    """The `count` slowest oscillations of M ü + C u̇ + K u = 0 about `rest`.
+    """Compute the `count` slowest oscillations of M ü + C u̇ + K u = 0 about `rest`.
 
     With z = [u, u̇] this is A z = λ B z, A = [[0, I], [−K, −C]], B = [[I, 0], [0, M]]: dense up
     to 400 unknowns, else by Arnoldi's method about λ = 0 with A factorised.
@@ -80,10 +82,11 @@ def find_modes(rest: Rest, count: int = 6) -> Modes:
     if size <= DENSE_LIMIT:
         values, vectors = eig(A.toarray(), B.toarray())
     else:
-        # The start vector is fixed, so the answer is as well.
+        # Eigenvalues come in pairs, and some are real, so more than twice as many are asked for.
+        # The start vector is fixed, so that the answer is as well.
         start = np.ones(A.shape[0])
         values, vectors = eigs(A, k=2 * count + 4, M=B, sigma=0.0, v0=start)
-    oscillating = np.flatnonzero(values.imag > 1e-9 * abs(values))
+    oscillating = np.flatnonzero(values.imag > _ROUNDING * abs(values))
     chosen = oscillating[np.argsort(values[oscillating].imag)][:count]
     if size > DENSE_LIMIT and chosen.size < count:
         raise SimulationError(
@@ -95,5 +98,5 @@ def find_modes(rest: Rest, count: int = 6) -> Modes:
     everywhere = np.zeros((len(shapes), 2 * rest.system.n_rows), dtype=complex)
     everywhere[:, rest.system.free] = shapes / largest[:, None]
     shapes = everywhere.reshape(len(shapes), rest.system.n_rows, 2)
-    real = values[abs(values.imag) <= 1e-9 * abs(values)].real
+    real = values[abs(values.imag) <= _ROUNDING * abs(values)].real
     return Modes(values[chosen], shapes, np.sort(real)[::-1])

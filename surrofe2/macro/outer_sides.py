@@ -1,5 +1,8 @@
-"""Outer sides of the tissue that meet others: nothing keeps them apart, since FE² has contact with
-rigid bodies alone, so it is counted where they cross."""
+"""Outer sides of the tissue that cross each other.
+
+Nothing keeps them apart, since FE² has contact with rigid bodies alone; so their crossings are
+counted and reported.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,9 @@ class OuterSides:
         """Return the pieces of a mesh, two for each side that has a node in its middle."""
         sides = facet_nodes(mesh, mesh.boundary_facets())
         if sides.shape[1] == 3:
-            sides = np.concatenate([sides[:, [0, 2]], sides[:, [2, 1]]])
+            sides = np.concatenate(
+                [sides[:, [0, 2]], sides[:, [2, 1]]]
+            )  # by the node in the middle
         return OuterSides(sides)
 
     def crossings(self, x: Array) -> int:
@@ -54,7 +59,7 @@ class OuterSides:
 
 
 def _parts(a: Array, b: Array, p: Array, q: Array) -> Flags:
-    """Tell where the straight line through a and b parts p from q, all (n, 2)."""
+    """Return where the straight line through a and b has p and q on different sides, all (n, 2)."""
     along = b - a
     side_of_p = along[:, 0] * (p - a)[:, 1] - along[:, 1] * (p - a)[:, 0]
     side_of_q = along[:, 0] * (q - a)[:, 1] - along[:, 1] * (q - a)[:, 0]

@@ -10,8 +10,8 @@ from surrofe2.base.settings import check_settings, setting
 from surrofe2.base.units import TIME
 from surrofe2.problem.conditions import FREE, checked_sides
 
+# An absolute tolerance to advise, over the relative one times the largest displacement.
 SMALL = 0.01
-"""Of the relative tolerance times the largest displacement: an absolute tolerance to advise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +53,8 @@ class MacroSettings:
         check_settings(self, "macro")
 
     def remark(self, largest: float) -> str | None:
-        """Return what to say of a run whose largest displacement was so many µm; None: nothing.
+        """Advise on the absolute tolerance of a run, by its largest displacement in µm; None: no
+        advice.
 
         Where the absolute tolerance exceeds what the relative one allows of the largest
         displacement, steps are as long as stability or that tolerance bears, whatever the motion.
@@ -81,7 +82,7 @@ class RestSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurfaceSettings:
-    """Which sides of the tissue have the surface law of their plant cells."""
+    """The sides of the tissue that have the surface law of their plant cells."""
 
     on: tuple[str, ...] | Literal["free"] = setting(
         FREE, 'list of boundaries; "free": all outer sides that no condition and no body names',
@@ -92,5 +93,5 @@ class SurfaceSettings:
         object.__setattr__(self, "on", checked_sides(self.on))
 
 
+# The settings of the bar in the paper's section 6.2.
 SECTION_6_2 = MacroSettings()
-"""The bar of the paper's section 6.2."""

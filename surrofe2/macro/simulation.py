@@ -1,4 +1,4 @@
-"""A macro run from start to end: `simulate`, and what it hands back."""
+"""A macro run from start to end: `simulate`, and its result."""
 
 from __future__ import annotations
 
@@ -44,24 +44,32 @@ class MacroRun(ViewedRun):
     """A run, or with `finished` False the part of it that was computed.
 
     Attributes:
-        curve: displacement of the first watched point at the output times; curves: of all by name.
-        energies: by name, (m,) arrays in pJ at the output times: `kinetic` energy; `internal` and,
-            by the names of the conditions, the work of the internal and of all other forces since
-            t = 0, integrated along with the equations of motion by the same method; `elastic`,
-            internal − dissipated; `motion`, the work of prescribed motion; `contact`, what is
-            stored in contact, and `contact dissipated`, what its dashpots and friction took,
-            together minus the work of bodies; `numerical`, what the method and its interpolation
-            dissipated, the work of inertia M ü − gain of kinetic energy; `balance`, all other works
-            − gain of kinetic energy − internal − numerical, zero to rounding or Newton's tolerance;
-            `dissipated`, the work of the stress in excess of σ(F, 0), by the trapezoidal rule from
-            samples at the ends of steps (second order), NaN where not recorded, and by region
-            ``dissipated NAME``; `surface`, the work of the surface tension of free sides, and by
-            boundary ``dissipated surface NAME``.
+        curve: displacement of the first watched point at the output times.
+        curves: those of all watched points by name.
+        energies: by name, (m,) arrays in pJ at the output times:
+
+            kinetic: kinetic energy.
+            internal, and names of conditions: work of the internal and of all other forces since
+                t = 0, integrated along with the equations of motion by the same method.
+            elastic: internal − dissipated.
+            motion: work of prescribed motion.
+            surface: work of the surface tension of free sides.
+            contact: energy stored in contact.
+            contact dissipated: what its dashpots and friction took. Both together are minus the
+                work of bodies.
+            numerical: what the method and its interpolation dissipated, the work of inertia M ü −
+                gain of kinetic energy.
+            balance: all other works − gain of kinetic energy − internal − numerical, zero to
+                rounding or Newton's tolerance.
+            dissipated: work of the stress in excess of σ(F, 0), by the trapezoidal rule from
+                samples at the ends of steps (second order), NaN where not recorded; by region
+                ``dissipated NAME``, by boundary with a surface law ``dissipated surface NAME``.
         history: by name, (m,) arrays at the output times: mean displacement of boundaries (µm),
             forces of supports, surface loads and bodies on the tissue (µN), positions and
-            penetration of bodies (µm), impulses of bodies on the tissue since t = 0 (µN µs); forces
+            penetration of bodies (µm), impulses of bodies on the tissue since t = 0 (µN µs). Forces
             are linear between ends of steps, impulses are integrated along the steps.
-        nodes: (n_nodes, 2) reference positions, µm; elements: (n_el, 4 or 6) their nodes.
+        nodes: (n_nodes, 2) reference positions, µm.
+        elements: (n_el, 4 or 6) nodes of each element.
         rest: (n_nodes, 2) displacement of a tissue with free sides when it comes to rest before the
             run, from which all others count, µm; (0, 2) without.
         frames: whole fields at a few times; of those that `keep_frame` took the times alone.
@@ -72,13 +80,15 @@ class MacroRun(ViewedRun):
         counts: `steps` accepted that stand, on the way to them `rejected_steps` as too inaccurate,
             `failed_trials` without stress or turned back by the law, `right_hand_sides`,
             `stress_calls` and `stress_points` of those, `dissipation_points` and
-            `dissipation_failures` of the questions for σ(F, 0), which come on top.
+            `dissipation_failures` of the calls for σ(F, 0), which come on top.
         effort: sums of what the law's answers cost, those for dissipation included.
         rolled_back: the same counts and sums, over what an audited law took back.
-        cache: what an audited law reports of this run, as of its end; None of other laws.
-        decisions: of an audited law on windows of steps of this run; None of other laws.
-        threads: that numba could use. finished: whether the end of the problem was reached.
-        problem, law, settings: as `simulate` was given them."""
+        cache: report of an audited law on this run, as of its end; None of other laws.
+        decisions: those of an audited law on windows of steps of this run; None of other laws.
+        threads: number that numba could use.
+        finished: whether the end of the problem was reached.
+        problem, law, settings: those of the call of `simulate`.
+    """
 
     nodes: Array
     elements: Index
@@ -99,6 +109,7 @@ class MacroRun(ViewedRun):
     decisions: Sequence[Mapping[str, Any]] | None = None
 
     def facts(self) -> Facts:
+        """Return what a notebook shows of the run."""
         remark = self.settings.remark(self.largest_displacement)
         return {
             "law": self.law,
@@ -109,6 +120,7 @@ class MacroRun(ViewedRun):
         }
 
     def fields_over_time(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Return the whole fields and their coordinates, as xarray takes them."""
         frames = self.frames
         entries = dict[str, Any]()
         for name, at, values, unit in (
@@ -129,11 +141,11 @@ class MacroRun(ViewedRun):
 
     @property
     def basis(self) -> skfem.Basis:
-        """scikit-fem's basis of displacements, made at every call."""
+        """scikit-fem's basis of displacements, made at every access."""
         return displacement_basis(self.problem.mesh)
 
     def displacement(self, frame: int = -1) -> Array:
-        """(2 n_nodes,) displacement of a frame as a nodal vector of `basis`, µm.
+        """Return the displacement of a frame as a nodal vector (2 n_nodes,) of `basis`, µm.
 
         Examples:
             The strain that scikit-fem computes from it, by component, element and quadrature point:
@@ -168,30 +180,31 @@ def simulate(
     closing: Callable[[int, int], None] | None = None,
     keep_frame: KeepFrame | None = None,
 ) -> MacroRun:
-    """Motion of a tissue under all that acts on it (sections 4 and 6.2).
+    """Compute the motion of a tissue under all that acts on it (sections 4 and 6.2).
 
     M ü = forces − ∫ σ ∇N dv, the stress by selective reduced integration, in time by
     Dormand–Prince 5(4) or, with `settings.integrator` "implicit", by generalised-α, for which the
-    law must give tangents. The law is asked at all points at once; a step with a point that has no
-    stress, or whose end the law does not accept, is tried again at half the length.
+    law must give tangents. The law is called for all points at once; a step with a point that has
+    no stress, or whose end the law does not accept, is tried again at half the length.
 
     Args:
         problem: the tissue and what acts on it.
         law: any stress law; its density times the area is the mass.
-        settings: tolerances, what is kept.
+        settings: tolerances, and what is recorded.
         system: of this problem and law, where runs share one (`System.under`); None: it is made.
         progress: called with (t, duration) in µs after every step; True: a line of the standard
             error shows it.
         checkpoint: called with the state of the run every `checkpoint_interval` seconds, less often
-            where that takes long, and upon an interrupt, which then goes its way; but not in a step
-            that the law has been asked to commit, of which it may have taken down a part.
+            where that takes long, and upon an interrupt, which then continues; but not in a step
+            that the law has been asked to commit, of which it may have recorded a part.
+        checkpoint_interval: s.
         resume: a state that `checkpoint` was given, of the same problem and density. The results
             are those of the uninterrupted run to the bit where the law resumes from
             `MacroState.law_state`, or has no state; else it starts cold.
         closing: called with how many answers the closing audit of an audited law has compared, and
             of how many, after each batch at the end of the run.
         keep_frame: takes whole fields as they come, which are then neither in the results nor in
-            the states of checkpoints, but for their times.
+            the states of checkpoints, except for their times.
 
     Raises:
         InputError: `checkpoint_interval` is negative, the problem names what its mesh has not, or
@@ -219,7 +232,7 @@ def simulate(
         >>> sorted(run.energies)
         ['balance', 'dissipated', 'elastic', 'internal', 'kinetic', 'load', 'numerical']
     """
-    inputs = problem, law, settings
+    inputs = (problem, law, settings)
     system = system or system_of(problem, law)
     for contact in system.contacts:
         contact.check_start()
@@ -233,7 +246,7 @@ def simulate(
             begin_at_rest(equations, problem, settings, resume)
         system = equations.system
     recorder = Recorder(equations, settings, resume, begin, keep_frame)
-    # BLAS has vectors to add up here; its threads would stand in the way of those of the law.
+    # BLAS only adds up vectors here; its threads would take cores from those of the law.
     with one_blas_thread():
         stepper = _make_stepper(equations, settings, recorder, resume)
         return carry_out(
@@ -263,7 +276,7 @@ def _steps(
         failure = None
         try:
             recorder.record(stepper.advance(), stepper)
-        except SimulationError as error:  # wrong answers may have led there
+        except SimulationError as error:  # wrong answers of a surrogate may have led there
             failure = error
         back = recorder.settle(final=failure is not None or stepper.now.t >= recorder.end)
         if back is not None:
@@ -277,10 +290,11 @@ def _steps(
 
 
 def make_method(equations: EquationsOfMotion, settings: MacroSettings) -> Method:
-    """The time integration that `settings` ask for."""
+    """Make the time integration that `settings` ask for."""
     if settings.integrator == "implicit":
         return GeneralisedAlpha(equations, settings)
-    tolerances = settings.absolute_tolerance, settings.relative_tolerance
+    tolerances = (settings.absolute_tolerance, settings.relative_tolerance)
+    # with contact, steps must also keep energy
     mass = equations.system.free_mass if equations.system.contacts else None
     return DormandPrince(equations.evaluate, *tolerances, mass)
 
@@ -291,7 +305,11 @@ def _make_stepper(
     recorder: Recorder,
     resume: MacroState | None,
 ) -> Stepper:
-    """A stepper at t = 0, recorded, or where `resume` was taken."""
+    """Make a stepper at t = 0, which is recorded, or at the state to resume from.
+
+    Raises:
+        SimulationError: the law has no stress at the start.
+    """
     method = make_method(equations, settings)
     tally = equations.tally
     end = recorder.end
@@ -307,9 +325,8 @@ def _make_stepper(
     tally.counts = Counter(resume.counts)
     tally.effort = Counter(resume.effort)
     tally.law_seconds = resume.wall_time["law"]
-    where = resume.t, resume.y, resume.stress, resume.law_state
-    going_on = equations.resume(*where, resume.drags)
-    return Stepper(equations, method, settings, end, going_on, resume.next_step, resume.memory)
+    start = equations.resume(resume.t, resume.y, resume.stress, resume.law_state, resume.drags)
+    return Stepper(equations, method, settings, end, start, resume.next_step, resume.memory)
 
 
 def _make_run(
@@ -318,7 +335,7 @@ def _make_run(
     inputs: tuple[Problem, StressLaw, MacroSettings],
     finished: bool,
 ) -> MacroRun:
-    """The results that were recorded of the `inputs` of `simulate`."""
+    """Make the result of a run from what was recorded; `inputs` are those of `simulate`."""
     report = recorder.report(finished=finished)
     state = recorder.state()
     problem, law, settings = inputs
@@ -337,12 +354,13 @@ def _make_run(
     inertia = works.pop("inertia")
     contact = {}
     if system.contacts:
-        done = sum(works[each.name] for each in system.contacts)
-        contact = {"contact": columns["contact"], "contact dissipated": -done - columns["contact"]}
-    dissipated = {
-        f"dissipated {name}".strip(): _dissipated(t, samples[:, [0, 1 + k]])
-        for k, name in enumerate(system.dissipating)
-    }
+        work_of_contacts = sum(works[body.name] for body in system.contacts)
+        stored = columns["contact"]
+        contact = {"contact": stored, "contact dissipated": -work_of_contacts - stored}
+    dissipated = {}
+    for k, name in enumerate(system.dissipating, 1):  # the first column is the time
+        # the whole tissue has the empty name
+        dissipated[f"dissipated {name}".strip()] = _dissipated(t, samples[:, [0, k]])
     return MacroRun(
         curve=next(iter(curves.values())),
         energies={
@@ -378,17 +396,31 @@ def _make_run(
 
 
 def _dissipated(t: Array, samples: Array) -> Array:
-    """(r,) ∫ rate dt at the output times, the rate linear between samples as it is for fields."""
+    """Integrate a rate of dissipation up to the output times, (r,) pJ.
+
+    The rate is linear between samples, as it is for fields. Behind the last sample, and without
+    any, the energy is NaN, except at t = 0.
+
+    Args:
+        samples: (s, 2) time and rate, µs and pJ/µs.
+    """
     if not len(samples):
         return np.where(t == 0.0, 0.0, np.nan)
     sampled, rate = samples.T
-    every = np.union1d(sampled, t[t <= sampled[-1]])
-    rates = np.interp(every, sampled, rate)
-    done = np.cumsum(0.5 * np.diff(every) * (rates[1:] + rates[:-1]))
-    return np.interp(t, every, np.append(0.0, done), right=np.nan)
+    times = np.union1d(sampled, t[t <= sampled[-1]])
+    rates = np.interp(times, sampled, rate)
+    energy = np.cumsum(0.5 * np.diff(times) * (rates[1:] + rates[:-1]))
+    return np.interp(t, times, np.append(0.0, energy), right=np.nan)
 
 
 def _check_same_run(state: MacroState, system: System, settings: MacroSettings) -> None:
+    """Check that a state to resume from is of this problem and integrator.
+
+    At a corner of an amplitude every method begins anew, so there the integrator may change.
+
+    Raises:
+        MismatchError: naming the part that differs.
+    """
     begun = "implicit" if state.memory.size else "explicit"
     corner = state.t in system.problem.corners()
     if state.t > 0.0 and begun != settings.integrator and not corner:

@@ -38,7 +38,10 @@ from surrofe2.problem.problem import (
 T = TypeVar("T", Contact, SurfaceForce)
 
 
-NO_IMPULSES = np.empty(0)
+NO_IMPULSES = np.empty(0)  # of no bodies, or at rest
+
+# Uniaxial strain by which the modulus of a law is computed, as a difference.
+_PROBE_STRAIN = 1e-4
 
 
 class Works(NamedTuple):
@@ -49,10 +52,10 @@ class Works(NamedTuple):
     Attributes:
         internal: of the internal force, which the tissue takes up.
         forces: (k,) of each of `System.forces`.
-        motion: of what moves supports.
+        motion: of the forces that move supports.
         inertia: of M ü, the gain of kinetic energy.
-        impulses: (2 b,) beside the works, x and y of the impulse of each of b bodies on the tissue,
-            µN µs, or of their forces, µN; empty at rest.
+        impulses: (2 b,) x and y of the impulse of each of b bodies on the tissue, µN µs, or of
+            their forces, µN; empty at rest. They are no works, but are summed in the same way.
     """
 
     internal: float
@@ -63,30 +66,39 @@ class Works(NamedTuple):
 
     @property
     def row(self) -> Array:
-        """(k + 3 + 2 b,) all of them, for arithmetic and for columns: works by `names_of_works`,
-        then impulses by `names_of_impulses`."""
+        """All of them in one row (k + 3 + 2 b,), for arithmetic and for columns.
+
+        It has the works in the order of `names_of_works`, then impulses as `names_of_impulses`.
+        """
         works = [self.internal, *self.forces, self.motion, self.inertia]
         return np.array([*works, *self.impulses])
 
 
 @dataclass(frozen=True, slots=True)
 class System:
-    """Everything of a problem that never changes.
+    """All of a discrete problem that does not change during a step.
 
     Attributes:
-        problem, discretisation: of which it is made, and its finite elements.
-        mass_of: (2 n_nodes, 2 n_nodes) mass of a share (n_el,) of each element and its sides, ng.
-        mass: (2 n, 2 n) ng, of n nodes and bodies; free_mass: (m, m) between the free unknowns.
-        free: (m,) unknowns that move freely, increasing. supports: of the others.
+        problem: what it is made of.
+        discretisation: its finite elements.
+        mass_of: mass (2 n_nodes, 2 n_nodes) of a fraction (n_el,) of each element and its sides,
+            ng.
+        mass: (2 n, 2 n) ng, of n nodes and bodies.
+        free_mass: (m, m) that between the free unknowns.
+        free: (m,) unknowns that move freely, increasing.
+        supports: what holds or moves the others.
         forces: besides the tissue's own.
         solve_mass: inverse of the mass of the free unknowns, applied to (m,).
         initial_velocity: (n, 2) µm/µs.
         outer_sides: those of the tissue, which may meet.
-        probes: (k, n) weights of the displacements that are recorded, watched points and means of
-            boundaries that are acted on by unloaded length; probe_names: what they are.
+        probes: (k, n) weights of the displacements that are recorded: of watched points, and of
+            means of boundaries that are acted on, by unloaded length.
+        probe_names: (k,) their names.
         rest: (n, 2) displacement of the mesh at rest under surface tension alone, from which all
             others count, µm; None: none.
-        moving: supports that move. n_rows: nodes and rigid bodies."""
+        moving: supports that move.
+        n_rows: n, number of nodes and rigid bodies.
+    """
 
     problem: Problem
     discretisation: Discretisation
@@ -122,12 +134,14 @@ class System:
         return last if isinstance(last, SurfaceForce) else None
 
     def under(self, problem: Problem) -> System:
-        """The system of a problem that differs in sizes and courses of loads, motions and initial
-        velocities alone, and in its times."""
+        """Return the system of a problem that differs only in how much and when it loads or moves.
+
+        Sizes and courses of loads and motions, initial velocities, and times may be others.
+        """
         supports = _supports(problem)
         n = self.n_rows
         loads = make_loads(problem, self.mass_of, n)
-        others = (each for each in self.forces if isinstance(each, Contact | SurfaceForce))
+        others = [force for force in self.forces if isinstance(force, Contact | SurfaceForce)]
         return replace(
             self,
             problem=problem,
@@ -137,18 +151,23 @@ class System:
         )
 
     def with_forces(self, kind: type[T], change: Callable[[T], Force]) -> System:
-        """The same with each force of a kind changed."""
-        forces = (change(each) if isinstance(each, kind) else each for each in self.forces)
+        """Return the same system with each force of a kind changed."""
+        forces = []
+        for force in self.forces:
+            forces.append(change(force) if isinstance(force, kind) else force)
         return replace(self, forces=tuple(forces))
 
     def gripped(self, u: Array, drags: Mapping[str, Array]) -> System:
-        """The same with contacts whose points stick from the displacement u (n, 2) on.
+        """Return the same system with contacts whose points stick from the displacement u (n, 2)
+        on.
 
-        drags: by body, friction of the springs there, µN/µm; contacts of other bodies stay as they
-            are, since those with a slip speed do not stick in time.
+        Args:
+            drags: friction of the springs there, µN/µm, by name of the body; contacts of other
+                bodies stay as they are, since those with a slip speed do not stick in time.
         """
 
         def change(contact: Contact) -> Contact:
+            """Return a contact with its new grip, where it has one."""
             if contact.name not in drags:
                 return contact
             return replace(contact, grip=Grip(u, drags[contact.name]))
@@ -157,26 +176,31 @@ class System:
 
     @property
     def drags(self) -> dict[str, Array]:
-        """By body whose points stick, friction of the springs at the last grip, µN/µm."""
-        return {
-            each.name: each.grip.drag
-            for each in self.contacts
-            if each.sticks and each.grip is not None
-        }
+        """Friction of the springs at the last grip, µN/µm, by name of a body whose points stick."""
+        drags = {}
+        for contact in self.contacts:
+            if contact.sticks and contact.grip is not None:
+                drags[contact.name] = contact.grip.drag
+        return drags
 
     def from_rest(self, rest: Array) -> System:
-        """The same with displacements that count from `rest` (n, 2)."""
+        """Return the same system with displacements that count from `rest` (n, 2)."""
         return replace(
             self.with_forces(SurfaceForce, lambda force: force.from_rest(rest)), rest=rest
         )
 
     def from_mesh(self, u: Array) -> Array:
-        """(n, 2) displacement of the mesh itself where all else knows u."""
+        """Return (n, 2), the displacement of the mesh where u counts from the rest."""
         return u if self.rest is None else u + self.rest
 
     def spread(self, y: Array, t: float, within: float) -> tuple[Array, Array]:
-        """Displacement and velocity (n, 2) of all rows from y (2 m,) and the prescribed motion."""
-        u, v = np.zeros((2, 2 * self.n_rows))
+        """Return displacement and velocity (n, 2) of all rows, from y (2 m,) and the prescribed
+        motion.
+
+        `within` is a time in the step, by which amplitudes with jumps know their side of it.
+        """
+        u = np.zeros(2 * self.n_rows)
+        v = np.zeros(2 * self.n_rows)
         m = self.free.size
         u[self.free] = y[:m]
         v[self.free] = y[m:]
@@ -187,27 +211,29 @@ class System:
         return u.reshape(-1, 2), v.reshape(-1, 2)
 
     def pick(self, rows: Array) -> Array:
-        """(m,) free unknowns of (n, 2)."""
+        """Return the free unknowns (m,) of rows (n, 2)."""
         return rows.ravel()[self.free]
 
     def inertia(self, a: Array) -> Array:
-        """(n, 2) mass times (n, 2) of all rows."""
+        """Return mass times rows (n, 2)."""
         return np.asarray(self.mass @ a.ravel()).reshape(-1, 2)
 
     def prescribed_acceleration(self, t: float, within: float) -> Array | None:
-        """(n, 2) of supports that move, zero elsewhere; None if none accelerates."""
+        """Return (n, 2), the acceleration of supports that move, zero elsewhere; None if none
+        accelerates.
+        """
         if not self.moving:
             return None
         a = np.zeros(2 * self.n_rows)
         accelerates = False
         for support in self.moving:
-            second = support.amplitude.at(t, within)[2]
+            _, _, second = support.amplitude.at(t, within)
             a[support.unknowns] = second * support.largest
             accelerates |= second != 0.0
         return a.reshape(-1, 2) if accelerates else None
 
     def start(self, within: float) -> tuple[Array, Array]:
-        """Return y at t = 0, and the works (k + 3,) of what sets supports into motion.
+        """Return y at t = 0, and the row of works of what sets supports into motion.
 
         Raises:
             InputError: as of `Problem.check_course`.
@@ -218,15 +244,17 @@ class System:
         return self._driven(y, self.initial_velocity, 0.0, within)
 
     def across_corner(self, y: Array, t: float, before: float, after: float) -> tuple[Array, Array]:
-        """Return y behind a corner of an amplitude, and the works (k + 3,) of the jump.
+        """Return y behind a corner of an amplitude, and the row of works of the jump.
 
         Where a prescribed velocity jumps, the free velocities follow so that the momentum of every
         free unknown is kept. `before` and `after` are times within the pieces on both sides.
         """
-        return self._driven(y, self.spread(y, t, before)[1], t, after)
+        _, v_before = self.spread(y, t, before)
+        return self._driven(y, v_before, t, after)
 
     def _driven(self, y: Array, v: Array, t: float, after: float) -> tuple[Array, Array]:
-        """Return y with the velocities behind a jump of the supports', and the works of the jump.
+        """Return y with the velocities behind a jump of the supports', and the row of works of the
+        jump.
 
         Args:
             v: (n, 2) velocities before the jump, µm/µs.
@@ -234,16 +262,17 @@ class System:
         """
         none = np.zeros(len(self.forces))
         no_impulses = np.zeros(len(self.names_of_impulses))
-        jump = self.spread(y, t, after)[1] - v
+        _, v_of_supports = self.spread(y, t, after)
+        jump = v_of_supports - v
         jump.ravel()[self.free] = 0.0
         if not jump.any():
             return y, Works(0.0, none, impulses=no_impulses).row
         m = self.free.size
         y = y.copy()
         y[m:] -= self.solve_mass(self.pick(self.inertia(jump)))
-        new = self.spread(y, t, after)[1]
+        _, v_after = self.spread(y, t, after)
         # The impulse acts on the supports alone, at the mean of both velocities.
-        gained = 0.5 * float(np.vdot(new + v, self.inertia(new - v)))
+        gained = 0.5 * float(np.vdot(v_after + v, self.inertia(v_after - v)))
         return y, Works(0.0, none, gained, gained, no_impulses).row
 
     @property
@@ -257,7 +286,9 @@ class System:
         return tuple(f"{contact.name} {axis}" for contact in self.contacts for axis in "xy")
 
     def pushes(self, forces: Array) -> Array:
-        """(2 b,) resultants of b bodies on the tissue, µN, from all forces (k, n, 2)."""
+        """Return (2 b,), the resultants of b bodies on the tissue, µN, from all forces (k, n,
+        2).
+        """
         tissue = slice(0, len(self.discretisation.nodes))
         pushes = [
             acting[tissue].sum(axis=0)
@@ -269,17 +300,23 @@ class System:
     @property
     def force_names(self) -> tuple[str, ...]:
         """Supports and forces whose resultants on the tissue are recorded."""
-        return *(each.name for each in self.holding), *(each.name for each in self.forces)
+        names = [support.name for support in self.holding]
+        names += [force.name for force in self.forces]
+        return tuple(names)
 
     @property
     def holding(self) -> tuple[Support, ...]:
         """The supports of the tissue; what holds a rigid body acts on the tissue by its contact."""
         of_nodes = 2 * len(self.discretisation.nodes)
-        return tuple(each for each in self.supports if (each.unknowns < of_nodes).any())
+        return tuple(support for support in self.supports if (support.unknowns < of_nodes).any())
 
     def resultants(self, forces: Array, reaction: Array) -> Array:
-        """(k, 2) resultants on the tissue of supports and forces, µN, from the forces (f, n, 2)
-        and the reaction (n, 2) of all supports.
+        """Compute the resultants (k, 2) on the tissue of supports and forces, µN; see
+        `force_names`.
+
+        Args:
+            forces: (f, n, 2) all forces.
+            reaction: (n, 2) of all supports.
         """
         holding = self.holding
         held = np.zeros((len(holding), 2 * self.n_rows))
@@ -290,24 +327,27 @@ class System:
 
     @property
     def regions(self) -> dict[str, Index]:
-        """Elements of the regions, and of the whole tissue under the name ``""``."""
+        """Elements of the regions by name, and of the whole tissue under the name ``""``."""
         mesh = self.problem.mesh
         return {"": np.arange(mesh.nelements), **(mesh.subdomains or {})}
 
     @property
     def dissipating(self) -> tuple[str, ...]:
-        """Parts whose dissipation is recorded: regions, and free sides by boundary."""
+        """Names of the parts whose dissipation is recorded: regions, and free sides by boundary."""
         sides = () if self.surface is None else self.surface.sides.names
         return *self.regions, *(f"{SURFACE} {name}" for name in sides)
 
     def identity(self) -> dict[str, Array]:
-        """Digests by name of the parts that decide the motion, but for law and settings."""
+        """Return digests of the parts that decide the motion, without law and settings, by name."""
         problem = self.problem
         space = self.discretisation
         mesh = self.problem.mesh
-        held = [each.unknowns for each in self.supports]
-        sides = {name: facet_nodes(mesh, each) for name, each in (mesh.boundaries or {}).items()}
-        named = sides | {name: region(mesh, name) for name in mesh.subdomains or {}}
+        held = [support.unknowns for support in self.supports]
+        named = {}
+        for name, facets in (mesh.boundaries or {}).items():
+            named[name] = facet_nodes(mesh, facets)
+        for name in mesh.subdomains or {}:
+            named[name] = region(mesh, name)
         parts: dict[str, list[Any]] = {
             "mesh": [space.nodes, space.elements, [*named], *named.values()],
             "density": [self.mass @ np.ones(2 * self.n_rows)],
@@ -323,30 +363,34 @@ class System:
 
 
 def _digest(contents: list[Any]) -> Array:
-    """(32,) bytes."""
+    """Return the SHA-256 of contents as (32,) bytes, kept as numbers for HDF5."""
     digest = hashlib.sha256()
-    for each in contents:
-        digest.update(each.tobytes() if isinstance(each, np.ndarray) else repr(each).encode())
+    for content in contents:
+        if isinstance(content, np.ndarray):
+            digest.update(content.tobytes())
+        else:
+            digest.update(repr(content).encode())
     return np.array([*digest.digest()], dtype=np.float64)
 
 
 def system_of(problem: Problem, law: StressLaw) -> System:
-    """The system of a problem with the law's density and, where bodies touch it, its modulus."""
+    """Make the system of a problem with the law's density and, where bodies touch it, its
+    modulus.
+    """
     modulus = _modulus(law, n_points_of(problem.mesh)) if problem.bodies else 1.0
     return make_system(problem, law.density, modulus=modulus)
 
 
 def _modulus(law: StressLaw, n_points: int) -> float:
-    """Largest modulus of uniaxial strain at rest of any point, µN/µm."""
-    strain = 1e-4
+    """Compute the largest modulus of uniaxial strain at rest of any point, µN/µm."""
     moduli = [0.0]
     still = np.zeros((n_points, 2, 2))
     for k in (0, 1):
         F = np.tile(np.eye(2), (n_points, 1, 1))
         before = law.respond(F, still).stress[:, k, k]
-        F[:, k, k] += strain
+        F[:, k, k] += _PROBE_STRAIN
         after = law.respond(F, still).stress[:, k, k]
-        moduli.append(float(np.nanmax(after - before)) / strain)
+        moduli.append(float(np.nanmax(after - before)) / _PROBE_STRAIN)
     return max(moduli)
 
 
@@ -356,7 +400,7 @@ def make_system(
     *,
     modulus: float = 1.0,
 ) -> System:
-    """The problem on its mesh.
+    """Make a problem discrete on its mesh.
 
     Args:
         density: mass per reference area, ng/µm², one or (n_points,).
@@ -373,16 +417,20 @@ def make_system(
     surface = [] if problem.surface is None else [make_surface(problem, space, n)]
 
     def assembled_mass(share: Array) -> Matrix:
+        """Assemble the mass of a fraction (n_el,) of each element and its free sides."""
         tissue = tissue_mass(mesh, share * per_element)
-        return sum((each.mass(mesh, share) for each in surface), tissue)
+        return sum((side.mass(mesh, share) for side in surface), tissue)
 
     whole = assembled_mass(np.ones(mesh.nelements))
 
     def mass_of(share: Array) -> Matrix:
+        """Return the mass of a fraction of each element; that of all is there already."""
         return whole if (share == 1.0).all() else assembled_mass(share)
 
-    bodies = np.repeat([1.0 if body.mass is None else body.mass for body in problem.bodies], 2)
-    mass = scipy.sparse.csc_matrix(scipy.sparse.block_diag([whole, scipy.sparse.diags(bodies)]))
+    # a body that is moved has no mass; any one will do, since it is no free unknown
+    of_bodies = [1.0 if body.mass is None else body.mass for body in problem.bodies]
+    diagonal = scipy.sparse.diags(np.repeat(of_bodies, 2))
+    mass = scipy.sparse.csc_matrix(scipy.sparse.block_diag([whole, diagonal]))
     supports = _supports(problem)
     held = [support.unknowns for support in supports]
     free = np.setdiff1d(np.arange(2 * n), np.concatenate(held) if held else [])
@@ -419,7 +467,9 @@ def make_system(
 def _supports(problem: Problem) -> tuple[Support, ...]:
     """Return the supports of the conditions and of bodies without mass."""
     mesh = problem.mesh
-    supports = supports_of(problem, lambda each: nodes_on(mesh, each.on, f"{each.kind()}.on"))
+    supports = supports_of(
+        problem, lambda condition: nodes_on(mesh, condition.on, f"{condition.kind()}.on")
+    )
     for k, body in enumerate(problem.bodies):
         if body.mass is None:
             unknowns = 2 * (mesh.p.shape[1] + k) + np.arange(2)
@@ -429,11 +479,12 @@ def _supports(problem: Problem) -> tuple[Support, ...]:
 
 
 def _probes(problem: Problem, space: Discretisation, n: int) -> dict[str, Array]:
-    """By name, the (n,) weights of displacements that are recorded."""
+    """Return the weights (n,) of displacements that are recorded, by name."""
     probes = dict[str, Array]()
     mesh = problem.mesh
-    for name, at in problem.watched.items():
-        nodes, weights = space.locate(np.array(at, dtype=np.float64), f"watched.{name}")
+    for name, point in problem.watched.items():
+        position = np.array(point, dtype=np.float64)
+        nodes, weights = space.locate(position, f"watched.{name}")
         probes[f"displacement {name}"] = np.bincount(nodes, weights, n).astype(np.float64)
     for name in problem.acted_boundaries():
         load = traction_load(mesh, facets_of(mesh, name), (1.0, 1.0))[:, 0]
@@ -444,8 +495,10 @@ def _probes(problem: Problem, space: Discretisation, n: int) -> dict[str, Array]
 
 
 def _initial_velocity(problem: Problem, supports: tuple[Support, ...], n: int) -> Array:
-    """(n, 2) velocities at t = 0; what is held has none. Raises `InputError` where one is given to
-    nothing but what supports hold or move.
+    """Return the velocities (n, 2) at t = 0; what is held has none.
+
+    Raises:
+        InputError: one is given to nothing but what supports hold or move.
     """
     velocity = np.zeros((n, 2))
     held = np.zeros(2 * n, dtype=bool)

@@ -1,14 +1,15 @@
 """Time steps of either method, and the explicit one, Dormand–Prince 5(4).
 
-A method tries one step and hands back a `StepResult`, or why there is none. Here its error decides
-whether the step is kept, the law is asked to accept its end, and the next length is chosen; it is
-halved where the law fails. A trial in which points leave their branch of the law is repeated at its
-length. Every corner of an amplitude is the end of a step; there the method starts again, with a
-short step.
+A method tries one step and returns a `StepResult`, or raises why there is none. Here its error
+decides whether the step is accepted, the law is asked to accept its end, and the next length is
+chosen; it is halved where the law fails. A trial in which points leave their branch of the law is
+repeated at its length. Every corner of an amplitude is the end of a step; there the method starts
+again, with a short step.
 
 Dormand and Prince, A family of embedded Runge–Kutta formulae, J. Comput. Appl. Math. 6 (1980)
 19–26; the interpolation is Shampine's, Math. Comp. 46 (1986) 135–150, with his optimal c₆. The
-last stage is the first of the next step."""
+last stage is the first of the next step.
+"""
 
 from __future__ import annotations
 
@@ -23,18 +24,25 @@ from surrofe2.base.errors import SimulationError
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, NoStress, Switched
 from surrofe2.macro.settings import MacroSettings
 
-MAX_HALVINGS = 10
-NO_MEMORY: Array = np.empty(0)
+MAX_HALVINGS = 10  # in a row, before a run stops
+NO_MEMORY: Array = np.empty(0)  # of a method at its first step
+# The next length is this much shorter than the error allows, so that few steps are rejected.
 _SAFETY = 0.9
+# Smallest ratio of the next trial to a rejected one.
 _SHRINK = 0.2
+# Smallest step that an error may ask for, over the duration.
 _SMALLEST = 1e-10
+# Smallest step at all, over the spacing of floating-point numbers at t.
 _ROUNDING = 10.0
-"""Smallest step that an error may ask for, by the duration, and any step, by the spacing of t."""
+# A step that would end so close before the end, relative to its length, ends there.
+_CLOSE = 1e-9
+# An error of 0 counts as this, so that its power is finite.
+_LEAST_ERROR = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class StepResult:
-    """A complete step; what is integrated from its start, y and the work, is within it
+    """A complete step; all that is integrated from its start, y and the work, is within it
 
         h [θ m + θ (1 − θ) (r₀ − m) + θ² (1 − θ) (2 m − r₀ − r₁) + θ² (1 − θ)² b],
 
@@ -43,11 +51,12 @@ class StepResult:
 
     Attributes:
         start, end: evaluations at both ends.
-        error: root mean square of the error of y relative to the tolerances; kept up to 1.
+        error: root mean square of the error of y relative to the tolerances; accepted up to 1.
         mean_power: a row of `Works`, pJ/µs.
         bulge, power_bulge: b of y and of the work; 0 if there is none.
         memory: for the step that begins at its end; empty where the method needs none.
-        work_before: of a jump of prescribed velocities where it begins, pJ; 0 if there is none."""
+        work_before: of a jump of prescribed velocities where it begins, pJ; 0 if there is none.
+    """
 
     start: Evaluation
     end: Evaluation
@@ -60,24 +69,25 @@ class StepResult:
 
     @property
     def length(self) -> float:
-        """µs."""
+        """Length of the step, µs."""
         return self.end.t - self.start.t
 
     def interpolate(self, t: float) -> Array:
-        """(2 m,) y at a time within the step."""
+        """Return y (2 m,) at a time within the step."""
         start = self.start
         end = self.end
         mean = (end.y - start.y) / self.length
         return start.y + self._integral(t, mean, start.rate, end.rate, self.bulge)
 
     def work(self, t: float) -> Array:
-        """A row of `Works` from the start to t, pJ."""
+        """Return a row of `Works` from the start to t, pJ."""
         first = self.start.powers.row
         last = self.end.powers.row
         since = self._integral(t, self.mean_power, first, last, self.power_bulge)
         return self.work_before + since
 
     def _integral(self, t: float, mean: Array, first: Array, last: Array, b: Any) -> Array:
+        """Evaluate the formula of the class at t; `b` is the bulge."""
         s = (t - self.start.t) / self.length
         bent = (1.0 - s) * (first - mean + s * (2.0 * mean - first - last + (1.0 - s) * b))
         integral: Array = self.length * s * (mean + bent)
@@ -86,7 +96,7 @@ class StepResult:
 
 @dataclass(frozen=True, slots=True)
 class StepControl:
-    """How the length of the next step follows the error of the last.
+    """The rule by which the length of the next step follows the error of the last.
 
     Attributes:
         order: the error goes with this power of the length.
@@ -94,7 +104,8 @@ class StepControl:
             accuracy limits the step, while the full one swings between rejected and needlessly
             short steps (Hairer and Wanner 1996, Solving Ordinary Differential Equations II, IV.2).
         largest_growth: largest ratio of the next length to this one.
-        splits_rest: a run ends by two equal steps rather than by a long and a short one."""
+        splits_rest: a run ends by two equal steps rather than by a long and a short one.
+    """
 
     order: int
     gain: float
@@ -102,8 +113,10 @@ class StepControl:
     splits_rest: bool
 
     def ratio(self, error: float, *, may_grow: bool = True) -> float:
-        """Length of the next step, or of the next trial where `error` is above 1, to this one."""
-        wanted = _SAFETY * max(error, 1e-9) ** (-1.0 / self.order)
+        """Return the length of the next step to this one, or of the next trial where `error` is
+        above 1.
+        """
+        wanted = _SAFETY * max(error, _LEAST_ERROR) ** (-1.0 / self.order)
         if error > 1.0:
             return max(_SHRINK, wanted)
         wanted = min(wanted, self.largest_growth if may_grow else 1.0)
@@ -111,17 +124,21 @@ class StepControl:
 
 
 class Method(Protocol):
-    """A time integration method: one step as a pure function."""
+    """A time integration method, one step of which is a pure function.
+
+    Attributes:
+        control: how lengths follow errors.
+    """
 
     control: ClassVar[StepControl]
 
     def first_length(self, start: Evaluation, t_end: float) -> float:
-        """Length of the first step, µs; raises as `step`."""
+        """Return the length of the first step, µs; raises as `step`."""
 
     def step(
         self, start: Evaluation, memory: Array, t: float, restarted: Switched | None
     ) -> StepResult:
-        """The step from `start` to time t.
+        """Make the step from `start` to time t.
 
         Args:
             memory: what the step before left for this one; empty at the start.
@@ -133,9 +150,16 @@ class Method(Protocol):
 
 
 class Stepper:
-    """Accepted steps, one after another, from `start` to t_end: `now` and `memory` are where the
-    next one begins and what the method knows of earlier ones, `next_length` is proposed for it, µs.
-    Raises `SimulationError` where there is no stress near where it starts."""
+    """Makes accepted steps, one after another, from `start` to t_end.
+
+    Attributes:
+        now: where the next step begins.
+        memory: what the method knows of earlier steps.
+        next_length: length proposed for the next step, µs.
+
+    Raises:
+        SimulationError: there is no stress near where it starts.
+    """
 
     def __init__(
         self,
@@ -157,13 +181,14 @@ class Stepper:
         self.next_length = next_length or self._first_length("the run cannot start")
 
     def advance(self) -> StepResult:
-        """The next accepted step.
+        """Make the next accepted step.
 
         Each trial without stress, or whose end the law does not accept, halves its length. A trial
         in which points switched is repeated as it was, each time with more of them.
 
         Raises:
-            SimulationError: ten halvings in a row, or the error asks for a step below rounding."""
+            SimulationError: ten halvings in a row, or the error asks for a step below rounding.
+        """
         counts = self._equations.tally.counts
         control = self._method.control
         if self.now.t >= self._equations.piece_end:
@@ -204,7 +229,7 @@ class Stepper:
                 continue
             counts["steps"] += 1
             ratio = control.ratio(trial.error, may_grow=not rejected)
-            # After a failure do not grow straight back into it.
+            # After a failure the step does not grow straight back into it.
             wanted = length * (min(ratio, 1.0) if halvings else ratio)
             # A step cut short to meet the end says nothing against the longer one.
             longest = max(wanted, self.next_length if t == self._end() else 0.0)
@@ -216,7 +241,7 @@ class Stepper:
             return replace(trial, work_before=work)
 
     def _tried(self, t: float, restarted: Switched | None) -> StepResult:
-        """The step to t; where points switch, it is restarted with them and raises `Switched`."""
+        """Try the step to t; where points switch, restart it with them and raise `Switched`."""
         try:
             return self._method.step(self.now, self.memory, t, restarted)
         except Switched as switched:
@@ -224,19 +249,19 @@ class Stepper:
             raise
 
     def _target(self) -> float:
-        """Time to step to."""
+        """Return the time to step to."""
         t = self.now.t
         remaining = self._end() - t
         h = min(self.next_length, self._largest)
         h = max(h, _ROUNDING * float(np.spacing(t)))
-        if h * (1.0 + 1e-9) >= remaining:
+        if h * (1.0 + _CLOSE) >= remaining:
             return self._end()
         if self._method.control.splits_rest and 2.0 * h > remaining:
             return t + 0.5 * remaining
         return t + h
 
     def _end(self) -> float:
-        """The end of the run, or of the piece of the amplitudes if that comes first."""
+        """Return the end of the run, or of the piece of the amplitudes if that comes first."""
         return min(self._t_end, self._equations.piece_end)
 
     def _cross_corner(self) -> None:
@@ -250,7 +275,11 @@ class Stepper:
         self.next_length = self._first_length("the run cannot continue at a corner of the load")
 
     def _first_length(self, problem: str) -> float:
-        """Length of a first step by the method; `problem` begins the message where it has none."""
+        """Return the length of a first step by the method.
+
+        Raises:
+            SimulationError: there is no stress; the message begins with `problem`.
+        """
         try:
             while True:
                 try:
@@ -261,6 +290,8 @@ class Stepper:
             raise SimulationError(f"{problem}: {failure}") from failure
 
 
+# The tableau of Dormand and Prince. Row k of the weights, of the rates of the stages before, leads
+# to stage k; the last row leads to the end of the step.
 STAGES = 7
 TIMES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)
 WEIGHTS = tuple(
@@ -275,9 +306,9 @@ WEIGHTS = tuple(
         (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
     )
 )
-"""Of the rates of the stages before, for each stage; the last row leads to the end."""
+# Fourth-order minus fifth-order weights.
 ERROR = np.array([-71 / 57600, 0.0, 71 / 16695, -71 / 1920, 17253 / 339200, -22 / 525, 1 / 40])
-"""Fourth-order minus fifth-order weights."""
+# Weights of the rates in `StepResult.bulge`: fourth order within the step, fifth at its end.
 BULGE = np.array(
     [
         -12715105075 / 11282082432,
@@ -289,11 +320,14 @@ BULGE = np.array(
         69997945 / 29380423,
     ]
 )
-"""Of the rates, for `StepResult.bulge`: fourth order within the step, fifth at its end."""
 
 
+# Fraction of the relative tolerance that the energy of a step may err by.
 _ENERGY = 0.1
-"""Part of the relative tolerance that the energy of a step may err by."""
+# The first length, as Hairer, Nørsett and Wanner choose it: below the first number, y or its rate
+# is as good as zero; then, and where the rate hardly changes, such lengths are taken.
+_NEARLY_ZERO = 1e-5
+_SHORT = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,11 +335,12 @@ class DormandPrince:
     """The explicit `Method`; it needs no memory, for each step starts from y alone.
 
     Attributes:
-        rhs: ẏ and powers at (t, y).
+        rhs: a function that evaluates the equations at (t, y).
         absolute_tolerance, relative_tolerance: error of y allowed in a step.
         mass: (m, m) of the free unknowns, ng, where a step must also keep energy to a tenth of
             the relative tolerance. A stiff contact needs that: it is damped where stability
-            limits the step, which the error of y does not see."""
+            limits the step, which the error of y does not see.
+    """
 
     rhs: Callable[[float, Array], Evaluation]
     absolute_tolerance: float
@@ -319,20 +354,21 @@ class DormandPrince:
     def step(
         self, start: Evaluation, memory: Array, t: float, restarted: Switched | None = None
     ) -> StepResult:
-        """The step from `start` to time t.
+        """Make the step from `start` to time t.
 
-        Its work is what the method itself would find were the work two more components of y
-        without a say in the error.
+        Its work is what the method itself would find were the work two more components of y that do
+        not count in the error.
         """
         h = t - start.t
         rates = np.empty((STAGES, start.y.size))
         rates[0] = start.rate
         powers = [start.powers.row]
         residuals = [start.residual]
-        for number in range(1, STAGES - 1):
+        for number in range(1, STAGES - 1):  # stage 0 is the start, the last one the end
             y = start.y + h * (WEIGHTS[number] @ rates[:number])
-            at = start.t + TIMES[number] * h if number < STAGES - 2 else t
-            trial = self.rhs(at, y)
+            # the last but one is at t itself, without rounding
+            t_stage = start.t + TIMES[number] * h if number < STAGES - 2 else t
+            trial = self.rhs(t_stage, y)
             rates[number] = trial.rate
             powers.append(trial.powers.row)
             residuals.append(trial.residual)
@@ -355,21 +391,30 @@ class DormandPrince:
         )
 
     def first_length(self, start: Evaluation, t_end: float) -> float:
-        """Hairer, Nørsett and Wanner 1993, Solving Ordinary Differential Equations I, II.4."""
+        """Choose the first length by two rates.
+
+        Hairer, Nørsett and Wanner 1993, Solving Ordinary Differential Equations I, II.4.
+        """
         allowed = self._allowed(abs(start.y))
         size = _root_mean_square(start.y / allowed)
         speed = _root_mean_square(start.rate / allowed)
-        short = 1e-6 if min(size, speed) < 1e-5 else 0.01 * size / speed
+        short = _SHORT if min(size, speed) < _NEARLY_ZERO else 0.01 * size / speed
         short = min(short, t_end - start.t)
         ahead = self.rhs(start.t + short, start.y + short * start.rate)
         fastest = max(speed, _root_mean_square((ahead.rate - start.rate) / allowed) / short)
-        length = max(1e-6, 1e-3 * short) if fastest <= 1e-15 else (0.01 / fastest) ** 0.2
+        length = max(_SHORT, 1e-3 * short) if fastest <= 1e-15 else (0.01 / fastest) ** 0.2
         return min(100.0 * short, length, t_end - start.t)
 
     def _energy_error(
         self, start: Evaluation, end: Evaluation, impulses: Array, rates: Array
     ) -> float:
-        """Kinetic energy gained less work of all forces, relative to what is allowed."""
+        """Compute the kinetic energy gained less the work of all forces, relative to what is
+        allowed.
+
+        Args:
+            impulses: (stages, m) length of the step times the residuals, µN µs.
+            rates: (stages, 2 m) rates of y.
+        """
         before = start.y[start.y.size // 2 :]
         after = end.y[end.y.size // 2 :]
         # The gain is the impulse times the mean velocity, M (v₁ − v₀) · (v₀ + v₁)/2.
@@ -381,8 +426,10 @@ class DormandPrince:
         return float(abs(gained - WEIGHTS[-1] @ works) / allowed)
 
     def _allowed(self, size: Array) -> Array:
+        """Return the error allowed of entries of this size."""
         return self.absolute_tolerance + self.relative_tolerance * size
 
 
 def _root_mean_square(values: Array) -> float:
+    """Return the root of the mean square of the entries."""
     return float(np.linalg.norm(values)) / float(np.sqrt(values.size))

@@ -26,8 +26,7 @@ from surrofe2.base.settings import (
 )
 from surrofe2.base.units import NONE, TIME
 
-Value = tuple[float, float, float]
-"""A factor, its rate (1/µs) and the rate of that (1/µs²)."""
+Value = tuple[float, float, float]  # a factor, its rate (1/µs) and the rate of that (1/µs²)
 
 # Time steps that a smooth ramp, a half sine or a whole oscillation must have at least.
 _STEPS_OF_A_SHAPE = 8.0
@@ -63,9 +62,10 @@ class Amplitude(ABC):
 
     @abstractmethod
     def at(self, t: float, within: float) -> Value:
-        """Compute the factor and its rates at time t, µs, by the smooth piece that holds `within`.
+        """Compute the factor and its rates at time t, µs.
 
-        At a corner, t belongs to two pieces; elsewhere `within` may be t itself.
+        At a corner, where the factor or its rate jumps, t belongs to two smooth pieces. `within` is
+        any time, µs, inside the piece that is meant; away from corners it may be t itself.
         """
 
     def corners(self) -> tuple[float, ...]:
@@ -254,6 +254,7 @@ class Pulse(Amplitude):
         return self.length / _STEPS_OF_A_SHAPE
 
 
+# Amplitudes by the name that recipes use.
 KINDS: dict[str, type[Amplitude]] = {
     "constant": Constant,
     "table": Table,
@@ -261,8 +262,6 @@ KINDS: dict[str, type[Amplitude]] = {
     "sine": Sine,
     "pulse": Pulse,
 }
-"""Amplitudes by the name that recipes use."""
-
 ONE = Constant()
 IN_TIME = "its factor in time: a number, a list of (time, factor), or a table with `kind`"
 

@@ -330,4 +330,4 @@ CONDITIONS: tuple[type[Condition], ...] = (
     Foundation,
     InitialVelocity,
 )
-_ON_POINTS = (Fixed, PrescribedMotion, PointForce)
+_ON_POINTS = (Fixed, PrescribedMotion, PointForce)  # those that act on the node at a point, too

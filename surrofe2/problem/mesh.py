@@ -27,15 +27,15 @@ from surrofe2.base.errors import InputError, quoted
 from surrofe2.base.settings import build_only, check_settings, check_value, setting, with_kind
 from surrofe2.base.units import LENGTH, with_micro_sign
 
-MOST_ELEMENTS = 10_000_000
+MOST_ELEMENTS = 10_000_000  # more would take all memory
 # An end of a box may be infinite.
 _CORNER: Mapping[str, Any] = {"unit": LENGTH, "inf": True}
-_ELEMENTS = skfem.ElementQuad1, skfem.ElementTriP1, skfem.ElementTriP2
+_ELEMENTS = (skfem.ElementQuad1, skfem.ElementTriP1, skfem.ElementTriP2)
+# Fraction of the largest coordinate that files of single precision or of six digits may lose.
 DIGITS = 1e-6
-"""Fraction of the largest coordinate that files of single precision or of six digits may lose."""
+# Parts of a mesh that are nearer to each other than this fraction of a side's length are meant to
+# be one.
 CLOSED = 1e-3
-"""Fraction of a side's length: parts of a mesh that are nearer to each other are meant to be one.
-"""
 # An element is degenerate where the sine of a corner, relative to its longest side, is below this.
 _FLAT = 1e-6
 # The middle of a curved side may be off its chord by this fraction of the longest side.

@@ -42,19 +42,20 @@ from surrofe2.problem.rigid_bodies import RigidBody
 
 Point = tuple[float, float]
 
+# Rows of results that a run has at most.
 MOST_ROWS = 1_000_000
-"""Rows of results that a run has at most."""
 # Fractions of a piece of an amplitude at which it is sampled: its ends, and places between at which
 # an oscillation that is zero at its quarters is not.
 _SAMPLED_AT = np.array([0.0, 0.13, 0.51, 0.77, 1.0])
 # A jump of a motion that is larger than rounding, as a fraction of its largest displacement.
 _JUMP = 1e-9
+# Name of the surface tension of free sides in results.
 SURFACE = "surface"
+# Names of energies, which no condition may have.
 TAKEN = (
     "kinetic", "internal", "elastic", "dissipated", "balance", "motion", "numerical", "contact",
     "contact dissipated", SURFACE,
 )  # fmt: skip
-"""Names of energies, which no condition may have."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -237,8 +238,11 @@ class Problem:
 
     def acted_nodes(self) -> list[NodeAt]:
         """Return the nodes on which conditions act alone, each once, in their order."""
-        nodes = [each.on for each in self.conditions if isinstance(each.on, NodeAt)]
-        return [*dict.fromkeys(nodes)]
+        nodes = []
+        for condition in self.conditions:
+            if isinstance(condition.on, NodeAt):
+                nodes.append(condition.on)
+        return list(dict.fromkeys(nodes))
 
     def cells_inside(self, name: str, middles: Array) -> Flags:
         """Return (n,) whether a region holds plant cells, by their middles (n, 2) in µm.

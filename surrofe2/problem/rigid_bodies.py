@@ -30,8 +30,8 @@ from surrofe2.base.units import ACCELERATION, LENGTH, MASS, NONE
 from surrofe2.problem.amplitude import IN_TIME, ONE, Amplitude
 from surrofe2.problem.contact_law import gap
 
+# A rounded wedge as six numbers: axis (two), cosine, sine, radius and reach, see `contact_law.gap`.
 Outline = tuple[float, float, float, float, float, float]
-"""A rounded wedge as six numbers, see `contact_law.gap`."""
 
 
 class Shape(ABC):
@@ -51,7 +51,8 @@ class Shape(ABC):
     def gap(self, p: Array) -> tuple[Array, Array, Array]:
         """Compute gaps (n,) in µm, outward normals (n, 2), and curvatures (n,) in 1/µm.
 
-        p: (n, 2) points relative to the body's position, µm.
+        Args:
+            p: (n, 2) points relative to the body's position, µm.
         """
         gaps = np.empty(len(p))
         normals = np.empty((len(p), 2))
@@ -63,7 +64,7 @@ class Shape(ABC):
 
 @kernel
 def set_gaps(p: Any, outline: Any, results: Any) -> None:
-    """Set the three arrays of `Shape.gap` at points p (n, 2)."""
+    """Set the three arrays of `Shape.gap`, in place, at points p (n, 2)."""
     distance, normal, curvature = results
     for k in range(p.shape[0]):
         distance[k], normal[k, 0], normal[k, 1], curvature[k] = gap(p[k, 0], p[k, 1], outline)
@@ -86,7 +87,7 @@ class Plane(Shape):
     @property
     def outline(self) -> Outline:
         x, y = _unit("plane.normal", self.normal)
-        return -x, -y, 0.0, 1.0, 0.0, 0.0
+        return -x, -y, 0.0, 1.0, 0.0, 0.0  # a wedge of twice 90°, without rounding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,7 +98,7 @@ class Circle(Shape):
 
     @property
     def outline(self) -> Outline:
-        return 0.0, 0.0, 1.0, 0.0, self.radius, math.inf
+        return 0.0, 0.0, 1.0, 0.0, self.radius, math.inf  # the rounding of a tip, all around
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,7 +112,8 @@ class Corner(Shape):
     @property
     def outline(self) -> Outline:
         half = math.radians(0.5 * self.angle)
-        return *_unit("corner.axis", self.axis), math.cos(half), math.sin(half), self.radius, 0.0
+        axis_x, axis_y = _unit("corner.axis", self.axis)
+        return axis_x, axis_y, math.cos(half), math.sin(half), self.radius, 0.0
 
 
 SHAPES: dict[str, type[Shape]] = {"plane": Plane, "circle": Circle, "corner": Corner}

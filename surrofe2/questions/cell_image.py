@@ -33,22 +33,27 @@ from surrofe2.store.labelled_image import LINE, Labels
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+# Beginning of the recipe of such an RVE.
 MARK = "# Like "
-"""How the recipe of such an RVE begins."""
+# Pixels of a cell below which it has no shape, and whole cells that an image must have.
 FEWEST_PIXELS = 9
-"""Pixels of a cell below which it has no shape."""
 FEWEST_CELLS = 3
+
+# The search for an RVE (`rve_like`).
+# Alignment below which it is not stretched: cells that are laid out at random reach 0.4.
 _ALIGNED = 0.5
-"""Alignment below which an RVE is not stretched: cells that are laid out at random reach 0.4."""
+# Largest variation of areas, and aspect ratio, that are laid out.
 _MOST_VARIATION = 0.6
 _MOST_ELONGATION = 6.0
+# Seeds that are tried at most, and the number of layouts that come to rest, of which the best is
+# taken.
 _SEEDS = 20
 _ENOUGH = 3
-"""Seeds that are tried at most, and of how many the best is taken."""
+# A layout is corrected so often for what is left of it at rest, or until the relative difference is
+# as small as this.
 _CORRECTIONS = 3
 _NEAR = 0.03
-"""How often what is laid out is corrected for what is left of it at rest, and the relative
-difference at which it is near enough."""
+# A variation of areas at rest counts as at least this, so that a correction by it is finite.
 _LEAST_SHAPE = 1e-3
 
 
@@ -60,7 +65,7 @@ class Shapes:
         area_variation: coefficient of variation of the areas.
         elongation: mean aspect ratio.
         direction: mean direction of the long axes, degrees.
-        alignment: of the long axes, from 0 to 1.
+        alignment: alignment of the long axes, from 0 to 1.
         neighbours: mean number; NaN where no cell is surrounded by cells.
     """
 
@@ -72,7 +77,9 @@ class Shapes:
 
     @classmethod
     def of(cls, area: Array, aspect: Array, direction: Array, neighbours: float) -> Shapes:
-        """Return the numbers of cells (n,), their directions in degrees."""
+        """Compute the numbers from areas, aspect ratios and directions in degrees of cells, (n,)
+        each.
+        """
         alignment, mean_direction = alignment_of(aspect, direction)
         return cls(
             area_variation=float(area.std() / area.mean()),
@@ -83,26 +90,33 @@ class Shapes:
         )
 
     def difference(self, wanted: Shapes) -> float:
-        """Largest relative difference of areas' variation and aspect ratio."""
+        """Return the larger relative difference, of the areas' variation or of the aspect ratio."""
         of_areas = abs(self.area_variation - wanted.area_variation) / wanted.area_variation
-        return max(of_areas, abs(self.elongation - wanted.elongation) / wanted.elongation)
+        of_aspect = abs(self.elongation - wanted.elongation) / wanted.elongation
+        return max(of_areas, of_aspect)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImagedCells:
-    """The whole cells of an image, n of them, and what was left out of it.
+    """The n whole cells of an image, and what was left out of it.
 
     Attributes:
-        labels: (rows, columns) of all cells, lines between them divided.
+        labels: (rows, columns) numbers of all cells, lines between them divided.
         pixel: side of a pixel, µm.
-        number: (n,) of the whole cells in `labels`. label: (n,) in the image. area: (n,) µm².
-        aspect: (n,). direction: (n,) degrees from −90 to 90. centre: (n, 2) x and y from
-            the lower left corner, µm.
+        number: (n,) numbers of the whole cells in `labels`.
+        label: (n,) their labels in the image.
+        area: (n,) µm².
+        aspect: (n,) aspect ratios.
+        direction: (n,) degrees from −90 to 90.
+        centre: (n, 2) x and y from the lower left corner, µm.
         neighbours: (n,) cells beside each; −1 of a cell at a hole or at the outside, which has
             fewer than in a closed tissue.
-        cut: cells at the border of the image. small: cells of fewer than `FEWEST_PIXELS` pixels.
-        pieces: cells whose largest part was taken. holes: their number. hole_fraction: their part
-            of all area. corners: places where four cells meet; those across are no neighbours.
+        cut: number of cells at the border of the image.
+        small: number of cells of fewer than `FEWEST_PIXELS` pixels.
+        pieces: number of cells in pieces, of which the largest was taken.
+        holes: number of holes.
+        hole_fraction: their fraction of all area.
+        corners: number of places where four cells meet; those across are no neighbours.
     """
 
     labels: Labels
@@ -134,7 +148,7 @@ class ImagedCells:
         return Shapes.of(self.area, self.aspect, self.direction, neighbours)
 
     def remarks(self) -> Iterator[str]:
-        """A sentence on each thing of the image that is no whole cell among cells."""
+        """Iterate over remarks on what in the image is no whole cell among cells."""
         if self.cut:
             yield f"cells that the border of the image cuts, left out: {self.cut}"
         if self.small:
@@ -149,11 +163,12 @@ class ImagedCells:
 
 
 def alignment_of(aspect: Array, direction: Array) -> tuple[float, float]:
-    """Alignment of long axes (n,), and their mean direction in degrees."""
-    weight = np.log(aspect)
+    """Compute the alignment of long axes (n,), and their mean direction in degrees."""
+    weight = np.log(aspect)  # a round cell has no direction
     total = weight.sum()
     if not total > 0.0:
         return 0.0, 0.0
+    # an axis points both ways: at twice its angle both are the same
     mean = (weight * np.exp(2j * np.deg2rad(direction))).sum() / total
     return float(abs(mean)), float(np.rad2deg(np.angle(mean)) / 2.0)
 
@@ -175,7 +190,7 @@ def measure_cells(labels: Labels, pixel: float, line: int = LINE) -> ImagedCells
     if line < 0:
         raise InputError(f"--line: {line}; it must be at least 0 (pixels)")
     whole, pieces = _largest_pieces(labels)
-    count = np.bincount(whole.ravel())
+    count = np.bincount(whole.ravel())  # pixels of each cell; 0 is what lies between cells
     count[0] = 0
     few = (count > 0) & (count < FEWEST_PIXELS)
     whole[few[whole]] = 0
@@ -216,8 +231,11 @@ def measure_cells(labels: Labels, pixel: float, line: int = LINE) -> ImagedCells
 
 
 def _largest_pieces(labels: Labels) -> tuple[Labels, int]:
-    """Cells numbered from 1 in the order of their labels, each its largest connected piece; and how
-    many had several."""
+    """Number the cells from 1 in the order of their labels, and keep the largest piece of each.
+
+    Returns:
+        Numbers of all pixels, 0 for other pieces; and how many cells had several.
+    """
     names, inverse = np.unique(labels, return_inverse=True)
     numbered: Labels = inverse.reshape(labels.shape).astype(np.int64)
     numbered += 0 if names[0] == 0 else 1
@@ -236,7 +254,7 @@ def _largest_pieces(labels: Labels) -> tuple[Labels, int]:
 
 
 def _without_lines(labels: Labels, line: int) -> Labels:
-    """Labels whose lines of at most so many pixels between cells belong to the nearest cell."""
+    """Give the pixels of lines between cells, at most so many across, to the nearest cell."""
     empty = labels == 0
     if not empty.any():
         return labels
@@ -253,7 +271,14 @@ def _without_lines(labels: Labels, line: int) -> Labels:
 
 
 def _holes(labels: Labels, numbers: int) -> tuple[int, int, Flags]:
-    """Number and pixels of the holes within cells, and (numbers,) cells at a hole or outside."""
+    """Find holes within cells.
+
+    Args:
+        numbers: number of cells, 0 included.
+
+    Returns:
+        Number of holes; their pixels; (numbers,) whether each cell is at a hole or at the outside.
+    """
     parts, count = scipy.ndimage.label(labels == 0)
     sizes = np.bincount(parts.ravel(), minlength=count + 1)
     inner = np.ones(count + 1, dtype=np.bool_)
@@ -268,7 +293,9 @@ def _holes(labels: Labels, numbers: int) -> tuple[int, int, Flags]:
 
 
 def _beside(labels: Labels) -> Iterator[tuple[Index, Index]]:
-    """Labels of pixels that share a side: to the right of each other, and below each other."""
+    """Yield the labels of pixels that share a side and differ: side by side, then one above the
+    other.
+    """
     for first, second in ((labels[:, :-1], labels[:, 1:]), (labels[:-1], labels[1:])):
         differ = first != second
         yield first[differ], second[differ]
@@ -283,7 +310,7 @@ def _neighbours(labels: Labels, count: int) -> Index:
 
 
 def _corners_of_four(labels: Labels) -> int:
-    """Places where four different cells meet."""
+    """Count the places where four different cells meet."""
     four = np.stack([labels[:-1, :-1], labels[:-1, 1:], labels[1:, :-1], labels[1:, 1:]])
     ordered = np.sort(four, axis=0)
     differ = (np.diff(ordered, axis=0) > 0).all(axis=0)
@@ -291,18 +318,21 @@ def _corners_of_four(labels: Labels) -> int:
 
 
 def _moments(labels: Labels, number: Index) -> tuple[Array, Array, Array]:
-    """(n,) aspect ratios and directions in degrees, (n, 2) centres in pixels, of numbered cells."""
+    """Compute aspect ratios and directions in degrees, (n,), and centres (n, 2) in pixels, of
+    cells.
+    """
     rows, columns = np.nonzero(labels)
     x = columns + 0.5
     y = labels.shape[0] - 0.5 - rows
     which = labels[rows, columns]
 
     def mean(values: Any) -> Array:
+        """Return the mean over each cell of values at all pixels."""
         return np.asarray((np.bincount(which, values) / area)[number], dtype=np.float64)
 
     area = np.maximum(np.bincount(which), 1)
     centre = np.stack([mean(x), mean(y)], axis=1)
-    # a pixel has the second moment 1/12 of its own
+    # a pixel is a square, with the second moment 1/12 about its middle
     xx = mean(x * x) - centre[:, 0] ** 2 + 1.0 / 12.0
     yy = mean(y * y) - centre[:, 1] ** 2 + 1.0 / 12.0
     xy = mean(x * y) - centre[:, 0] * centre[:, 1]
@@ -313,33 +343,41 @@ def _moments(labels: Labels, number: Index) -> tuple[Array, Array, Array]:
 
 
 def _direction(corners: Array) -> float:
-    """Direction of a polygon's long axis in degrees, by the second moments of its outline."""
+    """Compute the direction of a polygon's long axis in degrees, by the second moments of its
+    outline.
+    """
+    # 20 points along each side, which stand for its length
     steps = np.linspace(0.0, 1.0, 20, endpoint=False)[:, None, None]
-    along = corners + steps * (np.roll(corners, -1, axis=0) - corners)
-    length = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+    sides = np.roll(corners, -1, axis=0) - corners
+    along = corners + steps * sides
+    length = np.linalg.norm(sides, axis=1)
     weight = np.broadcast_to(length, along.shape[:2]).ravel()
     r = along.reshape(-1, 2)
     r = r - weight @ r / weight.sum()
-    xx, yy, xy = (weight @ product for product in (r[:, 0] ** 2, r[:, 1] ** 2, r[:, 0] * r[:, 1]))
+    xx = weight @ r[:, 0] ** 2
+    yy = weight @ r[:, 1] ** 2
+    xy = weight @ (r[:, 0] * r[:, 1])
     return float(np.rad2deg(np.arctan2(2.0 * xy, xx - yy) / 2.0))
 
 
 def laid_out(cell: CellParameters) -> Shapes:
-    """Shapes of the plant cells of an RVE as they are laid out."""
+    """Compute the shapes of the plant cells of an RVE as they are laid out."""
     tessellation = cell.tessellation
     return _shapes_of([tessellation.corners(k) for k in range(cell.cells)], cell)
 
 
 def at_rest(cell: CellParameters) -> Shapes:
-    """Shapes of the plant cells of an RVE at rest, by the wall particles around each."""
+    """Compute the shapes of the plant cells of an RVE at rest, by the wall particles around
+    each.
+    """
     polygons, _ = polygons_at_rest(cell)
     return _shapes_of(polygons, cell)
 
 
 def polygons_at_rest(cell: CellParameters) -> tuple[list[Array], Array]:
-    """(k, 2) wall particles around each plant cell of an RVE at rest, and its periods, in µm.
+    """Return the wall particles around each plant cell of an RVE at rest, (k, 2) each, in µm.
 
-    The periods are the columns of the (2, 2) lattice.
+    The second value is the lattice (2, 2), whose columns are the periods.
     """
     reference = RveLaw(cell).reference
     position = reference.position
@@ -349,7 +387,7 @@ def polygons_at_rest(cell: CellParameters) -> tuple[list[Array], Array]:
 
 
 def _shapes_of(polygons: list[Array], cell: CellParameters) -> Shapes:
-    """Shapes of polygons (k, 2), one for each plant cell of an RVE."""
+    """Compute the shapes of polygons (k, 2), one for each plant cell of an RVE."""
     area = np.array([polygon_area(polygon) for polygon in polygons])
     aspect = np.array([aspect_ratio(polygon) for polygon in polygons])
     direction = np.array([_direction(polygon) for polygon in polygons])
@@ -359,8 +397,15 @@ def _shapes_of(polygons: list[Array], cell: CellParameters) -> Shapes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LikeCells:
-    """An RVE that is like an image: its cell, by the entries of a section [cell], its shapes as
-    laid out and at rest, and sentences on what it cannot have."""
+    """An RVE that is like the cells of an image.
+
+    Attributes:
+        entries: those of a section [cell] that states it.
+        cell: its parameters.
+        laid_out: its shapes as laid out.
+        at_rest: its shapes at rest.
+        remarks: remarks on what of the image it cannot have.
+    """
 
     entries: dict[str, Any]
     cell: CellParameters
@@ -369,28 +414,22 @@ class LikeCells:
     remarks: tuple[str, ...]
 
     def table(self, wanted: Shapes) -> Table[Any]:
-        """What is wanted, laid out, and left at rest."""
+        """Make a table of the shapes that are wanted, laid out, and left at rest."""
         shapes = {"image": wanted, "laid out": self.laid_out, "at rest": self.at_rest}
-        rows: list[dict[str, Any]] = [
-            {
-                "quantity": name,
-                **{column: getattr(each, attribute) for column, each in shapes.items()},
-            }
-            for name, attribute in _SHOWN.items()
-        ]
+        quantities = {
+            "variation of areas": lambda shape: shape.area_variation,
+            "mean aspect ratio": lambda shape: shape.elongation,
+            "mean direction, °": lambda shape: shape.direction,
+            "alignment": lambda shape: shape.alignment,
+            "neighbours": lambda shape: shape.neighbours,
+        }
+        rows: list[dict[str, Any]] = []
+        for name, value_of in quantities.items():
+            values = {column: value_of(shape) for column, shape in shapes.items()}
+            rows.append({"quantity": name, **values})
         columns: list[Quantity[Any]] = [Quantity("quantity", "", "")]
         columns += [Quantity(column, "", ".3g") for column in shapes]
         return Table(columns, rows)
-
-
-_SHOWN = {
-    "variation of areas": "area_variation",
-    "mean aspect ratio": "elongation",
-    "mean direction, °": "direction",
-    "alignment": "alignment",
-    "neighbours": "neighbours",
-}
-"""Attributes of `Shapes` by what a table calls them."""
 
 
 def rve_like(
@@ -400,16 +439,18 @@ def rve_like(
     *,
     progress: Callable[[float], None] = lambda done: None,
 ) -> LikeCells:
-    """A Voronoi RVE whose cells at rest are like those of an image.
+    """Find a Voronoi RVE whose cells at rest are like those of an image.
 
-    Walls of one rest length change areas and shapes when they settle, so that what is laid out is
-    corrected until the cells at rest are near what is wanted, or `_CORRECTIONS` times, with each of
-    some seeds. The thickness of the walls is the preset's in proportion to the size of the cells,
-    so that the turgor stretches them as much.
+    Walls of one rest length change areas and shapes when they settle. So for each of some seeds the
+    layout is corrected until the cells at rest are near what is wanted, or `_CORRECTIONS` times.
+    The thickness of the walls is the preset's in proportion to the size of the cells, so that the
+    turgor stretches them as much.
 
     Args:
+        cells: those of the image.
         preset: of living cells, whose other measurements it has.
         number: of plant cells in the RVE.
+        progress: called with the fraction of the search that is done.
 
     Raises:
         InputError: no seed has a layout that comes to rest.
@@ -447,10 +488,11 @@ def rve_like(
     for seed in range(1, 1 + _SEEDS):
         entries["arrangement_seed"] = seed
         try:
-            # what a seed reached before a correction of it is refused counts, too
-            for reached in _corrected(entries, aim, is_stretched, tuple(remarks)):
-                if best is None or reached.at_rest.difference(aim) < best.at_rest.difference(aim):
-                    best = reached
+            # an RVE of this seed counts, too, where its next correction is refused
+            for candidate in _corrected(entries, aim, is_stretched, tuple(remarks)):
+                difference = candidate.at_rest.difference(aim)
+                if best is None or difference < best.at_rest.difference(aim):
+                    best = candidate
         except InputError as error:
             refused.append(error)
         else:
@@ -466,7 +508,7 @@ def rve_like(
 def _corrected(
     entries: Mapping[str, Any], aim: Shapes, is_stretched: bool, remarks: tuple[str, ...]
 ) -> Iterator[LikeCells]:
-    """RVEs of one seed, each laid out by what the one before lacked at rest.
+    """Yield RVEs of one seed, each laid out by what the one before lacked at rest.
 
     Raises:
         InputError: the layout is out of reach, or does not come to rest.
@@ -480,7 +522,7 @@ def _corrected(
             "area_variation": _rounded(min(max(areas, LEAST_VARIATION), _MOST_VARIATION)),
         }
         cell = living_cell(**tried)
-        now = remarks
+        remarks_on_it = remarks
         if is_stretched:
             # Voronoi cells are longer than wide as they come, and cannot be laid out rounder
             as_they_come = laid_out(cell).elongation
@@ -490,28 +532,29 @@ def _corrected(
                 cell = living_cell(**tried)
             else:
                 aspect = as_they_come
-                now = (
+                remarks_on_it = (
                     *remarks,
                     f"mean aspect ratio {aim.elongation:.3g}: Voronoi cells have "
                     f"{as_they_come:.3g} without being stretched, so the RVE is not stretched",
                 )
         if tried == before:
-            return  # what is wanted is out of reach
+            return  # the correction has changed nothing: what is wanted is out of reach
         before = tried
         reached = LikeCells(
             entries=tried,
             cell=cell,
             laid_out=laid_out(cell),
             at_rest=at_rest(cell),
-            remarks=now,
+            remarks=remarks_on_it,
         )
         yield reached
         rest = reached.at_rest
         if rest.difference(aim) <= _NEAR:
             return
+        # next time more or less in proportion to what is left of it
         areas *= aim.area_variation / max(rest.area_variation, _LEAST_SHAPE)
         if is_stretched:
-            # what is laid out beyond a round cell, in proportion to what is left of it
+            # the same for the part beyond 1, the aspect ratio of a round cell
             aspect = 1.0 + (aspect - 1.0) * (aim.elongation - 1.0) / (rest.elongation - 1.0)
             aspect = min(max(aspect, 1.0), _MOST_ELONGATION)
 
@@ -522,7 +565,7 @@ def _rounded(value: float) -> float:
 
 
 def shapes_table(cells: ImagedCells) -> Table[Any]:
-    """What the whole cells of an image are like."""
+    """Make a table of the shapes of the whole cells of an image."""
     shapes = cells.shapes
     rows: list[dict[str, Any]] = [
         {"quantity": "whole cells", "value": len(cells.area), "unit": ""},

@@ -35,16 +35,17 @@ from surrofe2.report.tables import Quantity, Table
 from surrofe2.run.charts import Curve, Panel
 from surrofe2.rve import RveLaw
 
-POINTS = 16
+POINTS = 16  # states along the way
+# Newton's method for the shape of the box: iterations, and the part of the stress that is no
+# pressure, over the turgor, at which it ends.
 _TRIALS = 30
 _EVEN = 1e-10
-"""Newton's method for the shape of the box, and the stress besides a pressure, over the turgor,
-at which it stops."""
+# Moduli along x and y that differ by less than this fraction are drawn as one.
 _SAME = 1e-3
+# Digits of a water potential: that of the reference is 0 up to rounding.
 _DIGITS = 9
-"""Of a water potential: that of the reference is 0 but for rounding."""
+# Fraction of the way to no turgor that is left out at its end, where the stiffness ends, too.
 _SLACK = 1e-2
-"""Part of the way to no turgor that is left out at its end, where the stiffness ends, too."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,7 +74,7 @@ class Wilting:
         return np.asarray(np.sqrt(np.linalg.det(self.F)))
 
     def rows(self) -> list[dict[str, Any]]:
-        """The stable states, as tables have them."""
+        """Return the stable states, as tables have them."""
         rows = []
         for k in np.flatnonzero(self.stable):
             C = self.elastic[k]
@@ -96,7 +97,7 @@ class Wilting:
 
 
 def wilt(cell: CellParameters, points: int = POINTS) -> Wilting:
-    """States of equal steps in size from the reference to where the walls carry no turgor.
+    """Compute states of equal steps in size from the reference to where the walls carry no turgor.
 
     Raises:
         InputError: fewer than two points, SPH fluid, whose pressure is not that of a solution,
@@ -126,32 +127,35 @@ def wilt(cell: CellParameters, points: int = POINTS) -> Wilting:
     by_F, _ = answer.tangents.cauchy(F, answer.stress)
     about = np.einsum("nijkm,nlm->nijkl", by_F, F)
     thickness = cell.tissue_thickness
-    turgor, walls = np.full((2, points), np.nan)
+    turgor = np.full(points, np.nan)
+    walls = np.full(points, np.nan)
     turgor[known], walls[known] = _walls(law, F[known])
     return Wilting(
         bath=-np.trace(answer.stress, axis1=1, axis2=2) / 2.0 / thickness,
         turgor=turgor,
         F=F,
         wall_stretch=walls,
-        elastic=np.array([voigt(each) for each in about]) / thickness,
+        elastic=np.array([voigt(moduli) for moduli in about]) / thickness,
         stable=stable & known & (turgor > 0.0),
     )
 
 
 def _walls(law: RveLaw, F: Array) -> tuple[Array, Array]:
-    """(n,) turgor that the walls carry at F, MPa, and the mean stretch of their springs."""
+    """Return the turgor (n,) that the walls carry at F, MPa, and the mean stretch of their
+    springs.
+    """
     seen = law.particles(F, np.zeros_like(F))
     carried = np.trace(seen.wall_stress, axis1=1, axis2=2) / 2.0 / law.cell.tissue_thickness
     return carried, seen.stretch.mean(axis=1)
 
 
 def _limp_size(law: RveLaw) -> float:
-    """The size at which walls carry next to no turgor, of a box that keeps its shape.
+    """Estimate the size at which walls carry next to no turgor, of a box that keeps its shape.
 
     There walls are nearly slack: repulsion between walls stretches them a little.
     """
     _, stretch = _walls(law, np.eye(2)[None])
-    end = 1.0 / float(stretch[0])
+    end = 1.0 / float(stretch[0])  # where all springs would have their rest length
     sizes = np.array([1.0, 1.0 - 0.5 * (1.0 - end), 1.0 - 0.8 * (1.0 - end)])
     turgor, _ = _walls(law, sizes[:, None, None] * np.eye(2))
     # the turgor falls nearly as a parabola of the size
@@ -163,9 +167,12 @@ def _limp_size(law: RveLaw) -> float:
 
 
 def _shapes(law: RveLaw, size: Array) -> tuple[Array, Flags]:
-    """(n, 2, 2) symmetric F of these sizes whose stress is a pressure, and where there is one.
+    """Find symmetric F (n, 2, 2) of these sizes whose stress is a pressure.
 
     Regular cells shrink evenly, by symmetry; the box of irregular ones changes its shape, too.
+
+    Returns:
+        F, and (n,) where it was found.
     """
     shape = np.zeros((len(size), 2))
     pressure = law.cell.fluid_density * law.cell.sound_speed**2
@@ -182,11 +189,13 @@ def _shapes(law: RveLaw, size: Array) -> tuple[Array, Flags]:
         by_F, _ = answer.tangents.cauchy(F, s)
         for k in np.flatnonzero(~even & np.isfinite(rest).all(axis=1)):
             # columns: by more length along x and less along y, and by shear
-            ways = (np.diag([1.0, -1.0]), np.array([[0.0, 1.0], [1.0, 0.0]]))
-            slopes = [np.einsum("ijkl,kl->ij", by_F[k], size[k] * way) for way in ways]
-            matrix = np.array(
-                [[d[0, 0] - d[1, 1] for d in slopes], [d[0, 1] + d[1, 0] for d in slopes]]
-            )
+            stretching = np.diag([1.0, -1.0])
+            shearing = np.array([[0.0, 1.0], [1.0, 0.0]])
+            columns = []
+            for change in (stretching, shearing):
+                slope = np.einsum("ijkl,kl->ij", by_F[k], size[k] * change)
+                columns.append([slope[0, 0] - slope[1, 1], slope[0, 1] + slope[1, 0]])
+            matrix = np.array(columns).T
             shape[k] -= np.linalg.solve(matrix, rest[k])
             a, b = shape[k]
             F[k] = size[k] * scipy.linalg.expm(np.array([[a, b], [b, -a]]))
@@ -194,6 +203,7 @@ def _shapes(law: RveLaw, size: Array) -> tuple[Array, Flags]:
 
 
 def _MPa(name: str) -> Quantity[Any]:
+    """Make a column in MPa."""
     return Quantity(name, "MPa", ".3g")
 
 
@@ -218,17 +228,19 @@ def wilting_study(
     *,
     progress: Callable[[float], None] = lambda done: None,
 ) -> Study:
-    """Size and moduli against the turgor; as `wilt`."""
+    """Compute size and moduli against the turgor; see `wilt`."""
     rows = wilt(cell, points).rows()
     progress(1.0)
     turgor = np.array([row["turgor"] for row in rows])
 
     def curve(name: str, colour: int | None = None) -> Curve:
+        """Make the curve of a column over the turgor."""
         return Curve(name, turgor, np.array([row[name] for row in rows]), colour=colour)
 
     label = "turgor (MPa)"
     moduli = [name for name in rows[0] if "modulus" in name and "bulk" not in name]
-    along_x, along_y = (f"Young's modulus along {axis}" for axis in "xy")
+    along_x = "Young's modulus along x"
+    along_y = "Young's modulus along y"
     if np.allclose(curve(along_x).y, curve(along_y).y, rtol=_SAME):
         moduli.remove(along_y)  # one curve would hide the other
     return Study(

@@ -165,7 +165,8 @@ def _span(name: str, part: str, span: re.Match[str]) -> list[Any]:
         first = float(span[1])
         last = float(span[2])
     except ValueError:  # the check below has the message
-        first = last = float("nan")
+        first = float("nan")
+        last = float("nan")
     count = int(span[3])
     is_log = bool(span[4])
     is_finite = np.isfinite([first, last]).all()
@@ -199,7 +200,7 @@ def name_of_values(changes: Mapping[str, Any], *first: str) -> str:
 
 
 def text_of(value: Any) -> str:
-    """Write a value of an entry as people do: a whole number without a point."""
+    """Write a value of an entry as text: a whole number without a point."""
     if isinstance(value, str):
         return value
     # from 1e15 on, digits of an integer would claim more than a float has
@@ -209,16 +210,20 @@ def text_of(value: Any) -> str:
 
 
 def toml_text(tables: Mapping[str, Any]) -> str:
-    """Write nested tables as TOML, which `read_toml` reads back; entries that are None or
-    tables without entries are left out.
+    """Write nested tables as TOML, which `read_toml` reads back.
 
     A table that has tables becomes a section, as do those beside it; others stand in one line.
+    Entries that are None, and tables without entries, are left out.
     """
     return "".join(_sections(tables, ()))
 
 
 def _sections(table: Mapping[str, Any], way: tuple[str, ...]) -> Iterator[str]:
-    """Write a table and the tables in it, each a section; `way` are the names that lead to it."""
+    """Write a table and the tables in it, each a section.
+
+    Args:
+        way: the names that lead to the table, from the outermost one.
+    """
     # either all tables in it are sections or none is, since the order of conditions counts
     has_sections = not way or any(
         isinstance(value, Mapping) and _has_tables(value) for value in table.values()
@@ -254,9 +259,11 @@ def _key(name: str) -> str:
 def _toml_value(value: Any) -> str:
     """Write a value on one line."""
     if isinstance(value, Mapping):
-        stated = {name: each for name, each in value.items() if each is not None}
-        entries = ", ".join(f"{_key(name)} = {_toml_value(each)}" for name, each in stated.items())
-        return f"{{ {entries} }}"
+        entries = []
+        for name, entry in value.items():
+            if entry is not None:
+                entries.append(f"{_key(name)} = {_toml_value(entry)}")
+        return f"{{ {', '.join(entries)} }}"
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_toml_value, value))}]"
     if value is None:  # a component of a displacement

@@ -60,7 +60,7 @@ T = TypeVar("T")
 
 
 def _without(kind: type[T], key: str) -> Callable[[str, Any], T]:
-    """Return a reader of settings whose table has one more key, which is read elsewhere."""
+    """Make a reader of settings whose table has one more key, which is read elsewhere."""
 
     def read(where: str, entry: Any) -> T:
         check_table(where, entry)
@@ -72,8 +72,8 @@ def _without(kind: type[T], key: str) -> Callable[[str, Any], T]:
 
 # The problem.
 
+# Sections that state a problem.
 PROBLEM_SECTIONS = ("mesh", "conditions", "watch", "bodies", "time")
-"""Sections that state a problem."""
 
 # The function that looks up where a condition acts; of conditions that are not here, `nodes_on`.
 _PLACES: dict[type, Any] = {
@@ -151,9 +151,12 @@ class MeshSettings:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the section, with defaults filled in."""
+        # a part of the plane writes its own entry, where `asdict` would lose its kind
         section = asdict(self)
-        section["boundaries"] = {name: p.entry() for name, p in (self.boundaries or {}).items()}
-        section["regions"] = {name: p.entry() for name, p in (self.regions or {}).items()}
+        section["boundaries"] = {
+            name: part.entry() for name, part in (self.boundaries or {}).items()
+        }
+        section["regions"] = {name: part.entry() for name, part in (self.regions or {}).items()}
         return section
 
 
@@ -197,6 +200,7 @@ class TimeSettings:
         if self.output_times is not None:
             self._check_output_times(self.output_times)
         elif self.output_interval is None:
+            # the way to change a frozen dataclass while it is made
             object.__setattr__(self, "output_interval", self.duration / 500.0)
         elif self.output_interval > self.duration:
             raise InputError(
@@ -213,7 +217,7 @@ class TimeSettings:
         for name in ("output_interval", "outputs_per_decade"):
             if getattr(self, name) is not None:
                 raise InputError(f"time.{name}", "not with output_times; leave one out")
-        steps = np.diff([0.0, *times])
+        steps = np.diff([0.0, *times])  # the first time must be positive, too
         if not (steps.size and (steps > 0.0).all() and times[-1] <= self.duration):
             raise InputError(
                 "time.output_times",
@@ -264,22 +268,21 @@ def _bodies(where: str, entry: Any) -> tuple[RigidBody, ...]:
 
 # Its plant cells.
 
+# Name of a plant cell, that of its section [cells.NAME]; None: the one of [cell], which fills the
+# tissue and needs no name.
 CellName = str | None
-"""Name of a plant cell, that of its section [cells.NAME]; None: the one of [cell], which fills the
-tissue and needs no name."""
+# Region that a cell names to fill what no other cell fills. A region of the mesh by that name comes
+# before this meaning.
 REST = "rest"
-"""Region that a cell names to fill what no other cell fills; a region of the mesh by that name goes
-first."""
+# Sections that a cell may have; keys that they leave out are those of the recipe's section.
 CELL_SECTIONS = ("range", "samples", "training")
-"""Sections that a cell may have; keys that they leave out are those of the recipe's section."""
-# Sections with a file, which cells cannot share.
+# Of these, the sections with a file, which cells cannot share.
 _WITH_FILE = ("samples", "training")
+# Further names of presets: the paper from which each comes.
 ALIASES = {"ghysels2009": "printed", "ghysels2009-light": "water"}
-"""Further names of presets: the paper from which each comes."""
+# Samples that training begins with, and takes at most, where a recipe leaves their number out.
 FIRST_COUNT = 512
-"""Samples that training begins with where a recipe leaves their number out."""
 MOST_COUNT = 16384
-"""Samples that training takes at most where a recipe leaves their number out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -302,8 +305,8 @@ class SampleSettings:
         """Return the numbers of samples that training takes, in turn, until its bound is met.
 
         Args:
-            bound: bound that training is to reach, as a fraction of the spread of stress. Without
-                one (0) training takes the largest number at once.
+            bound: bound of the error that training is to reach, as a fraction of the spread of
+                stress. Without one (0) training takes the largest number at once.
         """
         if self.count is not None:
             return (self.count,)
@@ -311,7 +314,7 @@ class SampleSettings:
             return (MOST_COUNT,)
         counts = [FIRST_COUNT]
         while counts[-1] < MOST_COUNT:
-            counts.append(2 * counts[-1])
+            counts.append(2 * counts[-1])  # a Sobol sequence is balanced at powers of 2
         return tuple(counts)
 
 
@@ -400,6 +403,7 @@ def _check_files_differ(types: Mapping[CellName, CellType]) -> None:
         for section, file in zip(_WITH_FILE, files, strict=True):
             if file is None:
                 continue
+            # `Path` makes "./a.h5" and "a.h5" the same
             owner = owners.setdefault((section, str(Path(file))), name)
             if owner != name:
                 raise InputError(
@@ -411,7 +415,12 @@ def _cell_type(name: CellName, entries: Any, shared: Mapping[str, Mapping[str, A
     """Read the cell of [cell], which has no name, or of [cells.NAME].
 
     Args:
+        name: NAME, or None.
+        entries: the table of that section.
         shared: the recipe's sections of `CELL_SECTIONS`, for keys that the cell's leave out.
+
+    Raises:
+        InputError: its `faults` are all faults of the cell.
     """
     is_named = name is not None
     where = f"cells.{name}" if is_named else "cell"
@@ -485,39 +494,45 @@ def kinds_of_cells(problem: Problem, types: Mapping[CellName, CellType], middles
         InputError: a plant cell is of none, or of two.
     """
     known = problem.mesh.subdomains or {}
-    kind = np.full(len(middles), -1)
+    kind = np.full(len(middles), -1)  # of no type yet
 
-    def at(where: Flags) -> str:
+    def first_place(where: Flags) -> str:
+        """Write the place of the first of the cells that are flagged, for a message."""
         x, y = middles[where][0]
         return f"({x:g}, {y:g}) µm"
 
-    for k, (name, each) in enumerate(types.items()):
-        for part in (part for part in each.regions if part in known):
+    for k, (name, cell) in enumerate(types.items()):
+        for part in cell.regions:
+            if part not in known:  # "rest", which is filled below
+                continue
             inside = problem.cells_inside(part, middles)
             twice = inside & (kind >= 0) & (kind != k)
             if twice.any():
                 raise InputError(
                     f"cells.{name}.regions",
-                    f"{part}; the plant cell at {at(twice)} is of another type, too",
+                    f"{part}; the plant cell at {first_place(twice)} is of another type, too",
                 )
             kind[inside] = k
-    for k, each in enumerate(types.values()):
-        if _takes_rest(each, known):
+    for k, cell in enumerate(types.values()):
+        if _takes_rest(cell, known):
             kind[kind < 0] = k
     if (kind < 0).any():
-        raise InputError("cells", f"none fills the plant cell at {at(kind < 0)}; give it a type")
+        place = first_place(kind < 0)
+        raise InputError("cells", f"none fills the plant cell at {place}; give it a type")
     return kind
 
 
 # All of it.
 
-# Bytes of a file's name. File systems allow 255, and names made from this one are longer.
+# Longest name of a file, bytes. File systems allow 255, and names made from this one are longer.
 _LONGEST_NAME = 200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe:
-    """Everything that a study needs; sections without a line here are described at their settings.
+    """All that a study needs, as a recipe states it.
+
+    Fields that are not listed here are sections, described at their settings.
 
     Attributes:
         path: the recipe's file, against which its files resolve.
@@ -571,10 +586,10 @@ class Recipe:
             InputError: there is no cell of that name; the cell of [cell] has none.
         """
         if name is None:
-            return {each: CellStudy(self, each) for each in self.cells}
+            return {cell_name: CellStudy(self, cell_name) for cell_name in self.cells}
         name = with_micro_sign(name)
         if name not in self.cells:
-            known = [each or "[cell]" for each in self.cells]
+            known = [cell_name or "[cell]" for cell_name in self.cells]
             raise unknown(f"--cell: {quoted(name)}", name, "cell", known)
         return {name: CellStudy(self, name)}
 
@@ -598,6 +613,7 @@ class Recipe:
             return {}
         elements_of: dict[str, Index] = {}
         for name, cell in named.items():
+            # an empty array, so that the cell of "rest" alone can be concatenated, too
             members = [np.zeros(0, np.int64)]
             for part in cell.regions:
                 is_remainder = part == REST and part not in regions
@@ -661,6 +677,7 @@ class Recipe:
             try:
                 space.locate(np.array(point), f"watch.{name}")
             except InputError as error:
+                # a point outside the mesh: the nearest node says where the mesh is
                 offset = mesh.p.T - np.array(point)
                 x, y = mesh.p[:, np.hypot(offset[:, 0], offset[:, 1]).argmin()]
                 message = f"{error}, whose nearest node is at ({x:.6g}, {y:.6g}) µm"
@@ -820,6 +837,7 @@ def _entries(cell: CellType) -> dict[str, Any]:
     return {**sections.pop("cell"), "regions": list(cell.regions), **sections}
 
 
+# Sections of settings by name; others state a problem, or several cells.
 SECTIONS: dict[str, type] = {
     "cell": CellParameters,
     "rve": RveSettings,
@@ -836,13 +854,12 @@ SECTIONS: dict[str, type] = {
     "surface": SurfaceSettings,
     "cache": CacheSettings,
 }
-"""Sections of settings by name; others state a problem, or several cells."""
 # Sections that all cells of a recipe share.
 _OF_ALL_CELLS = (
     "rve", "calibration", "macro", "tissue", "image", "table", "rest", "surface", "cache",
 )  # fmt: skip
 
-# Bytes of a recipe: a larger file is another one, given by mistake.
+# Largest size of a recipe, bytes: a larger file is another one, taken by mistake.
 _MOST_BYTES = 2**24
 
 
@@ -870,10 +887,8 @@ def load_recipe(path: str | Path, changes: Mapping[str, Any] = MappingProxyType(
     path = Path(path)
     if path.is_dir():
         of_run = path / INPUT / RECIPE
-        raise FileError(
-            f"{path}: a folder; a recipe is a TOML file"
-            + (f", such as {of_run}; `surrofe2 run` repeats the run" if of_run.exists() else "")
-        )
+        hint = f", such as {of_run}; `surrofe2 run` repeats the run" if of_run.exists() else ""
+        raise FileError(f"{path}: a folder; a recipe is a TOML file{hint}")
     try:
         table = read_toml(read_text(path, _MOST_BYTES))
     except ValueError as error:  # an integer may have too many digits, too
@@ -888,6 +903,12 @@ def load_recipe(path: str | Path, changes: Mapping[str, Any] = MappingProxyType(
 
 def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> Recipe:
     """Make a recipe from the nested tables of a TOML file.
+
+    Sections are read one after another. A fault is noted and reading continues, so that all faults
+    are reported together.
+
+    Args:
+        path: file of the recipe, against which its files resolve.
 
     Raises:
         InputError: naming the section or key that is unknown or out of its range; its `faults`
@@ -931,7 +952,7 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
 
 
 def _known_sections(table: Mapping[str, Any], faults: Faults) -> dict[str, Any]:
-    """Return the sections that a recipe may have, and note others, and values that are no table."""
+    """Return the sections that a recipe may have; note others, and values that are no table."""
     known = (*SECTIONS, *PROBLEM_SECTIONS, "cells")
     sections: dict[str, Any] = {}
     for name, section in with_micro_keys(table).items():
@@ -945,7 +966,7 @@ def _known_sections(table: Mapping[str, Any], faults: Faults) -> dict[str, Any]:
 
 
 def _check_homes(tables: Mapping[str, Any], problem_sections: list[str], faults: Faults) -> None:
-    """Note entries of [macro] that another section of this recipe states."""
+    """Note entries of [macro] that another section of this recipe states, and should."""
     macro = tables.get("macro", {})
     time = tables.get("time")
     if problem_sections and "elements" in macro:
@@ -973,6 +994,6 @@ def _check_problem(tables: Mapping[str, Any], first: str, faults: Faults) -> Non
 
 
 def changed(settings: T, **entries: Any) -> T:
-    """Return the settings of a section with other entries; None leaves an entry as it is."""
+    """Return settings with other entries; None leaves an entry as it is."""
     stated = {name: value for name, value in entries.items() if value is not None}
     return replace(settings, **stated)  # type: ignore[type-var]

@@ -30,6 +30,7 @@ from surrofe2.store.store import check_replaceable, read_bytes, write_text
 Schema = dict[str, Any]
 
 TITLE = "Recipe of surrofe2"
+# The kinds of new recipes by name, each with what it is for.
 TEMPLATES = {
     "bar": "the paper's bending bar",
     "strip": "a strip that is pulled and held",
@@ -38,7 +39,7 @@ TEMPLATES = {
     "voronoi": "irregular plant cells",
     "cells": "several kinds of plant cell by region",
 }
-"""The kinds of new recipes by name, each with what it is for."""
+# Name of the schema's file, beside a recipe.
 SCHEMA = "recipe.schema.json"
 _TEXT: Schema = {"type": "string"}
 # Bounds of a setting, see `base.settings`, and their names in a JSON schema.
@@ -48,6 +49,7 @@ _BOUNDS = {
     "above": "exclusiveMinimum",
     "below": "exclusiveMaximum",
 }
+# Types of entries, and their names in a JSON schema.
 _PLAIN = {float: "number", int: "integer", bool: "boolean", str: "string"}
 
 
@@ -107,7 +109,9 @@ def _with(table: Schema, more: Schema) -> Schema:
 
 
 def _kinds(kinds: Any) -> list[Schema]:
-    """Return the schemas of tables whose entry `kind` says which of them they are."""
+    """Return the schemas of tables of several kinds; the entry `kind` of a table states which it
+    is.
+    """
     tables = []
     for name, kind in kinds.items():
         table = _with(_settings(kind), {"kind": {"enum": [name]}})

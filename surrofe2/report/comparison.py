@@ -22,16 +22,14 @@ from surrofe2.store.store import digest, flat, keep, write_bytes
 COMPARISON = "comparison.json"
 
 
+# Entry of a record's `met` on points beyond a bifurcation: their number, `points`, the number of
+# all points, `of`, and the time or load factor from which on there were any, `from`.
 BUCKLED = "beyond_bifurcation"
-"""Entry of a record's `met` on points beyond a bifurcation.
-
-It has their number, `points`, the number of all points, `of`, and the time or load factor from
-which on there were any, `from`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Balance:
-    """The cost of a run through a cache against one by RVEs, with that of making the cache.
+    """The cost of a run through a cache beside that of a run by RVEs, and the cost of the cache.
 
     Attributes:
         made: seconds of data set, training and calibration; None where they are not known.
@@ -95,6 +93,7 @@ class ComparedRun:
 
     Attributes:
         name: name of the run's folder.
+        law: law of the run, as of `--law`, or "tissue".
         difference: difference of the watched displacement, relative to the reference's largest.
         wall_time: seconds of law and macro together, without compilation.
         counts: numbers of stresses and solves by name.
@@ -124,7 +123,7 @@ QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
     Quantity("RMS", "", percent(3), lambda run: run.difference.rms),
     Quantity("wall time", "s", ".3g", lambda run: run.wall_time),
     Quantity("speed-up", "×", ".3g", lambda run: run.speed_up["wall_time"]),
-    Quantity("first run", "×", ".3g", lambda run: run.balance and run.balance.gain),
+    Quantity("first run", "×", ".3g", lambda run: run.balance.gain if run.balance else None),
     Quantity("RVE solves", "", ",", lambda run: run.counts.get("rve_solves", 0)),
     Quantity("fewer solves", "×", None, lambda run: run.speed_up["rve_solves"]),
     Quantity("fallbacks", "", ",", lambda run: run.counts.get("fallbacks")),
@@ -132,7 +131,7 @@ QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
 )
 FORCE_QUANTITIES: tuple[Quantity[Mapping[str, Any]], ...] = (
     Quantity("run", "", ""),
-    Quantity("force", "", ""),
+    Quantity("force", "", ""),  # name of a support, surface load or body
     Quantity("largest", "µN", ".4g"),
     Quantity("largest difference", "", percent(3)),
     Quantity("of largest", "", None),
@@ -384,12 +383,17 @@ def fallback_reasons(counts: Mapping[str, int]) -> str:
     return f" ({', '.join(reasons)})" if reasons else ""
 
 
-# The picture, of runs of which the reference is the first.
+# The picture: of runs of which the reference is the first.
 
-# A component of the displacement has a panel from this fraction of the largest displacement on.
-_SEEN = 0.02
-# Curves that are closer, relative to the largest displacement, are drawn as one line.
-_TOGETHER = 0.003
+# A component of the displacement has a panel from this fraction of the largest displacement on;
+# below, its curve would show lateral contraction and noise.
+_LEAST_COMPONENT = 0.02
+# Curves that are closer, relative to the largest displacement, are drawn as one line: the lines are
+# thicker than that.
+_LEAST_DISTANCE = 0.003
+# Heights of panels relative to the first one, which has the watched component.
+_HEIGHT_OF_OTHER_COMPONENT = 0.55
+_HEIGHT_OF_DETAIL = 0.6
 # Constants of a plant cell that are named in a title; of more, the number alone.
 _MOST_NAMED = 3
 
@@ -397,42 +401,62 @@ _MOST_NAMED = 3
 def displacement_panels(runs: Sequence[StoredRun]) -> list[Panel]:
     """Draw the watched point's displacement by all runs, each component that counts in a panel.
 
-    Runs that nobody could tell from the reference are named at its line.
+    The largest component comes first. Runs that nobody could tell from the reference have no line
+    of their own; they are named at its line, with the distance.
     """
     reference, *others = runs
-    largest = abs(reference.curve.displacement).max(axis=0)
     distances = [difference(run.curve, reference.curve).largest for run in others]
-    close = [k for k, distance in enumerate(distances) if distance < _TOGETHER]
-    labels = [_label(reference, reference), *(_label(others[k], reference) for k in close)]
-    label = ", ".join(labels)
-    if close:
-        label += f" (at most {percent(2)(max(distances[k] for k in close))} apart)"
-    has_other_lines = len(close) < len(others)
+    is_close = [distance < _LEAST_DISTANCE for distance in distances]
+    label = _label_of_reference(runs, distances, is_close)
+    largest = abs(reference.curve.displacement).max(axis=0)
     panels: list[Panel] = []
     for axis in np.argsort(-largest).tolist():
-        if panels and largest[axis] < _SEEN * largest.max():
+        is_first = not panels
+        if not is_first and largest[axis] < _LEAST_COMPONENT * largest.max():
             continue
-        curves = [
-            Curve(
-                "reference" if has_other_lines else "",
-                reference.curve.t,
-                reference.curve.displacement[:, axis],
-                label,
-                markers=False,
-                colour=0,
-            )
-        ]
+        displacement = reference.curve.displacement[:, axis]
+        # beside other lines the reference is wide and grey, so that it is seen behind them
+        style = "" if all(is_close) else "reference"
+        curve = Curve(style, reference.curve.t, displacement, label, markers=False, colour=0)
+        curves = [curve]
         for k, run in enumerate(others):
-            if k in close:
+            if is_close[k]:
                 continue
-            u = run.curve.displacement[:, axis]
+            displacement = run.curve.displacement[:, axis]
             name = _label(run, reference)
-            curves.append(Curve("", run.curve.t, u, name, markers=False, colour=k))
+            # colours are by number, so that a run has the same one in every panel
+            curve = Curve("", run.curve.t, displacement, name, markers=False, colour=k)
+            curves.append(curve)
+        # one line needs no legend: its name is the title
+        has_one_line = len(curves) == 1
+        title = in_words(label) if is_first and has_one_line else ""
         y_label = f"displacement $u_{'xy'[axis]}$ (µm)"
-        title = "" if panels or len(curves) > 1 else in_words(label)
-        height = 0.55 if panels else 1.0
+        height = 1.0 if is_first else _HEIGHT_OF_OTHER_COMPONENT
         panels.append(Panel(reference.clock, y_label, tuple(curves), title, height=height))
     return panels
+
+
+def _label_of_reference(
+    runs: Sequence[StoredRun], distances: Sequence[float], is_close: Sequence[bool]
+) -> str:
+    """Name the reference and all runs that are drawn by its line, and say how far these are.
+
+    Args:
+        runs: the reference first.
+        distances: of each other run from it, relative to the largest displacement.
+        is_close: whether each other run is drawn by the reference's line.
+    """
+    reference, *others = runs
+    labels = [_label(reference, reference)]
+    close_distances = []
+    for run, distance, has_its_line in zip(others, distances, is_close, strict=True):
+        if has_its_line:
+            labels.append(_label(run, reference))
+            close_distances.append(distance)
+    label = ", ".join(labels)
+    if close_distances:
+        label += f" (at most {percent(2)(max(close_distances))} apart)"
+    return label
 
 
 def difference_panel(runs: Sequence[StoredRun]) -> Panel:
@@ -440,22 +464,34 @@ def difference_panel(runs: Sequence[StoredRun]) -> Panel:
     reference, *others = runs
     t = reference.curve.t
     reference_u = reference.curve.displacement
-    scale = np.linalg.norm(reference_u, axis=1).max() or 1.0
+    scale = np.linalg.norm(reference_u, axis=1).max() or 1.0  # without motion all is 0 %
     curves = []
     for k, run in enumerate(others):
         u = run.curve.displacement
+        # runs have times of their own
         apart = [u[:, i] - np.interp(run.curve.t, t, reference_u[:, i]) for i in range(2)]
         relative = 100.0 * np.linalg.norm(apart, axis=0) / scale
         label = _label(run, reference)
         curves.append(Curve("", run.curve.t, relative, label, markers=False, colour=k))
-    names = curves[0].label if len(curves) == 1 else "each run"
+    # with one curve, the title says whose it is
+    if len(curves) == 1:
+        names = curves[0].label
+    else:
+        names = "each run"
     title = f"Difference of {names} and {reference.name}, relative to the largest displacement"
-    return Panel(reference.clock, "difference (%)", tuple(curves), in_words(title), height=0.6)
+    return Panel(
+        reference.clock,
+        "difference (%)",
+        tuple(curves),
+        in_words(title),
+        height=_HEIGHT_OF_DETAIL,
+    )
 
 
 def audit_panels(runs: Sequence[StoredRun]) -> list[Panel]:
     """Draw which fraction of audited stresses has at most which error; none without audits."""
     curves: list[Curve] = []
+    # without the reference, unless it is the only run
     for k, run in enumerate(runs[1:] or runs):
         for name, cache in run.caches.items():
             if cache["audit"]["quantiles"]:
@@ -469,7 +505,7 @@ def audit_panels(runs: Sequence[StoredRun]) -> list[Panel]:
         "Errors of the cache's stress found by audits",
         log_x=True,
         zero=True,
-        height=0.6,
+        height=_HEIGHT_OF_DETAIL,
     )
     return [panel]
 
@@ -485,7 +521,8 @@ def audit_curves(audit: Mapping[str, Any], k: int, of: str) -> list[Curve]:
     histogram = audit["histogram"]
     first, *others = histogram["bins"]
     bins = np.array([first - 1, first, *others])
-    # Bin k ends at the smallest edge times 10^(k / bins a decade).
+    # Bin k ends at the smallest edge times 10^(k / bins a decade). The curve begins where the first
+    # bin does, at 0 %.
     errors = histogram["smallest_edge"] * 10.0 ** (bins / histogram["bins_a_decade"])
     counts = np.cumsum([0.0, *histogram["counts"]])
     below = 100.0 * (counts / counts[-1])
@@ -533,6 +570,7 @@ def _problem_of(recipe: Mapping[str, Any]) -> str:
         counts = [counts]
     elements = f"{' × '.join(map(_words, counts))} elements"
     size = f"{_words(mesh['width'])} × {_words(mesh['height'])} µm"
+    # the load case of the paper's bar
     if acting == ["clamp", "load"] and "acceleration" in conditions["load"]:
         g_x, g_y = (f"{g:g}".replace("-", "−") for g in conditions["load"]["acceleration"])
         return f"{size} tissue, body force ({g_x}, {g_y}) µm/µs², {elements}"
@@ -561,7 +599,7 @@ _NAMES = {"none": "", "rve": "RVEs", "cauchy-born": "Cauchy–Born", "tissue": "
 
 
 def _words(entry: Any) -> str:
-    """Write an entry of a record as people do: "constrained runs", "5,000"."""
+    """Write an entry of a record as text: "constrained runs", "5,000"."""
     if isinstance(entry, str):
         return _NAMES.get(entry, entry.translate(str.maketrans("-_", "  ")))
     return f"{entry:,}" if isinstance(entry, int) else f"{entry:,.6g}"

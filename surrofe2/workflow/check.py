@@ -42,33 +42,41 @@ from surrofe2.workflow.laws import law_by_region
 from surrofe2.workflow.time_scales import TimeScales, time_scales
 from surrofe2.workflow.train import is_trained
 
+# Proposed ranges.
+# They hold this fraction more strain and rate than the dry run met, which knows no stiffening.
 MARGIN = 0.2
-SECONDS = 10.0
-"""Processor time of all dry runs of a check; those on the recipe's mesh have half of it."""
-MOST_ELEMENTS = 65_536
-"""Of a mesh that is checked, so that memory stays below 1 GB; a rectangle of more is coarsened."""
+# Least rate of a proposed range, 1/µs: that of a rest, whose stress does not depend on the rate.
 LEAST_RATE = 1e-4
-"""Of a proposed range, 1/µs: that of a rest, whose stress has no part by the rate."""
+
+# The time of a check, and the meshes that it takes.
+# Seconds of processor time of all dry runs; those on the recipe's mesh have half of it.
+SECONDS = 10.0
+# Elements of a mesh that is checked, so that memory stays below 1 GB; a rectangle of more is
+# coarsened.
+MOST_ELEMENTS = 65_536
+# A mesh of so few elements along its longer side is not coarsened: it would show no bending.
 _COARSEST = 4
+# Elements of a mesh on which the time scales are known well enough.
 _FEW_ELEMENTS = 1024
-"""Of a mesh on which the time scales are known well enough."""
+# Fraction of the load of a dry rest from which on its whole cost is extrapolated.
 _LEAST_REACHED = 0.01
-"""Of the load of a dry rest, from which on its whole cost is extrapolated."""
+# Frames of a dry run, at which its largest displacement is measured.
 _FRAMES = 21
-"""Of a dry run, by which its largest displacement is known."""
+
+# RVEs are timed along the last steps of a dry run: so many steps, so many points of each, and none
+# begun after so much processor time.
 _TIMED_STEPS = 24
 _TIMED_POINTS = 128
 _TIMED_SECONDS = 3.0
-"""RVEs are timed along the second half of so many last steps of a dry run, since the first are cold
-and without a prediction; none is begun after so much processor time."""
+
+# Boundaries, or regions, of a mesh that a check lists.
 _MOST_PARTS = 30
-"""Boundaries, or regions, of a mesh that a check lists."""
-_LEARNING = 30.0
-"""A run by RVEs that is shorter, in s, ends before a data set and a surrogate are made."""
+# About the least time in which a data set and a surrogate are made, s.
+_SECONDS_TO_LEARN = 30.0
 
 
 def recipe_faults(path: Path) -> list[str]:
-    """An error message for each entry of a recipe that cannot be what it says, all in one go."""
+    """Return an error message for each faulty entry of a recipe; none where it can be read."""
     try:
         load_recipe(path)
     except (FileError, InputError) as error:
@@ -77,10 +85,14 @@ def recipe_faults(path: Path) -> list[str]:
 
 
 def study_faults(recipe: Recipe, kinds: Sequence[str], *, fresh: bool = False) -> list[str]:
-    """What keeps runs of a recipe by these laws from their end: mesh, names, range, files.
+    """List what keeps runs of a recipe by these laws from their end: mesh, names, range, files.
 
     Args:
-        fresh: a data set and a surrogate that are there do not count.
+        kinds: laws as of `--law`, e.g. ``("rve", "cached")``.
+        fresh: a data set and a surrogate that exist do not count, since they are made again.
+
+    Returns:
+        An error message for each fault; none where the runs can be made.
     """
     checks: list[Callable[[], Any]] = [partial(_check_problem, recipe)]
     if "table" in kinds:
@@ -109,8 +121,10 @@ def _check_problem(recipe: Recipe) -> None:
 
 
 def parts_of_mesh(recipe: Recipe) -> list[str]:
-    """A line about the recipe's mesh, and one for each of its boundaries and regions: how many
-    sides, elements and nodes are in it, and how long or large it is. A line for each node on which
+    """Describe the recipe's mesh in lines of text.
+
+    The first line is about the mesh. One line for each boundary and region says how many sides,
+    elements and nodes it has, and how long or large it is. One line for each node on which
     conditions act alone follows.
 
     Raises:
@@ -129,41 +143,44 @@ def parts_of_mesh(recipe: Recipe) -> list[str]:
     ]
     boundaries = mesh.boundaries or {}
     regions = mesh.subdomains or {}
-    for name, facets in [*boundaries.items()][:_MOST_PARTS]:
+    for name, facets in list(boundaries.items())[:_MOST_PARTS]:
+        # a side within the tissue has elements on both sides of it
         inner = np.count_nonzero(mesh.f2t[1, facets] != -1)
         within = f", {inner:,} of them within the tissue" if inner else ""
-        there = _counted(len(np.unique(facet_nodes(mesh, facets))), "node")
+        nodes_on_it = _counted(len(np.unique(facet_nodes(mesh, facets))), "node")
         sides = _counted(len(facets), "side")
         length = length_of(mesh, facets)
-        lines.append(f"boundary {name}: {sides}{within}, {there}, {length:,.6g} µm")
-    for name, elements in [*regions.items()][:_MOST_PARTS]:
-        there = _counted(len(np.unique(nodes[elements])), "node")
+        lines.append(f"boundary {name}: {sides}{within}, {nodes_on_it}, {length:,.6g} µm")
+    for name, elements in list(regions.items())[:_MOST_PARTS]:
+        nodes_in_it = _counted(len(np.unique(nodes[elements])), "node")
         inside = _counted(len(elements), "element")
-        lines.append(f"region {name}: {inside}, {there}, {area_of(mesh, elements):,.6g} µm²")
+        lines.append(f"region {name}: {inside}, {nodes_in_it}, {area_of(mesh, elements):,.6g} µm²")
     for what, names in (("boundaries", boundaries), ("regions", regions)):
         if len(names) > _MOST_PARTS:
             lines.append(f"and {len(names) - _MOST_PARTS} more {what}")
     for place in problem.acted_nodes():
         x, y = mesh.p[:, place.node(mesh, "on")]
-        acting = [label(each) for each in problem.conditions if each.on == place]
+        acting = [label(condition) for condition in problem.conditions if condition.on == place]
         lines.append(f"node at ({x:.6g}, {y:.6g}) µm: {', '.join(acting)}")
     return lines
 
 
 def lines_of_cells(recipe: Recipe) -> list[str]:
-    """Lines about each of a recipe's plant cells: what experiments would tell of it, and the
-    constants that mean the same."""
+    """Describe each plant cell of a recipe in two lines.
+
+    The first has what experiments would measure of it, the second the constants that mean the same.
+    """
     lines = []
-    for name, each in recipe.cells.items():
-        cell = each.parameters
+    for name, entry in recipe.cells.items():
+        cell = entry.parameters
         values = measurements_of(cell)
         units = {item.name: item.metadata["unit"] for item in fields(LivingTissue)}
         measured = [f"{key} {value:.4g} {units[key]}" for key, value in values.items()]
         if "turgor" not in values:
             measured.append("turgor by `surrofe2 moduli`")
         units = {item.name: item.metadata["unit"] for item in fields(CellParameters)}
-        # wall_stiffness is of two measurements
-        names = dict.fromkeys(each for names in DETERMINED.values() for each in names)
+        # no constant twice, though wall_stiffness follows from two measurements
+        names = dict.fromkeys(key for keys in DETERMINED.values() for key in keys)
         constants = [f"{key} {getattr(cell, key):.4g} {units[key]}" for key in names]
         lines += [
             f"{'plant cell' if name is None else f'cell {name}'}: {', '.join(measured)}",
@@ -173,12 +190,16 @@ def lines_of_cells(recipe: Recipe) -> list[str]:
 
 
 def _counted(number: int, what: str) -> str:
-    """A number of things, in words."""
+    """Write a number of things in words: "1 side", "2,000 sides"."""
     return f"{number:,} {what}" if number == 1 else f"{number:,} {what}s"
 
 
 def _check_files(study: CellStudy) -> None:
-    """Check that data set and surrogate, as far as they are there and whole, are of this recipe."""
+    """Check that data set and surrogate, as far as they exist and are whole, are of this recipe.
+
+    Raises:
+        FileError, MismatchError: they are not whole, or of another cell, range or version.
+    """
     cell = study.cell
     if cell.range is None or cell.samples.file is None or cell.training_file is None:
         return  # another check reports it
@@ -193,14 +214,19 @@ def _check_files(study: CellStudy) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DryRun:
-    """How often a run calls its law, and what it meets; dicts are by name of the cell.
+    """Cost and range of a run, as a dry run by the quadratic law found them.
+
+    A run calls its law for all quadrature points at once. Dicts are by name of the plant cell.
 
     Attributes:
-        points: of quadrature; each of the run's `calls` is for all of them.
-        reached: fraction of the duration, or of the load, by which `met` is known.
+        points: number of quadrature points.
+        calls: how often the run calls its law, extrapolated where the dry run was cut short.
+        reached: fraction of the duration, or of the load, that the dry run came to; `met` holds up
+            to there.
+        met: strains and rates that the points of a cell met.
         steps: the last accepted (F, Ḟ), (n, 2, 2) each, of some of a cell's points.
-        shares: of a cell among the points.
-        with_tangents: whether each call asks for tangents too, as those of a rest.
+        shares: fraction of the points that are of this cell.
+        with_tangents: whether each call asks for tangents too, as those of a rest do.
         displacement: the largest, µm; 0 where the run did not come to its end.
         omitted: what the time or the size of the mesh did not allow; empty where nothing was.
     """
@@ -217,22 +243,30 @@ class DryRun:
 
     @property
     def solves(self) -> float:
-        """RVEs that a run by them solves."""
+        """How many RVEs a run by RVEs solves."""
         return self.calls * self.points
 
 
 class _CutShort(Exception):  # noqa: N818 - no error
-    """As much of a run as was wanted is done."""
+    """Ends a dry run whose time is over; what was recorded so far counts."""
 
 
 class _Recorder(WatchedLaw):
-    """The quadratic law of a cell, and a record of its calls."""
+    """The quadratic law of a cell, which records how often it is called and with what.
+
+    Attributes:
+        extremes: lowest and highest strains and rates, as of `widen_extremes`.
+        steps: (F, Ḟ) of the last accepted steps, at some of the points.
+        calls: how often `respond` was called.
+        points: how many points the last call had.
+    """
 
     def __init__(self, law: StressLaw) -> None:
         super().__init__(law, self._note)
         self.extremes = NO_EXTREMES.copy()
         self.steps: deque[tuple[Array, Array]] = deque(maxlen=_TIMED_STEPS)
-        self.calls = self.points = 0
+        self.calls = 0
+        self.points = 0
 
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
@@ -242,17 +276,20 @@ class _Recorder(WatchedLaw):
         return super().respond(F, F_dot, state, tangents=tangents)
 
     def _note(self, F: Array, F_dot: Array) -> None:
+        """Record an accepted step: its extremes, and some points evenly from all."""
         widen_extremes(self.extremes, F, F_dot)
-        some = slice(None, None, -(-len(F) // _TIMED_POINTS))
+        stride = math.ceil(len(F) / _TIMED_POINTS)
+        some = slice(None, None, stride)
         self.steps.append((F[some].copy(), F_dot[some].copy()))
 
 
 def dry_run(recipe: Recipe, seconds: float = SECONDS, report: Report = no_report) -> DryRun:
-    """A dry run of a recipe's problem, in so many seconds of processor time.
+    """Make a dry run of a recipe's problem, in so many seconds of processor time.
 
-    Where half of them do not suffice for the whole run, a rectangle is meshed with half as many
-    elements each way, or a quarter, and so on, for the range and the steps; the number of calls is
-    that of the recipe's mesh, extrapolated.
+    Half of the time is for the recipe's own mesh, which gives the number of calls, extrapolated
+    where the run is cut short. Range and steps must be of a whole run. So a rectangle that did not
+    come to its end is run again in the rest of the time, with half, a quarter, … of the elements
+    each way.
 
     Raises:
         InputError: the mesh is too large, and no rectangle that can be coarsened.
@@ -261,22 +298,26 @@ def dry_run(recipe: Recipe, seconds: float = SECONDS, report: Report = no_report
     end = cpu_clock() + seconds
     mesh, halvings = checked_mesh(recipe)
     first = best = _dry_run(mesh, 0.5 * seconds, report)
-    while best.reached < 1.0 and (left := end - cpu_clock()) > 0.0:
+    while best.reached < 1.0 and (remaining := end - cpu_clock()) > 0.0:
         # half as many elements each way take a sixteenth of the time: a quarter of the points, and
         # steps that viscosity limits by the square of an element's size
         needed = 0.5 * seconds / max(best.reached, 1e-6)
-        coarser = _coarser(mesh, max(1, math.ceil(math.log(2.0 * needed / left, 16.0))))
+        coarser = _coarser(mesh, max(1, math.ceil(math.log(2.0 * needed / remaining, 16.0))))
         if coarser is None:
             break
         mesh = coarser
-        best = _dry_run(coarser, left, report)
-    found = replace(best, points=first.points * 4**halvings, calls=first.calls * 4.0**halvings)
+        best = _dry_run(coarser, remaining, report)
+    # where `checked_mesh` has halved the elements each way, the recipe's own mesh has four times
+    # the points, and steps a quarter as long, since viscosity limits them
+    run = replace(best, points=first.points * 4**halvings, calls=first.calls * 4.0**halvings)
+    if best.reached >= 1.0:
+        return run
     until = f"what is met after {best.reached * recipe.duration:.3g} of {recipe.duration:g} µs"
-    return found if best.reached >= 1.0 else replace(found, omitted=until)
+    return replace(run, omitted=until)
 
 
 def checked_mesh(recipe: Recipe) -> tuple[Recipe, int]:
-    """The recipe on a mesh that can be checked, and how often its elements were merged each way.
+    """Return the recipe on a mesh that can be checked, and how often elements were merged each way.
 
     Raises:
         InputError: the mesh is too large, and cannot be coarsened.
@@ -295,7 +336,12 @@ def checked_mesh(recipe: Recipe) -> tuple[Recipe, int]:
 
 
 def _coarser(recipe: Recipe, halvings: int) -> Recipe | None:
-    """The recipe with fewer elements, halved as often as its names allow; None: not at all."""
+    """Halve the elements each way, as often as asked, or less often where names do not allow it.
+
+    Returns:
+        The recipe on the coarser mesh; None where its mesh is no rectangle, has regions, or is as
+        coarse as it may be.
+    """
     elements = recipe.mesh.elements
     if elements is None or len(recipe.cells) > 1:
         return None
@@ -311,15 +357,16 @@ def _coarser(recipe: Recipe, halvings: int) -> Recipe | None:
 
 
 def _dry_run(recipe: Recipe, seconds: float, report: Report) -> DryRun:
+    """Run a recipe by the quadratic law, at most for so long, and extrapolate its calls."""
     problem = recipe.problem()
     law, recorders = _recorded_law(recipe, problem)
     end = cpu_clock() + seconds
-    marks = [(0.0, 0)]
+    marks = [(0.0, 0)]  # at the end of each step: t, and how often the law was called
     displacement = 0.0
 
     def progress(t: float, duration: float) -> None:
         report(t, "")
-        marks.append((t, max(each.calls for each in recorders.values())))
+        marks.append((t, max(recorder.calls for recorder in recorders.values())))
         if cpu_clock() > end:
             raise _CutShort
 
@@ -329,23 +376,25 @@ def _dry_run(recipe: Recipe, seconds: float, report: Report) -> DryRun:
             displacement = run.largest_displacement
     except SimulationError as error:
         raise SimulationError(f"check: the dry run by the quadratic law: {error}") from error
-    # the first steps are shorter than most: the second half says how the run continues
+    # The first steps are shorter than most, so the second half of what was run says at which rate
+    # the run continues.
     t, calls = marks[-1]
-    then, before = marks[(len(marks) - 1) // 2]
-    remaining = (recipe.duration - t) / (t - then) if t > then else 0.0
+    t_half, calls_half = marks[(len(marks) - 1) // 2]
+    remaining = (recipe.duration - t) / (t - t_half) if t > t_half else 0.0
     return _tried(
         recorders,
-        calls=calls + remaining * (calls - before),
+        calls=calls + remaining * (calls - calls_half),
         reached=t / recipe.duration,
         displacement=displacement,
     )
 
 
 def _recorded_law(recipe: Recipe, problem: Problem) -> tuple[StressLaw, dict[CellName, _Recorder]]:
-    """Make the quadratic law of a tissue, and by name of the cell what records it."""
+    """Make the quadratic law of a tissue, and the recorders in it by name of their cell."""
     recorders: dict[CellName, _Recorder] = {}
 
     def recorded(study: CellStudy) -> StressLaw:
+        """Make the recorded law of one cell, and keep its recorder."""
         recorder = _Recorder(laws.quadratic_law(study))
         recorders[study.name] = recorder
         return recorder
@@ -354,20 +403,22 @@ def _recorded_law(recipe: Recipe, problem: Problem) -> tuple[StressLaw, dict[Cel
 
 
 def _tried(recorders: Mapping[CellName, _Recorder], **entries: Any) -> DryRun:
-    """What was recorded of a dry run, with entries of its own."""
-    points = sum(each.points for each in recorders.values())
+    """Make the result of a dry run from its recorders; `entries` are its other fields."""
+    points = sum(recorder.points for recorder in recorders.values())
     return DryRun(
         points=points,
-        met={name: MetRange.of(each.extremes) for name, each in recorders.items()},
-        steps={name: list(each.steps) for name, each in recorders.items()},
-        shares={name: each.points / points for name, each in recorders.items()},
+        met={name: MetRange.of(recorder.extremes) for name, recorder in recorders.items()},
+        steps={name: list(recorder.steps) for name, recorder in recorders.items()},
+        shares={name: recorder.points / points for name, recorder in recorders.items()},
         **entries,
     )
 
 
 def scales_of(recipe: Recipe) -> TimeScales:
-    """The time scales of a recipe, by the tangents of its RVEs at rest on a mesh that is coarsened
-    where it can be."""
+    """Compute the time scales of a recipe, by the tangents of its RVEs at rest.
+
+    They are global properties of the tissue, so its mesh is coarsened where it can be.
+    """
     mesh, _ = checked_mesh(recipe)
     elements = math.prod(mesh.mesh.elements or (1, 1))
     halvings = math.ceil(0.5 * math.log2(max(1.0, elements / _FEW_ELEMENTS)))
@@ -379,8 +430,10 @@ def scales_of(recipe: Recipe) -> TimeScales:
 
 
 def dry_rest(recipe: Recipe, seconds: float = SECONDS, report: Report = no_report) -> DryRun:
-    """A rest of a recipe's problem by the quadratic law, in so many seconds of processor time; on
-    a coarser mesh where half of them do not suffice, as of `dry_run`.
+    """Compute a rest of a recipe's problem by the quadratic law, in so many seconds.
+
+    The seconds are of processor time. Where half of them do not suffice, the rest is computed on a
+    coarser mesh, as by `dry_run`.
 
     Raises:
         InputError: the mesh is too large, and no rectangle that can be coarsened.
@@ -389,20 +442,24 @@ def dry_rest(recipe: Recipe, seconds: float = SECONDS, report: Report = no_repor
     end = cpu_clock() + seconds
     mesh, halvings = checked_mesh(recipe)
     first = best = _dry_rest(mesh, 0.5 * seconds, report)
-    while best.reached < 1.0 and (left := end - cpu_clock()) > 0.0:
+    while best.reached < 1.0 and (remaining := end - cpu_clock()) > 0.0:
         # half as many elements each way are solved in an eighth of the time
         needed = 0.5 * seconds / max(best.reached, _LEAST_REACHED)
-        coarser = _coarser(mesh, max(1, math.ceil(math.log(2.0 * needed / left, 8.0))))
+        coarser = _coarser(mesh, max(1, math.ceil(math.log(2.0 * needed / remaining, 8.0))))
         if coarser is None:
             break
         mesh = coarser
-        best = _dry_rest(coarser, left, report)
-    found = replace(best, points=first.points * 4**halvings)
+        best = _dry_rest(coarser, remaining, report)
+    # load steps, and so calls, are as many on any mesh
+    rest = replace(best, points=first.points * 4**halvings)
+    if best.reached >= 1.0:
+        return rest
     until = f"what is met after {100.0 * best.reached:.3g} % of the load"
-    return found if best.reached >= 1.0 else replace(found, omitted=until)
+    return replace(rest, omitted=until)
 
 
 def _dry_rest(recipe: Recipe, seconds: float, report: Report) -> DryRun:
+    """Compute a rest by the quadratic law, at most for so long, and extrapolate its calls."""
     problem = recipe.problem()
     law, recorders = _recorded_law(recipe, problem)
     settings = recipe.rest or RestSettings()
@@ -410,9 +467,10 @@ def _dry_rest(recipe: Recipe, seconds: float, report: Report) -> DryRun:
     reached = 0.0
     displacement = 0.0
 
-    def progress(factor: float, whole: float) -> None:
+    def progress(factor: float, last_factor: float) -> None:
         nonlocal reached
-        reached = factor / whole if whole else 1.0
+        # without a load the only step is the last one
+        reached = factor / last_factor if last_factor else 1.0
         report(reached, "")
         if reached < 1.0 and cpu_clock() > end:
             raise _CutShort
@@ -429,7 +487,7 @@ def _dry_rest(recipe: Recipe, seconds: float, report: Report) -> DryRun:
             displacement = float(np.linalg.norm(rest.u, axis=1).max())
     except SimulationError as error:
         raise SimulationError(f"check: the dry rest by the quadratic law: {error}") from error
-    calls = max(each.calls for each in recorders.values())
+    calls = max(recorder.calls for recorder in recorders.values())
     return _tried(
         recorders,
         calls=calls / max(reached, _LEAST_REACHED),
@@ -440,18 +498,21 @@ def _dry_rest(recipe: Recipe, seconds: float, report: Report) -> DryRun:
 
 
 def seconds_by_rves(recipe: Recipe, run: DryRun) -> float:
-    """The order of magnitude of a run by RVEs: its solves times a timed one, along a dry run."""
-    return run.solves * sum(
-        share
-        * _seconds_a_solve(
-            laws.true_law(CellStudy(recipe, name)), run.steps[name], run.with_tangents
-        )
-        for name, share in run.shares.items()
-    )
+    """Estimate the order of magnitude of a run by RVEs, s: its solves times a timed one."""
+    per_solve = 0.0  # mean over the cells, by their share of the points
+    for name, share in run.shares.items():
+        law = laws.true_law(CellStudy(recipe, name))
+        per_solve += share * _seconds_per_solve(law, run.steps[name], run.with_tangents)
+    return run.solves * per_solve
 
 
-def _seconds_a_solve(law: StressLaw, steps: list[tuple[Array, Array]], tangents: bool) -> float:
-    """Seconds of an RVE that is solved from its state one step before."""
+def _seconds_per_solve(law: StressLaw, steps: list[tuple[Array, Array]], tangents: bool) -> float:
+    """Measure the seconds of one RVE along recorded steps, each solved from the state before it.
+
+    Returns:
+        The median of the second half of the steps; the first ones start cold, or extrapolate from
+        too few steps. 0 where no step was recorded.
+    """
     state = None
     times: list[float] = []
     end = cpu_clock() + _TIMED_SECONDS
@@ -459,30 +520,43 @@ def _seconds_a_solve(law: StressLaw, steps: list[tuple[Array, Array]], tangents:
         started = clock()
         answer = law.respond(F, F_dot, state, tangents=tangents)
         times.append((clock() - started) / len(F))
-        # a stepper repeats a step whose RVEs switch state; here they stay in the new one
+        # a time loop repeats a step whose RVEs switch state; here they stay in the new one
         state = law.accept(F, F_dot, replace(answer, switched=None)).state
         if cpu_clock() > end:
             break
-    return float(np.median(times[len(times) // 2 :])) if times else 0.0
+    if not times:
+        return 0.0
+    return float(np.median(times[len(times) // 2 :]))
 
 
 def advised_law(recipe: Recipe, seconds: float) -> str:
-    """The law by which a first run probably ends first, if one by RVEs takes so many seconds."""
+    """Advise a law for the first run: the one by which it probably ends first.
+
+    Args:
+        seconds: what a run by RVEs takes, as of `seconds_by_rves`.
+    """
     cells = recipe.cells.values()
     has_files = all(cell.samples.file and cell.training_file for cell in cells)
+    # Without a range neither a surrogate nor a table can be made.
     if any(cell.range is None for cell in cells):
         return "rve"
+    # A trained surrogate costs nothing more.
     if has_files and all(is_trained(study) for study in recipe.studies().values()):
         return "cached"
-    if seconds < _LEARNING:
+    # A short run by RVEs ends before anything is learnt.
+    if seconds < _SECONDS_TO_LEARN:
         return "rve"
+    # The recipe names files for data and training, so its author wants a surrogate.
     if has_files:
         return "cached"
-    return "rve" if study_faults(recipe, ("table",)) else "table"
+    # A table learns during the run, but not with every solver of RVEs.
+    if study_faults(recipe, ("table",)):
+        return "rve"
+    return "table"
 
 
 def proposed_range(met: MetRange, margin: float = MARGIN) -> SamplingRange:
-    """The range that holds `margin` times more strain and rate than was met, rounded outward.
+    """Propose the range of `margin` times more strain and rate than was met, rounded outward.
 
     Raises:
         InputError: the margin is negative, nothing was strained, or a cell would have no length.
@@ -494,6 +568,7 @@ def proposed_range(met: MetRange, margin: float = MARGIN) -> SamplingRange:
         _rounded_up((1.0 + margin) * value)
         for value in (1.0 - low, high - 1.0, met.shear, met.rate)
     )
+    # all of these are 0 or positive
     if not shorter + longer > 0.0:
         raise InputError("range: the run met no strain; something must load or move the tissue")
     if shorter + shear >= 1.0:
@@ -507,20 +582,21 @@ def proposed_range(met: MetRange, margin: float = MARGIN) -> SamplingRange:
 
 
 def range_section(range: SamplingRange, cell: CellName = None) -> str:
-    """Return the section of a range in TOML, as a recipe of [cell] or of several cells has it."""
+    """Return the section of a range in TOML, for the only cell of a recipe or for a named one."""
     low, high = range.stretch
     name = "range" if cell is None else f"cells.{cell}.range"
     return f"[{name}]\nstretch = [{low}, {high}]\nshear = {range.shear}\nrate = {range.rate}"
 
 
 def _rounded_up(value: float) -> float:
-    """The next number of two digits; 0 of what is not positive."""
+    """Round up to two significant digits; 0 where the value is not positive."""
     if value <= 0.0:
         return 0.0
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    # a value of two digits that rounding has put just above them stays what it is
     return _plain(math.ceil(value / unit * (1.0 - 1e-9)) * unit)
 
 
 def _plain(value: float) -> float:
-    """Without the rounding of binary sums."""
+    """Round away the last digits of binary sums: 0.30000000000000004 becomes 0.3."""
     return float(f"{value:.12g}")

@@ -1,4 +1,6 @@
-"""From a declared range of (F, Ḟ) to a data set of stresses, and what training takes of it."""
+"""Data sets of stresses over a declared range of (F, Ḟ), and the samples that training takes of
+them.
+"""
 
 from __future__ import annotations
 
@@ -41,17 +43,22 @@ from surrofe2.workflow.workers import in_pieces
 
 log = logging.getLogger(__name__)
 
-Part = tuple[Array, Array, StressResponse]
-"""F and Ḟ of some samples, and the answer there."""
+Part = tuple[Array, Array, StressResponse]  # F and Ḟ of some samples, and the answer there
 
-CHUNK = 512
+CHUNK = 512  # samples that are solved together
+# Fraction of the spread of stress within which two stresses are the same.
 _SAME = 1e-6
-"""Fraction of the spread of stress within which two stresses are the same."""
 
 
 @dataclass(frozen=True, slots=True)
 class Generated:
-    """A finished data set; `added`: samples that this call computed, 0 if it was finished."""
+    """A finished data set.
+
+    Attributes:
+        path: its file.
+        samples: all of them.
+        added: number of those that this call computed; 0 if it was finished before.
+    """
 
     path: Path
     samples: StressSamples
@@ -67,8 +74,8 @@ def wanted_count(study: CellStudy, *, fresh: bool = False) -> int:
     path = study.data_path()
     if len(counts) == 1 or fresh or not path.exists():
         return counts[0]
-    there = stored_count(path).rows
-    return next((count for count in counts if count >= there), counts[-1])
+    stored = stored_count(path).rows
+    return next((count for count in counts if count >= stored), counts[-1])
 
 
 def generate_data_set(
@@ -83,10 +90,14 @@ def generate_data_set(
     """Sample a plant cell's range, solve the RVE there, and write the data set.
 
     Each sample is solved for itself, without a warm start, so a data set that was continued, or
-    made by several processes, equals one made in one go, to the bit.
+    made by several processes, equals one made at once, to the bit.
 
     Args:
-        count: of samples in the end, or `wanted_count` if that is more.
+        count: number of samples in the end, or `wanted_count` if that is more.
+        fresh: whether a data set that is there is replaced.
+        chunk: samples that are solved together.
+        executor: of processes that solve chunks; None: this one does.
+        report: called with the number of samples.
 
     Raises:
         InputError: tangents are wanted of RVEs that have none.
@@ -127,7 +138,7 @@ def generate_data_set(
 def _sampled(
     law: StressLaw, wanted: SamplingRange, seed: int, tangents: bool, first: int, count: int
 ) -> Part:
-    """Points `first` to `first + count` of a sequence, and the answer there."""
+    """Solve the points `first` to `first + count` of a sequence."""
     F, F_dot = training_points(wanted, count, seed, start=first)
     answer = law.respond(F, F_dot, tangents=tangents)
     return F, F_dot, replace(answer, state=None)  # a warm start takes 20 kB per sample
@@ -143,10 +154,14 @@ def sample_stress(
     executor: Any = None,
     report: Report = no_report,
 ) -> StressSamples:
-    """Samples of the stress of an RVE over a range, for `train`; the numbers of `generate`.
+    """Sample the stress of an RVE over a range, for `train`; the numbers are those of `generate`.
 
     Args:
+        count: number of samples.
+        seed: of their sequence.
         tangents: whether ∂P/∂F and ∂P/∂Ḟ are sampled too, from which training learns more.
+        executor: of processes that solve chunks; None: this one does.
+        report: called with the number of samples.
 
     Raises:
         InputError: `count` or `seed` is no such number, or the law has no tangents.
@@ -178,18 +193,21 @@ def sample_stress(
 
 
 def _joined(parts: Sequence[dict[str, Array]]) -> dict[str, Any]:
-    """Arrays by name, one after the other."""
+    """Concatenate arrays by name."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def data_summary(generated: Generated) -> str:
-    """Return how many samples there are and of what use; each is counted once."""
+    """Say how many samples there are and how many are usable; each is counted once."""
     samples = generated.samples
     count = len(samples.F)
     usable = len(samples.valid.F)
-    failed = Counter(map(describe, np.sort(samples.status[samples.status != 0]).tolist()))
+    codes = np.sort(samples.status[samples.status != 0]).tolist()
+    failed = Counter(map(describe, codes))
     unstable = count - usable - failed.total()
-    text = f"{count} samples" + ("" if generated.added else " (already finished)")
+    text = f"{count} samples"
+    if not generated.added:
+        text += " (already finished)"
     text = f"{text}, {'all' if usable == count else usable} usable"
     if failed:
         reasons = "; ".join(f"{n}: {reason}" for reason, n in failed.most_common())
@@ -217,9 +235,9 @@ def training_samples(
     if not path.exists():
         command = f"surrofe2 generate {study.recipe.path}"
         raise FileError(f"{path}: no such file; make it with `{command}`")
-    there = stored_count(path)
-    may_grow = there.is_open and study.cell.samples.count is None
-    if may_grow and not (there.is_finished and there.rows >= count):
+    stored = stored_count(path)
+    may_grow = stored.is_open and study.cell.samples.count is None
+    if may_grow and not (stored.is_finished and stored.rows >= count):
         wanted = max(count, wanted_count(study))
         with stage("generate", wanted, "samples") as report:
             generate_data_set(study, count=wanted, report=report)
@@ -230,22 +248,26 @@ def training_samples(
 
 
 def check_data(study: CellStudy, source: Path) -> None:
-    """Refuse a data set of another recipe by a MismatchError that names what differs."""
+    """Refuse a data set of another recipe.
+
+    Raises:
+        MismatchError: naming what differs.
+    """
     samples = study.cell.samples
-    here = {
+    wanted = {
         "cell": study.cell.parameters.to_dict(),
         "rve": {"initialisation": study.recipe.rve.initialisation},
         "range": asdict(study.sampling_range()),
         "samples": {"seed": samples.seed, "count": samples.count},
     }
     advice = f"generate it again with `surrofe2 generate {study.recipe.path} --fresh`"
-    check_same(source, here, read_header(source, DATA_SET)["compared"], advice)
+    check_same(source, wanted, read_header(source, DATA_SET)["compared"], advice)
 
 
 def with_harvests(
     samples: StressSamples, paths: Iterable[Path], study: CellStudy, law: StressLaw | None = None
 ) -> StressSamples:
-    """The samples and, after them, the RVE stresses in these harvests.
+    """Join samples and, after them, the RVE stresses in these harvests.
 
     The range stays that of the samples. Where these have tangents, those of harvested states are
     computed by `law` from rest; states where it finds another stress are omitted.
@@ -276,8 +298,16 @@ def with_harvests(
 
 
 def _with_tangents(law: StressLaw, harvest: dict[str, Any], same: float) -> dict[str, Any]:
-    """Harvested states with tangents: those that failed, and those whose stress holds from rest."""
-    by_F, by_F_dot = np.full((2, len(harvest["F"]), 2, 2, 2, 2), np.nan)
+    """Add tangents to harvested states.
+
+    States that have failed stay. Of the others those stay whose stress is the same from rest.
+
+    Args:
+        same: error of a stress up to which it is the same, µN/µm.
+    """
+    shape = (len(harvest["F"]), 2, 2, 2, 2)
+    by_F = np.full(shape, np.nan)
+    by_F_dot = np.full(shape, np.nan)
     kept = harvest["status"] != 0
     valid = np.flatnonzero(~kept)
     for first in range(0, len(valid), CHUNK):
@@ -292,7 +322,7 @@ def _with_tangents(law: StressLaw, harvest: dict[str, Any], same: float) -> dict
 
 
 def _arrays_of(answers: Harvest | StressSamples) -> dict[str, Any]:
-    """The arrays that samples and harvests have, and tangents where there are some."""
+    """Return the arrays that samples and harvests have, and tangents where there are some."""
     names = ("F", "F_dot", "stress", "status", *TANGENTS)
     arrays = {name: getattr(answers, name, None) for name in names}
     return {name: values for name, values in arrays.items() if values is not None}

@@ -28,26 +28,33 @@ from surrofe2.workflow.workers import Processes, prepare, result_of
 
 GRID_TABLES = ("grid.csv", "grid.json")
 LAWS = ("rve", "cached", "table", "surrogate")
-MOST_RUNS = 10_000
+MOST_RUNS = 10_000  # of a grid; more are a mistake
+# Sections that a surrogate depends on.
 _LEARNT = ("cell", "cells", "rve", "range", "samples", "training", "calibration")
-"""Sections that a surrogate depends on."""
+# Sections that a run by a law does not depend on.
 _WITHOUT = {
     "rve": ("cache", "table", "samples", "training", "calibration"),
     "cached": (),
     "table": ("samples", "training", "calibration"),
     "surrogate": ("cache", "table"),
 }
-"""Sections that a run by a law does not depend on."""
 
 
+# Work that a process can be given: to make a surrogate, or a run.
 Work = Callable[[Stage], None]
-"""What a process can be given: a surrogate to make, or a run."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Run:
-    """A run of the grid; values: of the entries that change and that it depends on; true: the name
-    of the run of the same values by RVEs; needs: files of surrogates by name of the cell."""
+    """A run of the grid.
+
+    Attributes:
+        recipe: with the values of this run.
+        law: its name.
+        values: those that change and that it depends on, by dotted name of the entry.
+        true: name of the run of the same values by RVEs.
+        needs: files of surrogates by name of the cell.
+    """
 
     recipe: Recipe
     law: str
@@ -79,12 +86,16 @@ def run_grid(
     Args:
         path: of the recipe.
         values: by dotted name of the entry, {"cell.wall_stiffness": [3000.0, 4000.0]}.
+        out: folder of the runs, the table and the pictures.
         laws: of "rve", "cached", "table" and "surrogate".
         quantities: of each run in the table and the picture, COLUMN or COLUMN:STATISTIC, see
             `report.chosen`; none: the peak of each force over its displacement.
         threads: of each run; None: all, or of `Processes` an equal share.
+        executor: of processes that make surrogates and runs; None: this one does.
         form: format of the pictures, grid.png and, where two entries change, grid-map.png; of
             `PICTURE_FORMATS`.
+        fresh: whether runs that are there are replaced.
+        stage: reports the stages and their progress.
 
     Raises:
         InputError: an entry or a law is unknown, or a value not what it must be; nothing was run.
@@ -103,9 +114,10 @@ def run_grid(
             for study, is_own in surrogates
         }
         errors = _done(learning, executor, stage, "surrogates")
-        for name, run in runs.items():
+        for name, run in runs.items():  # a run without its surrogate fails by the surrogate's error
             failed = [errors[str(file)] for file in run.needs.values() if errors[str(file)]]
-            errors |= {name: failed[0]} if failed else {}
+            if failed:
+                errors[name] = failed[0]
         running = {
             name: partial(_run, run, out / name, threads, fresh)
             for name, run in runs.items()
@@ -125,7 +137,8 @@ def run_grid(
             )
             for name, run in runs.items()
         ]
-        grid = Grid(path.name, {name: tuple(each) for name, each in values.items()}, tuple(rows))
+        axes = {name: tuple(choices) for name, choices in values.items()}
+        grid = Grid(path.name, axes, tuple(rows))
         table, record = GRID_TABLES
         write_text(out / table, grid.table.to_csv())
         write_json(out / record, grid.to_dict())
@@ -139,13 +152,17 @@ def run_grid(
 def _planned(
     path: Path, values: Mapping[str, Sequence[Any]], laws: Sequence[str], out: Path
 ) -> tuple[list[tuple[CellStudy, bool]], dict[str, _Run]]:
-    """Surrogates, each with whether it is the recipe's own, and runs by name, all checked."""
+    """Plan surrogates and runs of a grid, all checked.
+
+    Returns:
+        Surrogates, each with whether it is the recipe's own; and runs by name.
+    """
     count = len(laws)
     for law in laws:
         if law not in LAWS:
             raise unknown(f"--law: {quoted(law)}", law, "law", LAWS)
-    for name, each in values.items():
-        count *= len(each)
+    for name, choices in values.items():
+        count *= len(choices)
         if not 0 < count <= MOST_RUNS:
             raise InputError(f"{name}: {count:,} runs; a grid has 1 to {MOST_RUNS:,}")
     base = load_recipe(path)
@@ -156,14 +173,17 @@ def _planned(
         changes = dict(zip(values, combination, strict=True))
         recipe = load_recipe(path, changes)
         stated = [getattr(recipe, name) for name in (*PROBLEM_SECTIONS, "surface")]
-        stated += [each.regions for each in recipe.cells.values()]
+        stated += [cell.regions for cell in recipe.cells.values()]
         if stated not in checked:  # each problem is meshed and checked once
             recipe.problem()
             checked.append(stated)
-        counting = {
-            law: {k: v for k, v in changes.items() if k.partition(".")[0] not in _WITHOUT[law]}
-            for law in LAWS
-        }
+        counting = {}  # by law, the changes that its run depends on
+        for law in LAWS:
+            counting[law] = {
+                key: value
+                for key, value in changes.items()
+                if key.partition(".")[0] not in _WITHOUT[law]
+            }
         for law in laws:
             needs: dict[CellName, Path] = {}
             for cell, study in recipe.studies().items():
@@ -218,10 +238,10 @@ def _surrogate(
         )
         known = CellStudy(recipe, name)
         stem = f"{name_of_values(counting)}{suffix}"
-    here = os.path.relpath(out / stem, base.path.parent)
+    relative = os.path.relpath(out / stem, base.path.parent)
     known = known.with_cell(
-        samples=replace(known.cell.samples, file=data or f"{here}.h5"),
-        training_file=trained or f"{here}-surrogate.h5",
+        samples=replace(known.cell.samples, file=data or f"{relative}.h5"),
+        training_file=trained or f"{relative}-surrogate.h5",
     )
     if trained is None or not known.training_path().exists():
         known.sampling_range()  # it is trained first, and that needs a range
@@ -229,7 +249,7 @@ def _surrogate(
 
 
 def _learnt(study: CellStudy) -> tuple[Any, ...]:
-    """Return all that the surrogate of a cell depends on, but for the problem."""
+    """Return all that the surrogate of a cell depends on, without the problem."""
     cell = study.cell
     recipe = study.recipe
     samples = replace(cell.samples, file=None)
@@ -239,7 +259,11 @@ def _learnt(study: CellStudy) -> tuple[Any, ...]:
 def _done(
     tasks: Mapping[str, Work], executor: Any, stage: Stage, what: str
 ) -> dict[str, str | None]:
-    """The error message that ended each task by its name, or None; done here, or by workers."""
+    """Carry out tasks, here or by workers.
+
+    Returns:
+        The error message that ended each task, by its name; None of one that succeeded.
+    """
     errors: dict[str, str | None] = {}
     if executor is None:
         for k, (name, work) in enumerate(tasks.items(), 1):
@@ -257,6 +281,7 @@ def _done(
 
 
 def _error_of(work: Work, stage: Stage) -> str | None:
+    """Carry out a task, and return the message of its error; None where it succeeds."""
     try:
         work(stage)
     except (InputError, SimulationError) as error:
@@ -274,6 +299,7 @@ def _learn(study: CellStudy, is_own: bool, threads: int | None, fresh: bool, sta
 
 
 def _run(run: _Run, folder: Path, threads: int | None, fresh: bool, stage: Stage) -> None:
+    """Make a run in its folder."""
     use_threads(threads)
     with stage(folder.name, *extent_of(run.recipe)) as report:
         study_by_method(

@@ -16,8 +16,8 @@ from surrofe2.recipe.recipe import CellName, Recipe
 from surrofe2.store.run_folder import RECIPE, of_cell
 from surrofe2.store.store import read_bytes
 
+# The files of surrogates and tables among the inputs of a run; of several cells see `of_cell`.
 SURROGATE = "surrogate.h5"
-"""The file of a surrogate among the inputs of a run; of several cells see `of_cell`."""
 TABLES = "table-*.h5"
 # Files of arrays beside a mesh in XDMF, which names them before a colon.
 _ARRAYS = re.compile(rb"([^\s<>/:]+\.h5):")

@@ -51,11 +51,13 @@ from surrofe2.surface.slab_law import SlabLaw, rows_across
 from surrofe2.surface.tabulated import TabulatedSurface, table_within
 from surrofe2.surrogate.piola import QuadraticLaw
 
-SURFACE_RANGE = 0.94, 1.04, 0.01
-"""Lowest and highest stretch and rate (1/µs) of a surface table where the recipe has no range."""
-# beyond the range of samples
+# Lowest and highest stretch, and rate (1/µs), of a surface table where the recipe has no range.
+SURFACE_RANGE = (0.94, 1.04, 0.01)
+# Where it has one, the table reaches beyond it: by so much stretch, and to so many times the rate.
 _MARGIN = 0.01
 _FASTER = 1.5
+# Least rate of a range, 1/µs; that of a rest is 0.
+_LEAST_RATE = 1e-4
 
 
 def true_law(study: CellStudy) -> RveLaw:
@@ -65,15 +67,20 @@ def true_law(study: CellStudy) -> RveLaw:
 
 
 def quadratic_law(study: CellStudy) -> QuadraticLaw:
-    """Make a law of the tangents at rest of a plant cell's RVE."""
+    """Make the law of the tangents at rest of a plant cell's RVE."""
     direct = replace(study.recipe.rve, solver="direct")  # iterated RVEs have no tangents
     return QuadraticLaw.of(true_law(replace(study, recipe=replace(study.recipe, rve=direct))))
 
 
 @dataclass(frozen=True, slots=True)
 class ChosenLaw:
-    """The law of a cell, what to record of its surrogate, or of the tables that it began with, and
-    the table that it has."""
+    """The law of a cell, chosen by its name.
+
+    Attributes:
+        law: the law.
+        surrogate: record of its surrogate, or of the tables that it began with; None of others.
+        table: the table that it learns; None of others.
+    """
 
     law: StressLaw
     surrogate: Mapping[str, Any] | None = None
@@ -134,8 +141,12 @@ def choose_law(
 def make_table(study: CellStudy, law: Fallback, files: Sequence[Path] = ()) -> StressTable:
     """Make a table of a plant cell, with the records of these files, or of the undeformed state.
 
-    What it begins with took its `seconds`. The spread of the stress is that of the first file, or
-    of samples. A file of other cell parameters or initialisation is a MismatchError."""
+    Its `seconds` are what these records took. The spread of the stress is that of the first file,
+    or of samples.
+
+    Raises:
+        MismatchError: a file is of other cell parameters or initialisation.
+    """
     recipe = study.recipe
     wanted = study.sampling_range()
     meter = Meter()
@@ -155,17 +166,27 @@ def make_table(study: CellStudy, law: Fallback, files: Sequence[Path] = ()) -> S
 
 
 def _record_of(tables: Sequence[Path]) -> dict[str, Any] | None:
+    """Return the record of the tables that a law began with; None of no table."""
     if not tables:
         return None
     names = [path.name for path in tables]
-    prints = [digest(path)[:16] for path in tables]
+    fingerprints = [digest(path)[:16] for path in tables]
     seconds = {str(path): read_seconds(path) for path in tables}
-    seconds_of = {"seconds": {} if None in seconds.values() else seconds}
-    return {"file": ", ".join(names), "fingerprint": " ".join(prints), "errors": {}, **seconds_of}
+    is_known = None not in seconds.values()
+    return {
+        "file": ", ".join(names),
+        "fingerprint": " ".join(fingerprints),
+        "errors": {},
+        "seconds": seconds if is_known else {},
+    }
 
 
 def surrogates_by_cell(recipe: Recipe, files: Sequence[Path]) -> dict[CellName, Path]:
-    """Files of surrogates by name of the cells that they were trained for, at most one for each."""
+    """Sort files of surrogates by the cells that they were trained for, at most one for each.
+
+    Raises:
+        InputError: two files are of one cell.
+    """
     files_of = files_by_cell(recipe, files, "--surrogate")
     for name, paths in files_of.items():
         if len(paths) > 1:
@@ -203,7 +224,7 @@ def files_by_cell(recipe: Recipe, files: Sequence[Path], option: str) -> dict[Ce
 
 
 def cell_of_elements(law: StressLaw, elements: int) -> Array | None:
-    """(elements,) number of the law that each element asks; None where there is one for all."""
+    """Return the number (elements,) of the law of each element; None where there is one for all."""
     if not isinstance(law, RegionalLaw):
         return None
     numbers = np.empty(elements)
@@ -231,33 +252,33 @@ def surrogate_record(
     if None in surrogates:
         return dict(surrogates[None])
     return {
-        "file": ", ".join(each["file"] for each in surrogates.values()),
-        "fingerprint": " ".join(each["fingerprint"] for each in surrogates.values()),
-        "errors": {name: each["errors"] for name, each in surrogates.items()},
+        "file": ", ".join(record["file"] for record in surrogates.values()),
+        "fingerprint": " ".join(record["fingerprint"] for record in surrogates.values()),
+        "errors": {name: record["errors"] for name, record in surrogates.items()},
         "seconds": {
             f"{part} of {name}": seconds
-            for name, each in surrogates.items()
-            for part, seconds in each.get("seconds", {}).items()
+            for name, record in surrogates.items()
+            for part, seconds in record.get("seconds", {}).items()
         },
     }
 
 
 def with_surface(recipe: Recipe, problem: Problem) -> Problem:
-    """The problem with the surface law of its plant cells, if the recipe has a [surface]."""
+    """Return the problem with the surface law of its plant cells, if the recipe has a [surface]."""
     if recipe.surface is None:
         return problem
     low, high = extent(problem.mesh)
     thickness = (high - low).min()
 
     def law_of(study: CellStudy) -> SurfaceLaw:
+        """Make the surface law of a cell."""
         return cell_surface(study, float(thickness / study.cell.parameters.cell_side))
 
     points = recipe.points_of_cells(problem.mesh)
     if not points:  # [cell] fills all of them
         return replace(problem, surface=Surface(law=law_of(recipe.study()), on=recipe.surface.on))
     laws = {name: law_of(CellStudy(recipe, name)) for name in points}
-    share = problem.mesh.nelements
-    n_q = sum(map(len, points.values())) // share
+    n_q = sum(map(len, points.values())) // problem.mesh.nelements  # points of an element
     elements = {name: np.unique(points_of_cell // n_q) for name, points_of_cell in points.items()}
     return replace(problem, surface=Surface(law=laws, on=recipe.surface.on, regions=elements))
 
@@ -273,9 +294,10 @@ def cell_surface(study: CellStudy, across: float) -> TabulatedSurface:
         shortest, longest = samples.stretch
         low = shortest - _MARGIN
         high = float(np.hypot(longest, samples.shear)) + _MARGIN  # a sheared side is longer, too
-        rate = _FASTER * max(samples.rate, 1e-4)
+        rate = _FASTER * max(samples.rate, _LEAST_RATE)
 
     def slab() -> SlabLaw:
+        """Make the law that is tabulated."""
         reference = kept_reference(cell)
         return SlabLaw(cell, initialisation=method, reference=reference, rows=rows)
 
@@ -292,7 +314,7 @@ def cell_surface(study: CellStudy, across: float) -> TabulatedSurface:
 
 
 def surface_record(problem: Problem) -> dict[str, Any]:
-    """The free sides of a problem with a surface law, and whose law they have."""
+    """Describe the free sides of a problem with a surface law, and their laws, for a record."""
     assert problem.surface is not None
     sides = free_sides(problem)
     law = problem.surface.law
@@ -307,6 +329,7 @@ def surface_record(problem: Problem) -> dict[str, Any]:
 
 
 def _law_record(law: SurfaceLaw) -> dict[str, Any]:
+    """Describe a surface law for a record."""
     if not isinstance(law, TabulatedSurface | SlabLaw):
         return {"kind": type(law).__name__}
     names = ["initialisation", "rows"]
@@ -321,19 +344,19 @@ def _law_record(law: SurfaceLaw) -> dict[str, Any]:
 
 
 def recipe_notes(recipe: Recipe) -> Iterator[tuple[str, bool]]:
-    """Messages on the recipe's cells, each with whether it is a warning.
+    """Iterate over notes on the recipe's cells, each with whether it is a warning.
 
     Cells that had SPH fluid in earlier versions may have a uniform one by default, and constants
     are not taken where a measurement determines them.
     """
-    for name, each in recipe.cells.items():
+    for name, cell in recipe.cells.items():
         section = "cell" if name is None else f"cells.{name}"
-        for constant, measured in each.overruled.items():
+        for constant, measured in cell.overruled.items():
             yield f"{section}.{constant}: not taken, as {section}.{measured} determines it", True
-    unnamed = [each for each in recipe.cells.values() if not each.names_fluid]
-    changed = [each for each in unnamed if each.parameters.has_uniform_fluid]
+    unnamed = [cell for cell in recipe.cells.values() if not cell.names_fluid]
+    changed = [cell for cell in unnamed if cell.parameters.has_uniform_fluid]
     if changed:
-        names = sorted({f"{each.preset}, {each.parameters.arrangement}" for each in changed})
+        names = sorted({f"{cell.preset}, {cell.parameters.arrangement}" for cell in changed})
         yield (
             f"fluid: uniform, the default of {'; '.join(names)}; earlier versions had "
             'fluid = "sph" there',
@@ -342,7 +365,7 @@ def recipe_notes(recipe: Recipe) -> Iterator[tuple[str, bool]]:
 
 
 def surface_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
-    """Sentences on the free sides of a run, each with whether it is a warning."""
+    """Iterate over notes on the free sides of a run, each with whether it is a warning."""
     surface = record.problem.get("surface")
     if not surface:
         return
@@ -360,7 +383,7 @@ def surface_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
 
 
 def open_study(path: Path, threads: int | None) -> Recipe:
-    """The recipe of a study, for which so many threads are used."""
+    """Read the recipe of a study, for which so many threads are used."""
     recipe = load_recipe(path)
     use_threads(threads)
     return recipe
@@ -381,6 +404,8 @@ def use_threads(wanted: int | None) -> None:
             f"{os.cpu_count()} cores, by affinity and CPU quota, and NUMBA_NUM_THREADS is "
             f"{numba.config.NUMBA_NUM_THREADS}"
         )
-    os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = str(wanted)
+    # processes that this one starts read these
+    os.environ["OMP_NUM_THREADS"] = str(wanted)
+    os.environ["OPENBLAS_NUM_THREADS"] = str(wanted)
     numba.set_num_threads(wanted)
     threadpool_limits(wanted)

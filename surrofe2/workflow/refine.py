@@ -1,5 +1,7 @@
-"""Active learning: rounds of cached run or rest, sampling and training, until a surrogate knows
-what its runs meet.
+"""Active learning: a surrogate is trained on what its own runs met and it did not know.
+
+A round is a cached run or rest, RVEs at further states like those that were unknown, and a
+training on all of them. Rounds go on until a run meets nothing unknown.
 """
 
 from __future__ import annotations
@@ -41,16 +43,19 @@ from surrofe2.workflow.rest import extent_of, study_by_method
 from surrofe2.workflow.run import origin_of
 from surrofe2.workflow.train import STRESSES, Trained, learn, train_surrogate
 
+# Files: the table of rounds, the surrogate of a round, and its new samples.
 ROUNDS = "refine.json"
 SURROGATE = "surrogate.h5"
 _NEW = "new.h5"
+# Codes why a stress is in a harvest: the first two from runs, see `cache.protocols.OnTrueAnswer`;
+# the others are samples near an unknown state, and in a range that has become wider.
 FALLBACK = 0
 AUDIT = 1
 NEIGHBOUR = 2
 WIDENED = 3
 AUDIT_QUANTILE = 0.99
+# As many neighbours are sampled in a round as states were unknown, but at most so many.
 MOST_NEIGHBOURS = 20_000
-"""Largest number of neighbours sampled in a round; as many as unknown states below it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,12 +63,19 @@ class Round:
     """A row of the table of rounds, of one cell.
 
     Attributes:
+        round: number of the round, from 0.
+        cell: name of the cell.
         hits: fraction of the answers at accepted steps that came from the surrogate.
-        unknown: states that the surrogate could not answer, and audited ones over the tolerance.
-        samples: valid ones that it was trained on; added: those taken in after the run.
+        unknown: number of states that the surrogate could not answer, and of audited ones over the
+            tolerance.
+        samples: number of valid samples that it was trained on.
         held_out: largest held-out RMS error of a stress component, relative to its spread.
         audit: 99 % quantile of the audited errors over the spread of stress; None: no audit.
-        range: of the surrogate; wider: of the next one, that holds what the run met too.
+        tolerance: of the cache, relative to the spread of stress.
+        range: of the surrogate.
+        wider: range of the next surrogate, which also holds the states that the run met.
+        added: number of samples taken in after the run.
+        seconds: of the round.
     """
 
     round: int
@@ -86,11 +98,11 @@ class Round:
 
     @property
     def sentence(self) -> str:
-        """What became of the round."""
-        of = "" if self.cell is None else f"{self.cell}: "
+        """The result of the round in words."""
+        whose = "" if self.cell is None else f"{self.cell}: "
         return (
-            f"round {self.round}: {of}{100 * self.hits:.4g} % hits, {self.unknown} unknown states, "
-            f"{self.added} samples added"
+            f"round {self.round}: {whose}{100 * self.hits:.4g} % hits, "
+            f"{self.unknown} unknown states, {self.added} samples added"
         )
 
 
@@ -102,7 +114,9 @@ QUANTITIES: tuple[Quantity[Round], ...] = (
     Quantity("samples", "", "", lambda row: row.samples),
     Quantity("held-out RMS", "", percent(2), lambda row: row.held_out),
     # a column even where no round was audited
-    Quantity("audit 99 %", "", "", lambda r: NONE if r.audit is None else percent(2)(r.audit)),
+    Quantity(
+        "audit 99 %", "", "", lambda row: NONE if row.audit is None else percent(2)(row.audit)
+    ),
     Quantity("time", "", time_text, lambda row: row.seconds),
 )
 
@@ -117,14 +131,25 @@ def refine_surrogate(
     stage: Stage = no_stage,
     tell: Callable[[Round], None] = lambda row: None,
 ) -> list[Round]:
-    """Rounds of training, cached run, harvest and sampling in a folder, until one is settled.
+    """Make rounds of cached run, sampling and training in a folder, until one meets nothing
+    unknown.
 
-    The run is in time, or at rest where the recipe has a [rest].
+    The run is in time, or at rest where the recipe has a [rest]. The first round runs on the
+    recipe's surrogate, which is made where it is missing. Each later one is trained on the recipe's
+    data set and everything sampled since; its range is the least box that also holds the states
+    that left it. The last surrogate is `out`/surrogate.h5, of several cells
+    `out`/surrogate-NAME.h5.
 
-    The first round runs on the recipe's surrogate, which is made where it is missing. Each later
-    one is trained on the recipe's data set and everything sampled since; its range is the least
-    box that also holds the states that left it. The last surrogate is `out`/surrogate.h5, of
-    several cells `out`/surrogate-NAME.h5. With `cell` that one alone is refined.
+    Args:
+        out: folder of the rounds.
+        cell: name of the only cell to be refined; None: all are.
+        rounds: largest number of rounds.
+        fresh: whether rounds that are there are replaced.
+        stage: reports the stages and their progress.
+        tell: called with each finished row.
+
+    Returns:
+        The rows of all rounds.
 
     Raises:
         InputError: the recipe lacks a range, or the file of a data set or a surrogate.
@@ -165,11 +190,11 @@ def _open_rounds(recipe: Recipe, cells: Iterable[CellName], out: Path, fresh: bo
     begun = out / ROUNDS
     if begun.exists() and not fresh:
         stored = read_json(begun)
-        here = {"--cell": [name or "" for name in cells]}
-        there = {"--cell": stored.get("cells", [""])}
-        check_same(out, recipe.to_dict() | here, stored["recipe"] | there)
+        wanted = {"--cell": [name or "" for name in cells]}
+        begun_with = {"--cell": stored.get("cells", [""])}
+        check_same(out, recipe.to_dict() | wanted, stored["recipe"] | begun_with)
         return [Round(**{**row, "cell": row["cell"] or None}) for row in stored["rounds"]]
-    remove(begun)  # first: its rounds are those that are there
+    remove(begun)  # first, since it counts the folders that are removed next
     for folder in out.glob("round-*"):
         remove_tree(folder)
     for path in out.glob("surrogate*.h5"):
@@ -210,7 +235,7 @@ def _round(
     begin = time.perf_counter()
     folder = out / f"round-{k}"
     trained = {name: _train(study, out, done, k, stage) for name, study in studies.items()}
-    files = {name: each.path for name, each in trained.items()}
+    files = {name: result.path for name, result in trained.items()}
     what = "run" if recipe.rest is None else "rest"
     with stage(f"round {k}: {what}", *extent_of(recipe)) as report:
         record = study_by_method(recipe, "cached", folder / "run", surrogates=files, report=report)
@@ -259,7 +284,7 @@ def _row(
     wider = surrogate.range
     if len(unknown) and harvest is not None:
         states = (harvest.F[unknown], harvest.F_dot[unknown])
-        seed = study.cell.samples.seed + k + 1  # of its own in each round
+        seed = study.cell.samples.seed + k + 1  # another one in each round
         wider = range_holding(surrogate.range, *states)
         count = min(len(unknown), MOST_NEIGHBOURS)
         wanted = [(NEIGHBOUR, *neighbours(wider, *states, count, seed))]
@@ -274,7 +299,7 @@ def _row(
         hits=hits,
         unknown=len(unknown),
         samples=len(trained.samples.valid.F),
-        held_out=max(surrogate.errors["rms"][each] for each in STRESSES),
+        held_out=max(surrogate.errors["rms"][component] for component in STRESSES),
         audit=None if audit is None else audit / spread,
         tolerance=tolerance,
         range=asdict(surrogate.range),
@@ -287,10 +312,20 @@ def _row(
 def unknown_states(
     harvest: Harvest | None, surrogate: Surrogate, allowed: float
 ) -> tuple[Index, float | None]:
-    """(rows of the harvest that were not known well enough, 99 % quantile of audited errors).
+    """Find the states of a harvest that a surrogate does not know well enough.
 
-    A point also falls back where the surrogate knows its state but not what the step may come to;
-    such states are not unknown. `allowed` is the error of a stress, µN/µm."""
+    They are those that it cannot answer, and audited ones whose error is above what is allowed. A
+    point also falls back where the surrogate knows its state but not where the step may lead; such
+    states are not unknown.
+
+    Args:
+        harvest: RVEs' answers of a run; None: it had none.
+        surrogate: with the tolerance of the run.
+        allowed: error of a stress, µN/µm.
+
+    Returns:
+        Rows of the harvest, and the 99 % quantile of audited errors; None without audits.
+    """
     if harvest is None:
         return np.empty(0, dtype=np.intp), None
     audited = np.flatnonzero((harvest.why == AUDIT) & (harvest.status == 0))
@@ -318,7 +353,16 @@ def _write_samples(
     k: int,
     stage: Stage,
 ) -> int:
-    """Write the harvest and RVE stresses at further states (why, F, F_dot); how many."""
+    """Write a harvest and RVEs' stresses at further states.
+
+    Args:
+        wanted: why states are sampled, and F and Ḟ of them.
+        seconds: what the harvest took; None: not known.
+        k: number of the round.
+
+    Returns:
+        The number of stresses.
+    """
     law = laws.true_law(study)
     meter = Meter(seconds or 0.0)
     done = 0
@@ -328,7 +372,8 @@ def _write_samples(
     with stage(study.title(f"round {k}: sample"), total, "samples") as report:
         for why, all_F, all_F_dot in wanted:
             for first in range(0, len(all_F), CHUNK):
-                F, F_dot = (tensors[first : first + CHUNK] for tensors in (all_F, all_F_dot))
+                F = all_F[first : first + CHUNK]
+                F_dot = all_F_dot[first : first + CHUNK]
                 answer = law.respond(F, F_dot)
                 writer(F, F_dot, answer.stress, answer.status, np.full(len(F), why, np.int8))
                 done += len(F)

@@ -1,4 +1,6 @@
-"""A tissue at rest under its loads, into a run folder, and its small oscillations about it."""
+"""Rests of a recipe's tissue under its loads, into a run folder, and its small oscillations
+about one.
+"""
 
 from __future__ import annotations
 
@@ -70,12 +72,12 @@ from surrofe2.workflow.run import (
 )
 from surrofe2.workflow.time_scales import relaxation_notes, relaxed
 
+# Entry of a record's `met`: by how much displacements and forces are off, see `answer_error`.
 ANSWER = "error_of_answer"
-"""Entry of a record's `met`: by how much displacements and forces are off, see `answer_error`."""
+# RVEs that a rest may take for that error, even where it has solved fewer itself.
 MOST_FOR_ERROR = 1024
-"""RVEs that a rest may take for that, even where it has solved fewer itself."""
+# States whose modes may be asked for by name, each with its factor of the loads.
 STATES = {"unloaded": 0.0, "loaded": 1.0}
-"""Factor of the loads by the name of the state whose modes are asked for."""
 
 
 def rest_study(
@@ -93,14 +95,18 @@ def rest_study(
 ) -> RunRecord:
     """Load the recipe's tissue in steps, by the law called `kind`, and write the run folder.
 
-    What was found before a failure or an interrupt is written, and the same call resumes there.
+    What was computed before a failure or an interrupt is written, and the same call resumes there.
 
     Args:
-        factor: of all loads and prescribed motions, at the end; load_steps: to begin with; None:
-            as the recipe's [rest] has it.
+        folder: the run folder.
+        kind: law as of `--law`.
+        factor: of all loads and prescribed motions, at the end; None: that of the recipe's [rest].
+        load_steps: to begin with; None: those of the recipe's [rest].
         surrogates, tables: as of `run_study`.
         correct: keep the state after the Newton correction that gives the error of the answer, for
             which RVEs are solved at all points.
+        fresh: whether a run that is there is replaced.
+        report: called with the fraction of the load, and words on what is done.
 
     Raises:
         InputError: nothing is there to correct, as RVEs answer everywhere.
@@ -120,8 +126,7 @@ def rest_study(
     of_run = law_of_run(recipe, problem, kind, folder, surrogates, tables)
     problem = laws.with_surface(recipe, problem)
     described = problem_record(problem, thickness_of(recipe))
-    of = {"surrogate": of_run.surrogate, "problem": described}
-    record = new_record(recipe, kind, **of)
+    record = new_record(recipe, kind, surrogate=of_run.surrogate, problem=described)
     if correct:
         stated = {**record.recipe["rest"], "correct": True}
         record = replace(record, recipe={**record.recipe, "rest": stated})
@@ -145,16 +150,18 @@ class _RestJob:
     """A rest by load steps as a `Job`.
 
     Attributes:
-        recipe, problem: what is computed, the surface law included.
+        recipe, problem: the problem that is computed, the surface law included.
         kind: name of the law.
         settings: load steps.
         correct: whether the corrected state is kept.
         of_run: the law, and the files that it fills.
+        record: the record that the rest begins with.
+        inputs: contents, by name, of the files from which it can be repeated.
         frames: files of whole fields.
         report: is called with the fraction of the load.
         compiled_before: seconds in which kernels had been compiled when it began.
         timer: seconds of all calls.
-        answered: what the record will say of the error of the answer.
+        answered: entries of the record on the error of the answer.
     """
 
     recipe: Recipe
@@ -172,15 +179,17 @@ class _RestJob:
     answered: dict[str, Any] = field(default_factory=dict)
 
     def restored(self, arrays: dict[str, NDArray]) -> RestState:
+        """Return the state that a checkpoint holds, and continue its frames and harvests."""
         self.timer = Meter(float(arrays["seconds"]))
         state = RestState.from_arrays(part_of(arrays, "rest"))
         self.frames.resume(state.journal["frames.t"], state.journal["frames.point_t"])
         return replace(state, law_state=self.of_run.restored(arrays))
 
     def compute(self, run: RunFolder, state: RestState | None) -> Rest:
+        """Compute the rest and, where a surrogate answered, the error of its answer."""
         law = self.of_run.law
         if state is None:
-            self.timer = Meter()  # what it took to open the folder is no part of the rest
+            self.timer = Meter()  # the time to open the folder is no part of the rest
         else:
             run.cache = cache_report(law)
         with self.recipe.named(InputError):
@@ -190,7 +199,7 @@ class _RestJob:
                 self.recipe.macro,
                 factor=self.settings.factor,
                 load_steps=self.settings.load_steps,
-                progress=lambda at, end: self.report(at / end if end else 1.0, ""),
+                progress=lambda load, end: self.report(load / end if end else 1.0, ""),
                 checkpoint=partial(self._checkpoint, run),
                 checkpoint_interval=CHECKPOINT_INTERVAL,
                 resume=state,
@@ -206,15 +215,17 @@ class _RestJob:
         return rest
 
     def _checkpoint(self, run: RunFolder, rest: Rest) -> None:
+        """Write a checkpoint with the files that belong to its state."""
         law = self.of_run.law
         run.partial = rest
-        self.frames.flush()  # first: whoever resumes needs all that this state had recorded
+        self.frames.flush()  # first: a rest that resumes needs all that this state had recorded
         arrays = within("rest", rest.to_arrays()) | {"seconds": np.array(self.timer.seconds)}
         run.checkpoint(arrays | self.of_run.to_arrays(rest.law_state), cache_report(law))
         self.frames.remove_surplus()
         write_decisions(run.folder, decisions_of(law))
 
     def store(self, record: RunRecord, rest: Rest) -> RunRecord:
+        """Write the results, whole or not, and return the record with what they met and cost."""
         folder = self.of_run.folder
         history = rest.history | nominal(rest.history, record.problem["places"])
         write_curves(folder, rest.curves, history, rest.energies, is_rest=True)
@@ -237,6 +248,7 @@ class _RestJob:
         return replace(record, wall_time=wall, met=met)
 
     def close(self) -> None:
+        """Remove frames that the rest took back."""
         self.frames.remove_surplus()
 
 
@@ -249,13 +261,20 @@ def _with_error(
     correct: bool,
     report: Report,
 ) -> Rest:
-    """The rest, corrected if wanted; `answered` receives what a record says of its error.
+    """Compute the error of a rest's answer, and correct the rest if that is wanted.
 
-    RVEs are asked at all points only where they are no more than the rest itself has solved, or the
-    rest shall be corrected.
+    RVEs are solved at all points only where they are no more than the rest itself has solved, or
+    where the rest shall be corrected.
+
+    Args:
+        law: by which the rest was found.
+        true: the law of RVEs.
+        answered: receives the entries of the record on the error.
+        frames: receives the frame of the corrected state.
     """
 
     def true_stress(points: Index, F: Array) -> StressResponse:
+        """Compute RVEs' stresses at rest at some points."""
         part = true.at(points) if isinstance(true, RegionalLaw) else true
         return part.respond(F, np.zeros_like(F))
 
@@ -291,66 +310,80 @@ def _with_error(
 
 
 def error_sentence(record: RunRecord) -> str:
-    """The error of the answer of a rest; empty where it was not asked for."""
-    found = record.met.get(ANSWER)
-    if not found:
+    """Say how wrong the answer of a rest is; empty where that is not known."""
+    error = record.met.get(ANSWER)
+    if not error:
         return ""
-    if "unknown" in found:
-        return str(found["unknown"])
-    where = f"all {found['of']:,} elements"
-    if found["elements"] < found["of"]:
-        where = f"a random sample of {found['elements']:,} of {found['of']:,} elements"
+    if "unknown" in error:
+        return str(error["unknown"])
+    is_whole = error["elements"] == error["of"]
+    where = f"all {error['of']:,} elements"
+    if not is_whole:
+        where = f"a random sample of {error['elements']:,} of {error['of']:,} elements"
     parts = []
-    if found["displacement"] is not None:
-        parts.append(f"displacements by at most {number(found['displacement'], 2)} µm")
-    of_watched = zip(found["watched"], found["watched_interval"], strict=True)
+    if error["displacement"] is not None:
+        parts.append(f"displacements by at most {number(error['displacement'], 2)} µm")
+    of_watched = zip(error["watched"], error["watched_interval"], strict=True)
     parts.append(f"the watched point by ({_with_intervals(of_watched)}) µm")
-    name = max(found["forces"], key=lambda each: max(map(abs, found["forces"][each])), default="")
+    forces = error["forces"]
+    name = max(forces, key=lambda force: max(map(abs, forces[force])), default="")
     if name:
-        of_force = zip(found["forces"][name], found["forces_interval"][name], strict=True)
+        of_force = zip(forces[name], error["forces_interval"][name], strict=True)
         parts.append(f"force {name} by ({_with_intervals(of_force)}) µN")
-    does = "was, and is corrected," if found["corrected"] else "is"
+    does = "was, and is corrected," if error["corrected"] else "is"
     text = f"error of the answer, by RVEs at {where}: it {does} off in {', '.join(parts)}"
-    return text if found["elements"] == found["of"] else f"{text}, with 95 % confidence"
+    return text if is_whole else f"{text}, with 95 % confidence"
 
 
 def _with_intervals(pairs: Iterable[tuple[float, float]]) -> str:
-    """Estimates with their half widths, of which those of all elements have none."""
-    texts = (f"{a:.2g}" + (f" ± {b:.2g}" if b else "") for a, b in pairs)
+    """Write estimates with their half widths; those of all elements have none."""
+    texts = []
+    for estimate, half_width in pairs:
+        text = f"{estimate:.2g}"
+        if half_width:
+            text += f" ± {half_width:.2g}"
+        texts.append(text)
     return ", ".join(texts)
 
 
 def study_by_method(recipe: Recipe, kind: str, folder: Path, **options: Any) -> RunRecord:
-    """The recipe's problem by the method that it states: by load steps where it has a [rest], else
-    in time; `options` are those that `run_study` and `rest_study` have in common."""
+    """Compute the recipe's problem by the method that it states.
+
+    That is by load steps where it has a [rest], else in time. `options` are those that `run_study`
+    and `rest_study` have in common.
+    """
     compute = run_study if recipe.rest is None else rest_study
     return compute(recipe, kind=kind, folder=folder, **options)
 
 
 def extent_of(recipe: Recipe) -> tuple[float, str]:
-    """What the progress of `study_by_method` counts up to, and its unit."""
+    """Return what the progress of `study_by_method` counts up to, and its unit."""
     return (recipe.duration, "µs") if recipe.rest is None else (1.0, "loads")
 
 
 def summary_of(record: RunRecord) -> str:
-    """What a run or rest came to and cost."""
+    """Summarise a run or rest and its cost."""
     return rest_summary(record) if is_rest(record) else run_summary(record)
 
 
 def notes_of(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
-    """Notes on a run or rest, each with whether it is a warning."""
+    """Iterate over notes on a run or rest, each with whether it is a warning."""
     return rest_notes(record) if is_rest(record) else run_notes(record, recipe)
 
 
 def response_lines(folder: Path, record: RunRecord) -> list[str]:
-    """Peak, slope at the start and work of each force over its displacement, of a run or rest."""
+    """Describe each force over its displacement, of a run or rest: peak, slope at the start,
+    work.
+    """
     if not record.problem.get("places"):
         return []
-    return [each.sentence for each in read_run(folder, finished=False).responses]
+    return [response.sentence for response in read_run(folder, finished=False).responses]
 
 
 def rest_summary(record: RunRecord) -> str:
-    """Where the tissue came to rest, what it cost, and whether walls buckled on the way."""
+    """Summarise where the tissue came to rest, what it cost, and whether walls buckled on the
+    way.
+    """
     counts = record.counts
     end = record.recipe["rest"]
     wall = record.wall_time
@@ -370,8 +403,10 @@ def rest_summary(record: RunRecord) -> str:
 
 
 def rest_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
-    """Notes on sharp bodies, outer sides that meet, free sides and the cache, each with whether it
-    is a warning."""
+    """Iterate over notes on a rest, each with whether it is a warning.
+
+    They are on sharp bodies, outer sides that meet, free sides and the cache.
+    """
     yield from sharp_notes(record.problem.get("sharp", {}))
     yield from crossing_notes(record)
     yield from relaxation_notes(record.met)
@@ -392,9 +427,16 @@ def modes_study(
     fresh: bool = False,
     stage: Stage = no_stage,
 ) -> dict[str, Any]:
-    """The slowest oscillations about both states of `STATES`, by state and initialisation.
+    """Compute the slowest oscillations about both states of `STATES`, by state and initialisation.
 
-    With everything needed to compute them again; `out`: a JSON file in which they are kept.
+    The result has everything needed to compute them again.
+
+    Args:
+        methods: initialisations of RVEs.
+        count: number of oscillations.
+        out: JSON file in which they are kept; None: nowhere.
+        fresh: whether a file that is there is replaced.
+        stage: reports the states.
     """
     identity = {
         "version": version("surrofe2"),
@@ -403,6 +445,7 @@ def modes_study(
     }
 
     def make() -> dict[str, Any]:
+        """Compute the oscillations, and return the content of the file."""
         states: dict[str, dict[str, Any]] = {state: {} for state in STATES}
         with stage("modes", float(len(methods) * len(STATES)), "states") as report:
             for k, method in enumerate(methods):
@@ -420,6 +463,7 @@ def modes_study(
     return make() if out is None else keep(out, identity, make, fresh=fresh)[0]
 
 
+# Units and meaning of the numbers of a state.
 _UNITS = {
     "watched": "µm, displacement of the watched point at rest",
     "period": "µs",
@@ -431,6 +475,7 @@ _UNITS = {
 
 
 def _modes_of(recipe: Recipe, method: str, factor: float, count: int) -> dict[str, Any]:
+    """Compute the oscillations about the rest at a factor of the loads."""
     problem = recipe.problem()
     study = replace(recipe, rve=replace(recipe.rve, initialisation=method))
     law = laws.law_by_region(study, problem.mesh, laws.true_law)

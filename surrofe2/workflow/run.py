@@ -1,7 +1,8 @@
-"""A recipe's problem by a stress law, and the folder that it is written to, also from Python.
+"""Runs of a recipe's problem in time by a stress law, and the folder that they are written to.
 
-What a run leaves: its record; curves, energies, fields and decisions; and of a cached run the
-tables and the answers of RVEs, which are kept with its checkpoints and written at its end.
+A run leaves its record; curves, energies, fields and decisions; and of a cached run the tables and
+the answers of RVEs, which are kept with its checkpoints and written at its end. Runs computed in
+Python are written by `save_run`.
 """
 
 from __future__ import annotations
@@ -78,10 +79,15 @@ from surrofe2.workflow import laws
 from surrofe2.workflow.inputs import inputs_of
 from surrofe2.workflow.time_scales import relaxation_notes, relaxed
 
+# Points that are not trusted, for each hit, from which on a run advises what to change.
 MANY_UNTRUSTED = 0.1
-"""Points that are not trusted, for each hit, from which on a run says what to change."""
+# Implicit steps of a tissue that rings, after which the phase was three tolerances off
+# (docs/theory.md).
 MOST_IMPLICIT_STEPS = 3000
-"""Of a tissue that rings; after as many the phase was three tolerances off (docs/theory.md)."""
+# Penetration of a body, as a fraction of the side of an element, from which on a run warns.
+_DEEP = 0.01
+# Entry of a record's `met`: the time, µs, or load factor, from which outer sides cross.
+CROSSED = "outer_sides_cross_from"
 
 
 def run_study(
@@ -100,9 +106,13 @@ def run_study(
     exactly those of the run that it belongs to.
 
     Args:
+        kind: law as of `--law`: "rve", "cached", "table" or "surrogate".
+        folder: the run folder.
         surrogates: files by name of the cell, instead of the recipe's.
         tables: files of tables to start from, each for the cells whose answers it has; the run's
             own are written into the folder.
+        fresh: whether a run that is there is replaced.
+        report: called with the time, µs, and words on what is done.
 
     Raises:
         SimulationError: the run could not be carried on; the folder holds it up to there.
@@ -117,12 +127,12 @@ def run_study(
     of_run = law_of_run(recipe, problem, kind, folder, surrogates, tables)
     problem = laws.with_surface(recipe, problem)
     described = problem_record(problem, thickness_of(recipe))
-    of = {"surrogate": of_run.surrogate, "problem": described}
+    record = new_record(recipe, kind, surrogate=of_run.surrogate, problem=described)
     job = _TimeRun(
         recipe=recipe,
         problem=problem,
         of_run=of_run,
-        record=new_record(recipe, kind, **of),
+        record=record,
         inputs=inputs_of(recipe, kind, surrogates, tables),
         frames=FrameFiles(folder, make_discretisation(problem.mesh), of_run.law),
         compiled_before=compiled_before,
@@ -136,8 +146,10 @@ class _TimeRun:
     """A run in time as a `Job`.
 
     Attributes:
-        recipe, problem: what is computed, the surface law included.
+        recipe, problem: the problem that is computed, the surface law included.
         of_run: the law, and the files that it fills.
+        record: the record that the run begins with.
+        inputs: contents, by name, of the files from which the run can be repeated.
         frames: files of whole fields.
         compiled_before: seconds in which kernels had been compiled when it began.
         report: is called with the time, µs.
@@ -153,11 +165,13 @@ class _TimeRun:
     report: Report
 
     def restored(self, arrays: Mapping[str, NDArray]) -> MacroState:
+        """Return the state that a checkpoint holds, and continue its frames and harvests."""
         state = MacroState.from_arrays(part_of(arrays, "macro"))
         self.frames.resume(state.journal["frames.t"], state.journal["frames.point_t"])
         return replace(state, law_state=self.of_run.restored(arrays))
 
     def compute(self, run: RunFolder, state: MacroState | None) -> MacroRun:
+        """Run to the end; an interrupt leaves harvests and tables written."""
         law = self.of_run.law
         duration = self.problem.duration
         if state is not None:
@@ -183,14 +197,16 @@ class _TimeRun:
             raise
 
     def _checkpoint(self, run: RunFolder, state: MacroState) -> None:
+        """Write a checkpoint with the files that belong to its state."""
         law = self.of_run.law
         arrays = within("macro", state.to_arrays()) | self.of_run.to_arrays(state.law_state)
-        self.frames.flush()  # first: whoever resumes needs all that this state had recorded
+        self.frames.flush()  # first: a run that resumes needs all that this state had recorded
         run.checkpoint(arrays, cache_report(law))
         self.frames.remove_surplus()
         write_decisions(run.folder, decisions_of(law))
 
     def store(self, record: RunRecord, result: MacroRun) -> RunRecord:
+        """Write the results, whole or not, and return the record with what they met and cost."""
         folder = self.of_run.folder
         record = with_results(record, result, self.of_run.tables)
         compilation = seconds_compiling() - self.compiled_before
@@ -206,6 +222,7 @@ class _TimeRun:
         return replace(record, wall_time=wall, met=met)
 
     def close(self) -> None:
+        """Remove frames that the run took back."""
         self.frames.remove_surplus()
 
 
@@ -214,12 +231,12 @@ class LawOfRun:
     """The law of a run or rest, and the files that it fills in their folder.
 
     Attributes:
-        recipe, folder: of the run.
+        recipe, folder: those of the run.
         law: of all points.
-        surrogate: what to record of its surrogates; None where it has none.
-        harvests: of the answers of RVEs, by name of the cell.
-        tables: that learn, by name of the cell.
-        earlier: seconds that the tables took which it began with.
+        surrogate: the record of its surrogates; None where it has none.
+        harvests: files of the answers of RVEs, by name of the cell.
+        tables: tables that learn, by name of the cell.
+        earlier: seconds that the tables took with which it began.
     """
 
     recipe: Recipe
@@ -231,7 +248,11 @@ class LawOfRun:
     earlier: float
 
     def write_learnt(self, seconds: float | None = None) -> None:
-        """Write harvests and tables, which took so many seconds; None: of a run that resumes."""
+        """Write harvests and tables.
+
+        Args:
+            seconds: what they took in this run; None: not known yet, since the run will resume.
+        """
         total = 0.0 if seconds is None else self.earlier + seconds
         for writer in self.harvests.values():
             writer.flush(total)
@@ -240,14 +261,18 @@ class LawOfRun:
             write_table(path, table, self.recipe.to_dict(), total)
 
     def to_arrays(self, law_state: Any) -> dict[str, NDArray]:
-        """All that a checkpoint must have of law and harvests, `law_state` being committed."""
+        """Return all that a checkpoint must have of law and harvests, `law_state` being
+        committed.
+        """
         arrays = within("law", state_arrays(self.law, law_state))
         for cell, writer in self.harvests.items():
             arrays |= within(f"harvest of {cell or ''}", writer.to_arrays())
         return arrays
 
     def restored(self, arrays: Mapping[str, NDArray]) -> Any:
-        """The committed state whose `to_arrays` are among these arrays; harvests go on from it."""
+        """Return the committed state whose `to_arrays` are among these arrays; continue the
+        harvests.
+        """
         law_state = state_of(self.law, part_of(arrays, "law"))
         for cell, writer in self.harvests.items():
             writer.restore(part_of(arrays, f"harvest of {cell or ''}"))
@@ -262,7 +287,9 @@ def law_of_run(
     surrogates: Mapping[CellName, Path],
     tables: Sequence[Path],
 ) -> LawOfRun:
-    """The law called `kind` of a run that is written to a folder; the others as of `run_study`."""
+    """Make the law called `kind` for a run that is written to a folder; arguments as of
+    `run_study`.
+    """
     harvests: dict[CellName, HarvestWriter] = {}
     chosen: dict[CellName, laws.ChosenLaw] = {}
     tables_of = laws.files_by_cell(recipe, tables, "--table")
@@ -272,26 +299,34 @@ def law_of_run(
         chosen[name] = laws.choose_law(
             study, kind, surrogates.get(name), tables_of[name], harvests.get(name)
         )
-    learnt = {name: each.surrogate for name, each in chosen.items() if each.surrogate}
+    learnt = {}
+    learning_tables = {}
+    for name, choice in chosen.items():
+        if choice.surrogate:
+            learnt[name] = choice.surrogate
+        if choice.table is not None:
+            learning_tables[name] = choice.table
     return LawOfRun(
         recipe=recipe,
         folder=folder,
         law=laws.law_by_region(recipe, problem.mesh, lambda study: chosen[study.name].law),
         surrogate=laws.surrogate_record(learnt),
         harvests=harvests,
-        tables={name: each.table for name, each in chosen.items() if each.table is not None},
-        earlier=sum(read_seconds(each) or 0.0 for each in tables),
+        tables=learning_tables,
+        earlier=sum(read_seconds(path) or 0.0 for path in tables),
     )
 
 
 def cache_report(law: StressLaw) -> dict[str, Any] | None:
-    """What a cached law has to report so far, of several cells under `cells` by name; None of
-    others."""
+    """Return the report of a cached law so far; None of other laws.
+
+    Of several cells it has theirs under `cells` by name.
+    """
     return law.history() if isinstance(law, AuditedLaw) else None
 
 
 def decisions_of(law: StressLaw) -> list[dict[str, Any]] | None:
-    """The decisions of a law on windows of steps so far; None of one that makes none."""
+    """Return a law's decisions on windows of steps so far; None of a law that makes none."""
     return law.decisions if isinstance(law, AuditedLaw) else None
 
 
@@ -309,7 +344,12 @@ def origin_of(study: CellStudy) -> dict[str, Any]:
 
 
 def new_record(recipe: Recipe, law: str, /, **entries: Any) -> RunRecord:
-    """The record of a run by the law of this name that is about to start."""
+    """Make the record of a run that is about to start.
+
+    Args:
+        law: name of the law.
+        entries: further entries of the record, or others than the recipe's.
+    """
     seeds = [cell.samples.seed for cell in recipe.cells.values()]
     known = {
         "recipe": recipe.to_dict(),
@@ -324,7 +364,7 @@ def new_record(recipe: Recipe, law: str, /, **entries: Any) -> RunRecord:
 def save_run(run: MacroRun, folder: str | Path, *, fresh: bool = False) -> RunRecord:
     """Write the run folder that the command `surrofe2 run` would write; `read_run` reads it back.
 
-    `surrofe2 compare` and `zoom` take it like any other; there is nothing to continue from.
+    `surrofe2 compare` and `zoom` take it like any other; but it has no checkpoint to continue from.
 
     Args:
         fresh: write over whatever run the folder holds.
@@ -363,8 +403,11 @@ def write_results(folder: Path, run: MacroRun) -> None:
 
 
 class FrameFiles:
-    """The files of whole fields of a run or a rest, which are written as they come: fields of nodes
-    and elements, and points of the law with F and Ḟ by the displacement of nodes."""
+    """The files of whole fields of a run or a rest, which are written as they come.
+
+    They are fields of nodes and elements, and points of the law, whose F and Ḟ follow from the
+    displacement of nodes.
+    """
 
     def __init__(self, folder: Path, space: Discretisation, law: StressLaw) -> None:
         self._space = space
@@ -375,7 +418,7 @@ class FrameFiles:
 
     @property
     def counts(self) -> tuple[int, int]:
-        """Frames of fields and of points so far."""
+        """Numbers of frames so far: of fields, and of points."""
         return self._fields.count, self._points.count
 
     def resume(self, times: Array, point_times: Array) -> None:
@@ -404,7 +447,7 @@ class FrameFiles:
         self._points.write(point_count, float(frame.point_t[0]), at_points, {})
 
     def flush(self) -> None:
-        """Leave no frame waiting."""
+        """Write the frames that wait."""
         self._fields.flush()
         self._points.flush()
 
@@ -414,7 +457,7 @@ class FrameFiles:
         self._points.remove_surplus()
 
     def close(self) -> None:
-        """All frames are there."""
+        """Complete the files: no more frames come."""
         self._fields.close()
         self._points.close()
 
@@ -422,16 +465,22 @@ class FrameFiles:
 def with_results(
     record: RunRecord, run: MacroRun, tables: Mapping[CellName, StressTable] = MappingProxyType({})
 ) -> RunRecord:
-    """The record with what a run, whole or not, met and cost, and what its tables began with."""
+    """Return the record with what a run, whole or not, met and cost.
+
+    Args:
+        tables: tables that learnt in it; the seconds of their first records count as the run's.
+    """
     driver = driver_at_work()
     begun = sum(table.seconds for table in tables.values())
     record = with_costs(record, run, tables)
-    penetration = {
-        name.removeprefix("penetration "): float(depth.max(initial=0.0))
-        for name, depth in run.history.items()
-        if name.startswith("penetration ")
-    }
-    wall = {k: v + begun if k in ("total", "law") else v for k, v in run.wall_time.items()}
+    penetration = {}
+    for name, depth in run.history.items():
+        if name.startswith("penetration "):
+            penetration[name.removeprefix("penetration ")] = float(depth.max(initial=0.0))
+    wall = dict(run.wall_time)
+    for part in ("total", "law"):
+        if part in wall:
+            wall[part] += begun
     return replace(
         with_rest(
             replace(record, problem={**record.problem, "penetration": penetration}), run.rest
@@ -451,14 +500,15 @@ def with_results(
 def with_costs(
     record: RunRecord, run: MacroRun | Rest, tables: Mapping[CellName, StressTable]
 ) -> RunRecord:
-    """The record with what the answers of the law cost, and what its caches report."""
+    """Return the record with what the answers of the law cost, and what its caches report."""
     counts = Counter({**run.counts, **run.effort})
     back = Counter(run.rolled_back)
     # audits and what tables learn are RVE solves like others, and named besides
-    for of in caches_of(run.cache).values():
-        audits = of["audit"]["audited"] + of["closing_audit"]["audited"]
+    for report in caches_of(run.cache).values():
+        audit = report["audit"]
+        audits = audit["audited"] + report["closing_audit"]["audited"]
         counts.update(rve_solves=audits, audits=audits)
-        back.update(rve_solves=of["audit"]["rolled_back"], audits=of["audit"]["rolled_back"])
+        back.update(rve_solves=audit["rolled_back"], audits=audit["rolled_back"])
     for table in tables.values():
         changed = {f"table_{name.removeprefix('table_')}": n for name, n in table.counts.items()}
         counts.update(changed, table_records=table.size)
@@ -472,7 +522,9 @@ def with_costs(
 
 
 def with_rest(record: RunRecord, rest: np.ndarray | None) -> RunRecord:
-    """The record with how far free sides moved a tissue before the run, `System.rest`, µm."""
+    """Return the record with how far free sides moved a tissue before the run, `System.rest`,
+    µm.
+    """
     surface = record.problem.get("surface")
     if not surface or rest is None:
         return record
@@ -481,9 +533,10 @@ def with_rest(record: RunRecord, rest: np.ndarray | None) -> RunRecord:
 
 
 def problem_record(problem: Problem, thickness: float | None = None) -> dict[str, Any]:
-    """What a problem consists of: counts of its mesh by name, and what acts on it.
+    """Describe a problem for a record: counts of its mesh by name, and what acts on it.
 
-    thickness: of the tissue, µm; None where its cells have several.
+    Args:
+        thickness: of the tissue, µm; None where its cells have several.
     """
     mesh = problem.mesh
     low, high = extent(mesh)
@@ -497,7 +550,7 @@ def problem_record(problem: Problem, thickness: float | None = None) -> dict[str
         "regions": {name: len(elements) for name, elements in (mesh.subdomains or {}).items()},
         "conditions": [label(condition) for condition in problem.conditions],
         "bodies": [body.name for body in problem.bodies],
-        "watched": {name: list(at) for name, at in problem.watched.items()},
+        "watched": {name: list(point) for name, point in problem.watched.items()},
         "places": _places(problem, thickness),
         "sharp": sharp_bodies(problem),
         **({"surface": laws.surface_record(problem)} if problem.surface is not None else {}),
@@ -505,14 +558,17 @@ def problem_record(problem: Problem, thickness: float | None = None) -> dict[str
 
 
 def thickness_of(recipe: Recipe) -> float | None:
-    """The thickness of the tissue, µm; None where its cells have several."""
-    several = {cell.parameters.tissue_thickness for cell in recipe.cells.values()}
-    return several.pop() if len(several) == 1 else None
+    """Return the thickness of the tissue, µm; None where its cells have several."""
+    thicknesses = {cell.parameters.tissue_thickness for cell in recipe.cells.values()}
+    return thicknesses.pop() if len(thicknesses) == 1 else None
 
 
 def sharp_bodies(problem: Problem) -> dict[str, list[float]]:
-    """By name of a body that is sharper than the contact points of its boundary are apart: the
-    radius of its rounding and that distance, µm."""
+    """Find bodies that are sharper than the contact points of their boundary are apart.
+
+    Returns:
+        By name of the body the radius of its rounding and that distance, µm.
+    """
     mesh = problem.mesh
     sharp: dict[str, list[float]] = {}
     for body in problem.bodies:
@@ -525,7 +581,7 @@ def sharp_bodies(problem: Problem) -> dict[str, list[float]]:
 
 
 def sharp_notes(sharp: Mapping[str, Sequence[float]]) -> Iterator[tuple[str, bool]]:
-    """A warning for each body that the mesh is too coarse for; see `sharp_bodies`."""
+    """Warn of each body that the mesh is too coarse for; see `sharp_bodies`."""
     for name, (radius, gap) in sharp.items():
         yield (
             f"contact: {name} has a rounding of {number(radius)} µm and may press between contact "
@@ -536,70 +592,73 @@ def sharp_notes(sharp: Mapping[str, Sequence[float]]) -> Iterator[tuple[str, boo
 
 
 def _places(problem: Problem, thickness: float | None) -> dict[str, dict[str, Any]]:
-    """By name of a motion, surface load or body what its nominal stress and strain need; see
-    `run.responses`."""
+    """Describe, by name of a motion, surface load or body, what its nominal stress and strain need.
+
+    See `run.responses`.
+    """
     mesh = problem.mesh
     low, high = extent(mesh)
     known = mesh.boundaries or {}
     columns: dict[str, str] = {}  # displacement by name of what acts
     sections: dict[str, float | None] = {}
-    for each in problem.conditions:
-        if not isinstance(each, PrescribedMotion | Traction | Pressure | PointForce):
+    for condition in problem.conditions:
+        if not isinstance(condition, PrescribedMotion | Traction | Pressure | PointForce):
             continue
-        name = label(each)
-        if isinstance(each.on, NodeAt):
-            columns[name] = displacement_of(each.on)
+        name = label(condition)
+        if isinstance(condition.on, NodeAt):
+            columns[name] = displacement_of(condition.on)
             sections[name] = None
-        elif each.on in known:
-            columns[name] = f"mean displacement {each.on}"
-            sections[name] = length_of(mesh, boundary(mesh, each.on, name))
+        elif condition.on in known:
+            columns[name] = f"mean displacement {condition.on}"
+            sections[name] = length_of(mesh, boundary(mesh, condition.on, name))
     for body in problem.bodies:
         columns[body.name] = f"position {body.name}"
         sections[body.name] = length_of(mesh, boundary(mesh, body.on, body.name))
-    return {
-        name: {
+    places = {}
+    for name, column in columns.items():
+        places[name] = {
             "displacement": column,
             "section": sections[name],
             "length": (high - low).tolist(),
             "thickness": thickness,
         }
-        for name, column in columns.items()
-    }
+    return places
 
 
 def _record_of(run: MacroRun) -> RunRecord:
-    """The record of a run that no recipe stated."""
+    """Make the record of a run that no recipe stated."""
     entries: dict[CellName, dict[str, Any]] = {}
     sections: dict[str, Any] = {}
     if isinstance(run.law, RegionalLaw):
         entries |= {name: _law_entries(law) for name, law in run.law.laws.items()}
         sections["cells"] = {
-            name: {**each["cell"], "rve": each["rve"], "regions": [name]}
-            for name, each in entries.items()
+            name: {**entry["cell"], "rve": entry["rve"], "regions": [name]}
+            for name, entry in entries.items()
         }
     else:
         only = _law_entries(run.law)
         entries[None] = only
         if only["cell"]:
             sections = {"cell": only["cell"], "rve": only["rve"]}
-    caches = [each["cache"] for each in entries.values() if each["cache"]]
+    caches = [entry["cache"] for entry in entries.values() if entry["cache"]]
     if caches:
         sections["cache"] = caches[0]
     sections |= {**_stated_problem(run.problem), "macro": asdict(run.settings)}
-    learnt = {name: each["surrogate"] for name, each in entries.items() if each["surrogate"]}
+    learnt = {name: entry["surrogate"] for name, entry in entries.items() if entry["surrogate"]}
 
     def joined(values: Iterable[str]) -> str:
+        """Join values by commas, equal ones once."""
         return ", ".join(dict.fromkeys(values))
 
     return RunRecord(
         status="running",
         recipe=plain({"recipe": None, **sections}),
-        law=joined(each["kind"] for each in entries.values()),
+        law=joined(entry["kind"] for entry in entries.values()),
         initialisation=joined(
-            each["rve"].get("initialisation", "none") for each in entries.values()
+            entry["rve"].get("initialisation", "none") for entry in entries.values()
         ),
-        solver=joined(each["rve"].get("solver", "none") for each in entries.values()),
-        cell_fingerprint=" ".join(each["fingerprint"] for each in entries.values()),
+        solver=joined(entry["rve"].get("solver", "none") for entry in entries.values()),
+        cell_fingerprint=" ".join(entry["fingerprint"] for entry in entries.values()),
         surrogate=laws.surrogate_record(learnt),
         problem=problem_record(run.problem),
         **describe_origin(),
@@ -607,30 +666,32 @@ def _record_of(run: MacroRun) -> RunRecord:
 
 
 def _law_entries(law: Any) -> dict[str, Any]:
-    """Kind and fingerprint of a law, and by section of a recipe what it is made of."""
+    """Describe a law: its kind and fingerprint, and what it is made of by section of a recipe."""
     law = own_part(law)
     if isinstance(law, CachedLaw):
         learnt = _law_entries(law.surrogate)["surrogate"]
         kind = "cached" if learnt else "table"
         cache = asdict(law.settings)
         return {**_law_entries(law.fallback), "kind": kind, "cache": cache, "surrogate": learnt}
-    found: dict[str, Any] = {"kind": type(law).__name__, "fingerprint": "none"}
-    found |= {name: {} for name in ("cell", "rve", "cache", "surrogate")}
+    entries: dict[str, Any] = {"kind": type(law).__name__, "fingerprint": "none"}
+    entries |= {name: {} for name in ("cell", "rve", "cache", "surrogate")}
     if isinstance(law, RveLaw | SurrogateLaw):
         preset = next((name for name, known in PRESETS.items() if known == law.cell), "own")
-        found["cell"] = {"preset": preset, **law.cell.to_dict()}
-        found["fingerprint"] = law.cell.fingerprint
+        entries["cell"] = {"preset": preset, **law.cell.to_dict()}
+        entries["fingerprint"] = law.cell.fingerprint
     if isinstance(law, RveLaw):
-        found |= {"kind": "rve", "rve": asdict(law.settings)}
+        entries |= {"kind": "rve", "rve": asdict(law.settings)}
     elif isinstance(law, SurrogateLaw):
         learnt = law.network.fingerprint(law.range)
-        found["surrogate"] = {"file": "none", "fingerprint": learnt, "errors": law.errors}
-        found |= {"kind": "surrogate", "rve": {"initialisation": law.initialisation}}
-    return found
+        entries["surrogate"] = {"file": "none", "fingerprint": learnt, "errors": law.errors}
+        entries |= {"kind": "surrogate", "rve": {"initialisation": law.initialisation}}
+    return entries
 
 
 def _stated_problem(problem: Problem) -> dict[str, Any]:
-    """A problem as a recipe has it, its mesh by extent, number of elements and digest."""
+    """Describe a problem as a recipe states it, its mesh by extent, number of elements and
+    digest.
+    """
     low, high = extent(problem.mesh)
     digest = hashlib.sha256()
     for part in (problem.mesh.p.T, element_nodes(problem.mesh)):
@@ -649,10 +710,13 @@ def _stated_problem(problem: Problem) -> dict[str, Any]:
 
 
 def run_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
-    """Notes on tolerance, steps, contact, free sides, cache and ranks, each with whether it is a
-    warning; the last one of a cached run is what its closing audit guarantees."""
+    """Iterate over notes on a run, each with whether it is a warning.
+
+    They are on tolerance, steps, contact, free sides, cache and ranks. The last one of a cached run
+    is the guarantee of its closing audit.
+    """
     steps = record.counts["steps"]
-    of = record.problem
+    described = record.problem
     yield from tolerance_notes(record, recipe)
     yield from relaxation_notes(record.met)
     if recipe.macro.integrator == "implicit" and steps > MOST_IMPLICIT_STEPS:
@@ -661,39 +725,49 @@ def run_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
             "up to more than three tolerances, and explicit steps are more accurate and fewer",
             True,
         )
-    (x0, y0), (x1, y1) = of["extent"]
-    side = ((x1 - x0) * (y1 - y0) / of["elements"]) ** 0.5
-    for name, depth in of.get("penetration", {}).items():
+    (x_low, y_low), (x_high, y_high) = described["extent"]
+    area = (x_high - x_low) * (y_high - y_low)
+    side = (area / described["elements"]) ** 0.5  # of an element, about
+    for name, depth in described.get("penetration", {}).items():
         if depth > 0.0:
-            is_deep = depth > 0.01 * side
+            is_deep = depth > _DEEP * side
             wish = f"; a larger bodies.{name}.stiffness would lessen it" if is_deep else ""
             yield f"contact: {name} penetrates by {depth:.2g} µm{wish}", is_deep
-    yield from sharp_notes(of.get("sharp", {}))
+    yield from sharp_notes(described.get("sharp", {}))
     yield from crossing_notes(record)
     yield from laws.surface_notes(record)
     yield from cache_notes(record)
-    if record.ranks is not None:  # what rank 0 takes for itself bounds what more ranks can do
-        wall = record.wall_time
-        ranks = record.ranks
-        total = wall["total"]
-        away = ranks["computing"] + ranks["messages"]
-        shares = {
-            "assembly and time stepping on rank 0": wall["macro"],
-            "what the law decides there": max(0.0, wall["law"] - away),
-            "computing on all ranks": ranks["computing"],
-            "messages": ranks["messages"],
-        }
-        parts = ", ".join(f"{name} {100.0 * each / total:.0f} %" for name, each in shares.items())
-        yield (
-            f"ranks: {ranks['ranks']} of {ranks['threads']} threads; {parts} of "
-            f"{time_text(total)}; {ranks['tasks']} exchanges",
-            False,
-        )
+    yield from _rank_notes(record)
     yield from closing_notes(record)
 
 
+def _rank_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
+    """Say where the time of a run on several ranks went.
+
+    What rank 0 takes for itself bounds what more ranks can gain.
+    """
+    if record.ranks is None:
+        return
+    wall = record.wall_time
+    ranks = record.ranks
+    total = wall["total"]
+    away = ranks["computing"] + ranks["messages"]
+    seconds = {
+        "assembly and time stepping on rank 0": wall["macro"],
+        "what the law decides there": max(0.0, wall["law"] - away),
+        "computing on all ranks": ranks["computing"],
+        "messages": ranks["messages"],
+    }
+    parts = ", ".join(f"{name} {100.0 * each / total:.0f} %" for name, each in seconds.items())
+    yield (
+        f"ranks: {ranks['ranks']} of {ranks['threads']} threads; {parts} of "
+        f"{time_text(total)}; {ranks['tasks']} exchanges",
+        False,
+    )
+
+
 def closing_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
-    """What the closing audit of a cached run guarantees, of each cell; no warnings."""
+    """Say what the closing audit of a cached run guarantees, of each cell; no warnings."""
     for name, cache in caches_of(record.cache).items():
         sentence = closing_sentence(cache)
         if sentence:
@@ -702,23 +776,25 @@ def closing_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
 
 
 def buckled(t: Array, history: Mapping[str, Array], points: int) -> dict[str, Any]:
-    """What a record's `met` says of points beyond a bifurcation: how many, of how many, and from
-    which time or load factor on; nothing where the law cannot tell."""
+    """Describe points beyond a bifurcation for a record's `met`.
+
+    Returns:
+        Their largest number, that of all points, and the time or load factor from which on there
+        are any; nothing where the law cannot tell.
+    """
     beyond = history.get(BEYOND)
     if beyond is None:
         return {}
-    some = np.flatnonzero(beyond)
-    begin = float(t[some[0]]) if some.size else None
+    times_beyond = t[np.flatnonzero(beyond)]
+    begin = float(times_beyond[0]) if times_beyond.size else None
     return {BUCKLED: {"points": int(beyond.max(initial=0.0)), "of": points, "from": begin}}
 
 
-CROSSED = "outer_sides_cross_from"
-"""Entry of a record's `met`: the time, µs, or load factor."""
-
-
 def crossed(t: Array, history: Mapping[str, Array]) -> dict[str, Any]:
-    """Return the entry of a record's `met` on outer sides that cross, the time or load factor from
-    which they do; none where none do."""
+    """Return the entry of a record's `met` on outer sides that cross, where some do.
+
+    It is the time or load factor from which they cross.
+    """
     crossings = history.get(CROSSINGS)
     if crossings is None:
         return {}
@@ -726,7 +802,7 @@ def crossed(t: Array, history: Mapping[str, Array]) -> dict[str, Any]:
 
 
 def crossing_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
-    """A warning where outer sides of the tissue meet, between which there is no contact."""
+    """Warn where outer sides of the tissue meet, between which there is no contact."""
     begin = record.met.get(CROSSED)
     if begin is not None:
         when = f"load factor {begin:.4g}" if is_rest(record) else f"t = {begin:.4g} µs"
@@ -738,30 +814,33 @@ def crossing_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
 
 
 def tolerance_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
-    """A warning where the absolute tolerance is not small against what moved."""
+    """Warn where the absolute tolerance is not small against the largest displacement."""
     remark = recipe.macro.remark(record.met.get("displacement", 0.0))
     if remark is not None:
         yield remark, True
 
 
 def run_summary(record: RunRecord) -> str:
-    """What a finished run did and what it cost."""
+    """Summarise a finished run and its cost in a sentence."""
     wall = record.wall_time
     counts = record.counts
     back = Counter(record.rolled_back)
     buckling = buckling_sentence(record)
-    return (
+    text = (
         f"{record.duration:g} µs by {record.law} in "
         f"{time_text(wall['total'])} (law {time_text(wall['law'])}, "
         f"macro {time_text(wall['macro'])}; "
         f"compilation {time_text(wall.get('compilation', 0.0))} besides), {costs(counts)}"
-        + (f"; rolled back: {back['steps']} steps, {costs(back)}" if back else "")
-        + (f"; {buckling}" if buckling else "")
     )
+    if back:
+        text += f"; rolled back: {back['steps']} steps, {costs(back)}"
+    if buckling:
+        text += f"; {buckling}"
+    return text
 
 
 def costs(counts: Mapping[str, int]) -> str:
-    """Stress points, RVE solves and, for cached laws, hits and fallbacks by reason."""
+    """List stress points, RVE solves and, of cached laws, hits and fallbacks by reason."""
     asked = counts["stress_points"] + counts.get("dissipation_points", 0)
     text = f"{asked:,} stresses, {counts.get('rve_solves', 0):,} RVE solves"
     if "hits" not in counts:
@@ -776,21 +855,21 @@ def costs(counts: Mapping[str, int]) -> str:
 
 
 def cache_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
-    """Notes on audits and trust of a run, each with whether it is a warning."""
+    """Iterate over notes on audits and trust of a run, each with whether it is a warning."""
     for name, cache in caches_of(record.cache).items():
-        of = "" if name is None else f"{name}: "
-        yield f"{of}audit: {audit_sentence(cache)}", False
+        whose = "" if name is None else f"{name}: "
+        yield f"{whose}audit: {audit_sentence(cache)}", False
         left = cache.get("left_range")
         if left:
             quantity, most = max(left.items(), key=lambda item: item[1]["points"])
-            points = sum(each["points"] for each in left.values())
+            points = sum(of_quantity["points"] for of_quantity in left.values())
             far = out_of_range(quantity, most["farthest"], most["bound"])
             yield (
-                f"{of}out of range: {most['points']} of {points} fallbacks by {far} at worst",
+                f"{whose}out of range: {most['points']} of {points} fallbacks by {far} at worst",
                 False,
             )
         for event in cache["trust"]["events"]:
-            yield f"{of}cache, step {event['step']}: {event['finding']}", True
+            yield f"{whose}cache, step {event['step']}: {event['finding']}", True
     counts = record.counts
     untrusted = counts.get("fallbacks_not_trusted", 0)
     if record.law == "cached" and untrusted > MANY_UNTRUSTED * counts.get("hits", 0):

@@ -1,4 +1,4 @@
-"""How large a tissue is against its plant cells, and what all of its particles would take.
+"""The size of a tissue against its plant cells, and the cost of all of its particles.
 
 FE² takes a plant cell to be small against an element, and saves what a homogeneous neighbourhood
 allows: where elements are smaller than plant cells it solves several RVEs for each of them, and all
@@ -22,17 +22,18 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe.recipe import CellName, Recipe
 from surrofe2.store.samples import kept_reference
 
+# Particle-steps in a second by two cores: an order of magnitude.
 PARTICLE_STEPS = 3e7
-"""Particle-steps in a second by two cores: an order of magnitude."""
+# Widths that differ by less than this fraction are the same.
 _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class Particles:
-    """What a run of all particles takes.
+    """The cost of a run of all particles.
 
     Attributes:
-        plant_cells, particles, steps: how many there are.
+        plant_cells, particles, steps: numbers of them.
         refusal: why `surrofe2 tissue` does not take the recipe; empty where it does.
     """
 
@@ -48,7 +49,7 @@ class Particles:
 
     @property
     def seconds(self) -> float:
-        """Order of magnitude, at `PARTICLE_STEPS`."""
+        """Order of magnitude of its time, s, at `PARTICLE_STEPS`."""
         return self.particles * self.steps / PARTICLE_STEPS
 
 
@@ -60,15 +61,14 @@ class _Elements(NamedTuple):
 
 
 def scale_warnings(recipe: Recipe, halvings: int = 0) -> Iterator[str]:
-    """A sentence for each kind of plant cell that is larger, or whose RVE is wider, than an element
-    of its own.
+    """Warn of each kind of plant cell that is larger, or whose RVE is wider, than its elements.
 
     Args:
         halvings: how often elements were merged each way for this recipe's mesh.
     """
     elements = _elements_by_cell(recipe)
-    for name, each in recipe.cells.items():
-        cell = each.parameters
+    for name, entry in recipe.cells.items():
+        cell = entry.parameters
         smallest = float(elements[name].widths.min()) / 2**halvings
         where = "" if name is None else f" of {name}"
         width = float(np.linalg.norm(cell.tessellation.lattice, axis=0).max())
@@ -86,8 +86,10 @@ def scale_warnings(recipe: Recipe, halvings: int = 0) -> Iterator[str]:
 
 
 def sap_notes(recipe: Recipe, step: float | None = None) -> Iterator[tuple[str, bool]]:
-    """A message on the time steps of an explicit run with undrained sap, and that it is no warning;
-    none on a recipe that states a rest.
+    """Iterate over notes on the time steps of an explicit run with undrained sap; none is a
+    warning.
+
+    There is none on a recipe that states a rest.
 
     Args:
         step: mean step of a finished run, µs; None: before the run.
@@ -119,12 +121,13 @@ def sap_notes(recipe: Recipe, step: float | None = None) -> Iterator[tuple[str, 
 
 
 def sap_wave_speed(cell: CellParameters) -> float:
-    """Speed √(K/ρ) of pressure waves by the sap's bulk modulus alone, µm/µs."""
+    """Compute the speed √(K/ρ) of pressure waves by the sap's bulk modulus alone, µm/µs."""
     return math.sqrt(cell.sap_bulk_modulus * cell.tissue_thickness / cell.density)
 
 
 def all_particles(recipe: Recipe) -> Particles:
-    """The full particle model of a recipe's tissue, by the area of each kind of plant cell.
+    """Estimate the full particle model of a recipe's tissue, by the area of each kind of plant
+    cell.
 
     Where an image outlines the tissue, its cells and particles are counted.
     """
@@ -133,10 +136,11 @@ def all_particles(recipe: Recipe) -> Particles:
     from surrofe2.workflow.tissue import tissue_of
 
     elements = _elements_by_cell(recipe)
-    plant_cells = particles = 0.0
+    plant_cells = 0.0
+    particles = 0.0
     step = math.inf if recipe.tissue.micro_step is None else recipe.tissue.micro_step
-    for name, each in recipe.cells.items():
-        cell = each.parameters
+    for name, entry in recipe.cells.items():
+        cell = entry.parameters
         count = float(elements[name].areas.sum()) / cell.cell_side**2
         plant_cells += count
         particles += count * _particles_of(cell)
@@ -155,23 +159,21 @@ def all_particles(recipe: Recipe) -> Particles:
     return Particles(plant_cells, particles, recipe.duration / step, refusal)
 
 
-def particles_sentence(found: Particles) -> str:
-    """What all particles would take."""
-    total = rough_number(found.particles * found.steps)
-    only = (
-        ""
-        if found.is_possible
-        else f" (surrofe2 tissue does not take this problem: {found.refusal})"
-    )
+def particles_sentence(full: Particles) -> str:
+    """Say what a run of all particles would take."""
+    total = rough_number(full.particles * full.steps)
+    remark = ""
+    if not full.is_possible:
+        remark = f" (surrofe2 tissue does not take this problem: {full.refusal})"
     return (
-        f"All particles: {found.plant_cells:,.0f} plant cells, {found.particles:,.0f} particles, "
-        f"{found.steps:,.0f} steps. At {PARTICLE_STEPS / 1e6:.0f} million particle-steps a second, "
-        f"{total} of them take about {rough_time(found.seconds)}{only}"
+        f"All particles: {full.plant_cells:,.0f} plant cells, {full.particles:,.0f} particles, "
+        f"{full.steps:,.0f} steps. At {PARTICLE_STEPS / 1e6:.0f} million particle-steps a second, "
+        f"{total} of them take about {rough_time(full.seconds)}{remark}"
     )
 
 
 def _particles_of(cell: CellParameters) -> float:
-    """Particles of a plant cell, walls that it shares counted once, on average."""
+    """Return the mean number of particles of a plant cell; walls that it shares count once."""
     walls = cell.tessellation.wall_particles(cell.spring_length)
     return cell.fluid_particles + walls / cell.cells
 

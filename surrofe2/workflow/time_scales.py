@@ -1,5 +1,8 @@
-"""The time scales of a problem: whether its loads are slow against what swings in the tissue, and
-whether a run is over long after all that is viscous has relaxed."""
+"""The time scales of a problem.
+
+They say whether its loads are slow against the oscillations of the tissue, and whether a run is
+over long after all that is viscous has relaxed.
+"""
 
 from __future__ import annotations
 
@@ -23,20 +26,23 @@ from surrofe2.problem.mesh import extent
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.workflow.laws import quadratic_law
 
+# Periods of the slowest oscillation in which a load must grow for inertia to have no part: the rest
+# is then followed within some per cent of the load.
 SLOW = 10.0
-"""Periods of the slowest oscillation, in which a load must grow for inertia to have no part: the
-rest is then followed within some per cent of the load."""
+# Slowest viscous times for which loads must stand still before nothing relaxes further.
 LONG = 100.0
-"""Slowest viscous times for which loads must stand still before nothing relaxes further."""
+# Kinetic energy, relative to the largest energy of a run, below which the tissue is at rest.
 _AT_REST = 1e-6
-"""Kinetic energy, relative to the largest energy of a run, below which the tissue is at rest."""
+# Entry of a record's `met`: the slowest viscous time, and since when loads stand still, µs.
 RELAXED = "relaxed"
-"""Entry of a record's `met`: the slowest viscous time, and since when loads stand still, µs."""
+# Times in each smooth piece of an amplitude at which its rate is evaluated.
 _SAMPLES = 64
-"""Times in each smooth piece of an amplitude at which its rate is looked at."""
+# A factor that jumps by more than this, relative to its largest value, jumps.
+_JUMP = 1e-9
+# Strain by which the modulus is computed, as a difference.
 _STRAIN = 1e-4
+# Square of a frequency, relative to the fastest, below which nothing resists the motion.
 _FREE = 1e-12
-"""Square of a frequency, relative to the fastest, of a motion that nothing resists."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,10 +50,12 @@ class TimeScales:
     """Times in µs by the moduli of the RVE at rest.
 
     Attributes:
-        cell: in which a wave crosses a plant cell; wave: the tissue.
+        cell: time in which a wave crosses a plant cell.
+        wave: time in which it crosses the tissue.
         swing: period of the slowest oscillation of the tissue as it is held, at least four times
             `wave`; infinite where nothing holds it, so that it has no rest.
-        load: in which the fastest load or motion grows; 0 of a sudden one, infinite without any.
+        load: time in which the fastest load or motion grows; 0 of a sudden one, infinite without
+            any.
     """
 
     cell: float
@@ -62,7 +70,7 @@ class TimeScales:
 
     @property
     def sentence(self) -> str:
-        """The time scales, and which method they call for."""
+        """The time scales in words, and the method that they call for."""
         swings = "which nothing holds"
         if self.swing < np.inf:
             swings = f"which swings in {self.swing:.3g} µs"
@@ -77,9 +85,11 @@ class TimeScales:
 
 
 def time_scales(recipe: Recipe, problem: Problem, law: StressLaw) -> TimeScales:
-    """The time scales of a recipe's problem, on a mesh that may be coarser, by the law at rest."""
+    """Compute the time scales of a recipe's problem, on a mesh that may be coarser, by the law
+    at rest.
+    """
     low, high = extent(problem.mesh)
-    # The points of a tissue of several cells have a density each, and are asked together.
+    # The points of a tissue of several cells have a density each, and are computed together.
     still = np.zeros((np.size(law.density), 2, 2))
     rest = still + np.eye(2)
     stretched = rest + np.diag([_STRAIN, 0.0])
@@ -93,8 +103,10 @@ def time_scales(recipe: Recipe, problem: Problem, law: StressLaw) -> TimeScales:
 
 
 def _slowest_period(recipe: Recipe, problem: Problem, law: StressLaw) -> float:
-    """The period of the slowest oscillation about the tissue without load, µs; infinite where
-    nothing holds it, 0 where it does not oscillate."""
+    """Compute the period of the slowest oscillation about the tissue without load, µs.
+
+    It is infinite where nothing holds the tissue, 0 where it does not oscillate.
+    """
     try:
         rest = find_rest(replace(problem, surface=None), law, recipe.macro, factor=0.0)
         check_held(rest.system, rest.stiffness)
@@ -104,24 +116,27 @@ def _slowest_period(recipe: Recipe, problem: Problem, law: StressLaw) -> float:
         frequency = float(find_modes(rest, 1).frequencies[0])
     except (SimulationError, RuntimeError, IndexError):  # RuntimeError: of a singular stiffness
         return 0.0
-    # What bodies alone hold moves freely until they press, and rounding gives that a frequency.
+    # A tissue that only bodies hold moves freely until they press; rounding gives that a frequency.
     fastest = rest.stiffness.diagonal().max() / rest.system.free_mass.diagonal().min()
-    return 1.0 / frequency if (2.0 * np.pi * frequency) ** 2 > _FREE * fastest else 0.0
+    if (2.0 * np.pi * frequency) ** 2 <= _FREE * fastest:
+        return 0.0
+    return 1.0 / frequency
 
 
 def _fastest(problem: Problem) -> float:
-    """The time in which the fastest load or motion grows, µs."""
-    moves = any(isinstance(each, InitialVelocity) for each in problem.conditions)
+    """Compute the time in which the fastest load or motion grows, µs."""
+    moves = any(isinstance(condition, InitialVelocity) for condition in problem.conditions)
     flies = any(body.mass is not None for body in problem.bodies)
     if moves or flies:
         return 0.0
-    return min((_growth(each, problem) for each in _acting(problem)), default=np.inf)
+    times = [_growth(amplitude, problem) for amplitude in _acting(problem)]
+    return min(times, default=np.inf)
 
 
 def _acting(problem: Problem) -> Iterator[Amplitude]:
-    """Amplitudes of loads, and of motions of supports and bodies."""
-    for each in problem.conditions:
-        amplitude = getattr(each, "amplitude", None)
+    """Yield the amplitudes of loads, and of motions of supports and bodies."""
+    for condition in problem.conditions:
+        amplitude = getattr(condition, "amplitude", None)
         if amplitude is not None:
             yield amplitude
     for body in problem.bodies:
@@ -130,18 +145,20 @@ def _acting(problem: Problem) -> Iterator[Amplitude]:
 
 
 def _growth(amplitude: Amplitude, problem: Problem) -> float:
-    """Largest factor over its largest rate, µs; 0 where the factor jumps, at the start too."""
+    """Compute the largest factor over its largest rate, µs; 0 where it jumps, at the start too."""
     largest = 0.0
     rate = 0.0
     before = 0.0
     for begin, end in pairwise(problem.corners()):
         within = 0.5 * (begin + end)
         values = [amplitude.at(t, within) for t in np.linspace(begin, end, _SAMPLES)]
-        if abs(values[0][0] - before) > 1e-9 * max(1.0, largest):
+        factors = [factor for factor, _, _ in values]
+        rates = [first_rate for _, first_rate, _ in values]
+        if abs(factors[0] - before) > _JUMP * max(1.0, largest):
             return 0.0
-        before = values[-1][0]
-        largest = max(largest, *(abs(value[0]) for value in values))
-        rate = max(rate, *(abs(value[1]) for value in values))
+        before = factors[-1]
+        largest = max(largest, *map(abs, factors))
+        rate = max(rate, *map(abs, rates))
     return largest / rate if rate > 0.0 else np.inf
 
 
@@ -179,7 +196,9 @@ def held_since(problem: Problem) -> float:
     since = problem.duration
     for begin, end in reversed([*pairwise(problem.corners())]):
         times = np.linspace(begin, end, _SAMPLES)
-        if any(each.at(t, 0.5 * (begin + end))[1] for each in acting for t in times):
+        within = 0.5 * (begin + end)
+        rates = [amplitude.at(t, within)[1] for amplitude in acting for t in times]
+        if any(rates):
             break
         since = float(begin)
     return since
@@ -188,7 +207,7 @@ def held_since(problem: Problem) -> float:
 def relaxed(
     recipe: Recipe, problem: Problem, energies: Mapping[str, Array] | None = None
 ) -> dict[str, Any]:
-    """Return what a record's `met` says of a run that ends long after its slowest viscous time.
+    """Describe, for a record's `met`, a run that ends long after its slowest viscous time.
 
     Args:
         energies: (m,) pJ of a run in time, which must have come to rest; None: of a rest.
@@ -201,16 +220,19 @@ def relaxed(
     if since >= problem.duration:
         return {}
     if energies is not None:
-        largest = max(abs(each).max() for each in energies.values())
+        largest = max(abs(energy).max() for energy in energies.values())
         if energies["kinetic"][-1] > _AT_REST * largest:
             return {}
     try:
         time = max(viscous_time(quadratic_law(study)) for study in recipe.studies().values())
     except InputError:  # a law without tangents
         return {}
-    for each in problem.conditions:
-        if isinstance(each, Foundation) and each.damping:
-            time = max(time, each.damping / each.stiffness if each.stiffness else np.inf)
+    for condition in problem.conditions:
+        if isinstance(condition, Foundation) and condition.damping:
+            of_foundation = np.inf
+            if condition.stiffness:
+                of_foundation = condition.damping / condition.stiffness
+            time = max(time, of_foundation)
     if problem.duration - since < LONG * time:
         return {}
     return {RELAXED: {"viscous_time": time, "held_since": since, "duration": problem.duration}}

@@ -40,18 +40,20 @@ from surrofe2.tissue.simulation import (
 from surrofe2.workflow.inputs import inputs_of
 from surrofe2.workflow.run import new_record
 
+# The width of an image's cells may differ from that of the recipe's by this factor.
 _MOST_SIZE = 1.2
-"""By which factor the width of an image's cells may differ from that of the recipe's."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TissueParts:
-    """What `simulate_tissue` takes of a recipe.
+    """The arguments of `simulate_tissue` for a recipe.
 
     Attributes:
-        kind: which of the cells each plant cell of the tissue is; None where an image outlines it.
+        problem: what acts on the tissue.
+        cells: parameters of its kinds of plant cells.
+        kind: number of the kind of each plant cell of the tissue; None where an image outlines it.
         outlined: walls along the outlines of an image, or None.
-        notes: sentences on what of the image the tissue has not as it is.
+        notes: notes on what of the image the tissue does not have as it is.
     """
 
     problem: Problem
@@ -85,7 +87,7 @@ def tissue_of(recipe: Recipe) -> TissueParts:
     """
     problem = recipe.problem()
     section = "load" if recipe.is_bar else "mesh"
-    cells = [each.parameters for each in recipe.cells.values()]
+    cells = [cell.parameters for cell in recipe.cells.values()]
     kind: Index | None = None
     outlined: Outlined | None = None
     notes: tuple[str, ...] = ()
@@ -106,7 +108,7 @@ def tissue_of(recipe: Recipe) -> TissueParts:
 def _outlined(
     image: ImageSettings, folder: Path, cell: CellParameters
 ) -> tuple[Outlined, tuple[str, ...]]:
-    """Walls along the outlines of an image, and sentences on what was made of it."""
+    """Make walls along the outlines of an image, and notes on what was made of it."""
     cells = measure_cells(read_labels(folder / image.file), image.pixel, image.line)
     outlined = outline_cells(cells.labels, image.pixel, cell.spring_length)
     notes = []
@@ -135,11 +137,11 @@ def _outlined(
 
 
 def tissue_notes(recipe: Recipe) -> Iterator[tuple[str, bool]]:
-    """Messages on a tissue, each with whether it is a warning.
+    """Iterate over notes on a tissue, each with whether it is a warning.
 
     They are on the step that undrained sap makes it take, and on what was made of an image.
     """
-    is_undrained = any(each.parameters.sap_bulk_modulus > 0.0 for each in recipe.cells.values())
+    is_undrained = any(cell.parameters.sap_bulk_modulus > 0.0 for cell in recipe.cells.values())
     if recipe.image is None and not is_undrained:
         return
     parts = tissue_of(recipe)
@@ -167,13 +169,13 @@ def run_tissue(
     with recipe.named(InputError):
         conditions = parts.conditions()
     recipe = replace(recipe, tissue=with_step(recipe.tissue, conditions))
-    of = {"initialisation": "none", "solver": "leapfrog", "seed": None}
+    record = new_record(recipe, "tissue", initialisation="none", solver="leapfrog", seed=None)
     job = _TissueJob(
         recipe=recipe,
         parts=parts,
         references=conditions.tissue.references,
         folder=folder,
-        record=new_record(recipe, "tissue", **of),
+        record=record,
         inputs=inputs_of(recipe, "tissue"),
         report=report,
     )
@@ -185,12 +187,15 @@ class _TissueJob:
     """A run of all particles as a `Job`.
 
     Attributes:
-        recipe, parts: what is computed.
+        recipe, parts: the tissue that is computed.
         references: reference states of the tissue's cells.
+        folder: the run folder.
+        record: the record that the run begins with.
+        inputs: contents, by name, of the files from which it can be repeated.
         report: is called with the time, µs.
         compiled_before: seconds in which kernels had been compiled when it began.
         frames: writer of whole fields; None until the first frame.
-        frame_times: of the frames that a checkpoint counts, µs.
+        frame_times: times of the frames that a checkpoint counts, µs.
     """
 
     recipe: Recipe
@@ -205,11 +210,13 @@ class _TissueJob:
     frame_times: list[float] | None = None
 
     def restored(self, arrays: dict[str, NDArray]) -> TissueState:
+        """Return the state that a checkpoint holds, and note its frames."""
         state = TissueState.from_arrays(arrays)
         self.frame_times = state.journal["frames.t"].tolist()
         return state
 
     def compute(self, run: RunFolder, state: TissueState | None) -> TissueRun:
+        """Run to the end."""
         return simulate_tissue(
             self.parts.problem,
             self.parts.cells,
@@ -233,11 +240,13 @@ class _TissueJob:
         self.frames.write(count, float(frame.t[0]), *fields_of_particles(frame))
 
     def _checkpoint(self, run: RunFolder, state: TissueState) -> None:
-        if self.frames is not None:  # first: whoever resumes needs all that this state had recorded
+        """Write a checkpoint with the frames that belong to its state."""
+        if self.frames is not None:  # first: a run that resumes needs all that this state recorded
             self.frames.flush()
         run.checkpoint(state.to_arrays())
 
     def store(self, record: RunRecord, result: TissueRun) -> RunRecord:
+        """Write the results, whole or not, and return the record with what they cost."""
         write_curves(self.folder, result.curves, result.history, result.energies)
         if self.frames is None:  # the run had ended before its last checkpoint
             self.frames = particle_writer(
@@ -258,7 +267,7 @@ class _TissueJob:
 
 
 def tissue_summary(record: RunRecord) -> str:
-    """What a finished run did and what it cost."""
+    """Summarise a finished run and its cost in a sentence."""
     wall = record.wall_time
     counts = record.counts
     rate = counts["particle_steps"] / max(wall["run"], 1e-9) / 1e6

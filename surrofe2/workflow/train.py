@@ -1,4 +1,4 @@
-"""From a data set to a surrogate with a bound of its error, by RVEs along paths it has not seen."""
+"""Training of a surrogate, and the bound of its error by RVEs along paths that it has not seen."""
 
 from __future__ import annotations
 
@@ -66,29 +66,43 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+# Varied problems, whose runs make paths (`varied_problems`): the factor of each amplitude or
+# velocity, uniform between these bounds, and the pace of all amplitudes, its logarithm uniform
+# between these.
 FACTOR = (0.25, 1.5)
-"""Of an amplitude or a velocity of a run that makes paths, uniform between."""
 PACE = (0.5, 2.0)
-"""Of all its amplitudes, the logarithm uniform between."""
+# Runs of the paper's bar under random body forces (`random_loads`): the factor of the force,
+# uniform between these bounds; points of its amplitude; the longest duration, µs, half a period of
+# the bar.
 LOAD_FACTOR = (0.25, 3.0)
 LOAD_TIMES = 4
 LONGEST_RUN = 25.0
-"""Of a bar: factor of its body force, corners of its amplitude, µs (half a period of the paper's
-bar)."""
+# A function that runs as many varied problems as its first argument says, by a seed, and yields the
+# states that each of them meets.
 Runs = Callable[[int, int], Iterator[list[State]]]
-"""What so many runs by a seed meet, one after the other."""
+
+# Components of a stress, as errors name them.
 STRESSES = ("xx", "xy", "yx", "yy")
-_BEFORE = "bound_before"
-_HELPS = 0.8
-"""How far twice the samples must bring the bound down, for twice as many again to be taken."""
+# Held-out RMS of a component over its spread, from which on training warns.
 LARGE_ERROR = 0.01
-"""Held-out RMS of a component over its spread, from which on training warns."""
+# Twice as many samples are taken again only where they have brought the bound down to this
+# fraction.
+_HELPS = 0.8
+# Array of an unfinished training: the bound that fewer samples gave.
+_BEFORE = "bound_before"
 
 
 @dataclass(frozen=True, slots=True)
 class Trained:
-    """A trained surrogate and its file; `kept`: it was already there; `bound`: lines on it;
-    `samples`: that it was trained on, failed ones included."""
+    """A trained surrogate and its file.
+
+    Attributes:
+        path: its file.
+        surrogate: the law.
+        kept: whether it was there already.
+        bound: lines on the bound of its error.
+        samples: those that it was trained on, failed ones included.
+    """
 
     path: Path
     surrogate: SurrogateLaw
@@ -111,17 +125,19 @@ def train_surrogate(
     on twice as many. The surrogate is written before its calibration too, with no bound yet.
 
     Args:
+        fresh: train again where a surrogate is there.
         add: harvests to train on too.
         range: of the surrogate, where it is not the recipe's.
+        stage: reports the stages and their progress.
 
     Raises:
+        InputError: PyTorch is not installed, or a bound is wanted and calibration has no walks.
         MismatchError: data set, surrogate or interrupted training are of other settings or data.
     """
     if find_spec("torch") is None:
         raise InputError("training needs PyTorch, which is not installed: pip install torch")
     settings = study.cell.training
-    calibration = study.recipe.calibration
-    if settings.bound and not calibration.walks:
+    if settings.bound and not study.recipe.calibration.walks:
         raise InputError(
             f"training.bound: {settings.bound:g}; it must be 0 where calibration.walks is"
         )
@@ -131,27 +147,26 @@ def train_surrogate(
 
     @cache
     def take(count: int) -> StressSamples:
+        """Return so many samples of the data set, in the range that was asked for."""
         samples = training_samples(study, count, add, stage=stage)
         return samples if range is None else replace(samples, range=range)
 
     surrogate = None
     begun = _Begun()
-    fingerprint = ""
+    fingerprint = ""  # of the samples that an earlier training took; empty without one
     if unfinished.exists() and not fresh:
         begun = _read_unfinished(unfinished)
-        fingerprint = begun.state.identity.get("data_fingerprint", "") if begun.state else ""
+        if begun.state is not None:
+            fingerprint = begun.state.identity.get("data_fingerprint", "")
     elif path.exists() and not fresh:
         surrogate = read_surrogate(path)
         fingerprint = surrogate.data_fingerprint
-    number = 0
     samples = take(counts[0])
-    if len(counts) > 1 and fingerprint:  # it may be of more
-        there = stored_count(study.data_path()).rows
-        known = (k for k, count in enumerate(counts) if count <= there)
-        number = next((k for k in known if take(counts[k]).fingerprint == fingerprint), 0)
-        samples = take(counts[number])
+    number = _number_of_counts(study, counts, fingerprint, take)
+    samples = take(counts[number])
 
     def trained(surrogate: SurrogateLaw, *, kept: bool) -> Trained:
+        """Return the result with a summary of the bound."""
         bound = bound_summary(surrogate, samples, study.recipe.cache.tolerance)
         return Trained(path, surrogate, kept, bound, samples)
 
@@ -167,36 +182,106 @@ def train_surrogate(
         if surrogate is None:
             if fresh:
                 remove(unfinished)
-            for count in counts[number:]:
-                samples = take(count)
-                with stage("train", settings.iterations, "iterations") as report:
-                    if settings.bound and not shaping:
-                        shaping = shaping_truths(samples, law, calibration)
-                    surrogate, bound, seconds = _train(study, samples, shaping, begun, report)
-                if bound <= WISH * settings.bound or bound >= _HELPS * begun.before:
-                    break
-                begun = _Begun(seconds=seconds, before=bound)
-            assert surrogate is not None
-            parts = [read_seconds(each) for each in (study.data_path(), *add)]
-            # none where nobody knows those of a file
-            data = {} if None in parts else {"data": sum(each or 0.0 for each in parts)}
-            surrogate = replace(surrogate, seconds={**data, "training": seconds})
+            surrogate, samples, shaping = _train_on_more(
+                study, counts[number:], take, law, begun, stage
+            )
+            data_files = (study.data_path(), *add)
+            seconds = {**_seconds_of_data(data_files), **surrogate.seconds}
+            surrogate = replace(surrogate, seconds=seconds)
             write_surrogate(surrogate, path)
             remove(unfinished)
-        meter = Meter()
-        with stage("calibrate", 1.0, "of the paths") as report:
-            surrogate = calibrate(
-                surrogate,
-                samples,
-                law,
-                calibration,
-                report=report,
-                shaping=shaping,
-                runs=partial(_runs, study, surrogate),
-            )
-        surrogate = replace(surrogate, seconds={**surrogate.seconds, "calibration": meter.seconds})
+        surrogate = _calibrate(study, surrogate, samples, law, shaping, stage)
         write_surrogate(surrogate, path)
     return trained(surrogate, kept=False)
+
+
+def _number_of_counts(
+    study: CellStudy,
+    counts: Sequence[int],
+    fingerprint: str,
+    take: Callable[[int], StressSamples],
+) -> int:
+    """Return which of the counts of samples an earlier training had come to; 0 if none is known.
+
+    Args:
+        counts: numbers of samples that training takes in turn.
+        fingerprint: of the samples that it took; empty without an earlier training.
+        take: returns so many samples.
+    """
+    if len(counts) == 1 or not fingerprint:
+        return 0
+    stored = stored_count(study.data_path()).rows
+    for number, count in enumerate(counts):
+        if count <= stored and take(count).fingerprint == fingerprint:
+            return number
+    return 0
+
+
+def _train_on_more(
+    study: CellStudy,
+    counts: Sequence[int],
+    take: Callable[[int], StressSamples],
+    law: StressLaw,
+    begun: _Begun,
+    stage: Stage,
+) -> tuple[SurrogateLaw, StressSamples, Sequence[Truth]]:
+    """Train on more and more samples, until the bound is met or more samples do not help.
+
+    Args:
+        counts: numbers of samples that are taken in turn.
+        take: returns so many samples.
+        law: the RVEs.
+        begun: state of an interrupted training on the first of the counts.
+
+    Returns:
+        The surrogate with the seconds of its `training`, its samples, and the paths that shaped
+        its bound.
+    """
+    settings = study.cell.training
+    shaping: Sequence[Truth] = ()
+    for count in counts:
+        samples = take(count)
+        with stage("train", settings.iterations, "iterations") as report:
+            if settings.bound and not shaping:
+                shaping = shaping_truths(samples, law, study.recipe.calibration)
+            surrogate, bound, seconds = _train(study, samples, shaping, begun, report)
+        is_met = bound <= WISH * settings.bound
+        has_not_helped = bound >= _HELPS * begun.before
+        if is_met or has_not_helped:
+            break
+        begun = _Begun(seconds=seconds, before=bound)
+    return replace(surrogate, seconds={"training": seconds}), samples, shaping
+
+
+def _seconds_of_data(files: Sequence[Path]) -> dict[str, float]:
+    """Return the seconds that data files took, as an entry `data`; none where one is not known."""
+    seconds = [read_seconds(file) for file in files]
+    if None in seconds:
+        return {}
+    return {"data": sum(part or 0.0 for part in seconds)}
+
+
+def _calibrate(
+    study: CellStudy,
+    surrogate: SurrogateLaw,
+    samples: StressSamples,
+    law: StressLaw,
+    shaping: Sequence[Truth],
+    stage: Stage,
+) -> SurrogateLaw:
+    """Return the surrogate with the bound of its error, and the seconds of the `calibration`."""
+    meter = Meter()
+    with stage("calibrate", 1.0, "of the paths") as report:
+        surrogate = calibrate(
+            surrogate,
+            samples,
+            law,
+            study.recipe.calibration,
+            report=report,
+            shaping=shaping,
+            runs=partial(_runs, study, surrogate),
+        )
+    return replace(surrogate, seconds={**surrogate.seconds, "calibration": meter.seconds})
 
 
 def learn(
@@ -226,7 +311,13 @@ def unfinished_training(study: CellStudy) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class _Begun:
-    """What an interrupted training did, and the bound `before` it, that fewer samples gave."""
+    """The state that an interrupted training left.
+
+    Attributes:
+        state: iterations and weights; None: it begins.
+        seconds: what it has taken so far.
+        before: bound that a training on fewer samples gave before it; infinite of the first one.
+    """
 
     state: TrainingState | None = None
     seconds: float = 0.0
@@ -234,6 +325,7 @@ class _Begun:
 
 
 def _read_unfinished(path: Path) -> _Begun:
+    """Read the state that an interrupted training left."""
     from surrofe2.surrogate.training import TrainingState  # torch, which runs do without
 
     header, arrays = read(path, TRAINING)
@@ -249,7 +341,15 @@ def _train(
     begun: _Begun,
     report: Report,
 ) -> tuple[SurrogateLaw, float, float]:
-    """A surrogate, its bound by the spread of stress (0: none wanted), the seconds so far."""
+    """Train on these samples, from an interrupted state or from the beginning.
+
+    Args:
+        shaping: paths that shape the bound, see `shaped_bound`.
+
+    Returns:
+        The surrogate; its bound over the spread of stress, 0 where none is wanted; the seconds so
+        far.
+    """
     path = unfinished_training(study)
     wanted = WISH * study.cell.training.bound
     meter = Meter(begun.seconds)
@@ -257,6 +357,7 @@ def _train(
     from surrofe2.surrogate.training import train
 
     def keep(state: TrainingState) -> None:
+        """Write the state of the training, to resume from."""
         arrays = {**state.arrays, _BEFORE: np.array(begun.before)}
         header = {"identity": state.identity, "iterations": state.iterations}
         write(path, TRAINING, {**header, "seconds": meter.seconds}, arrays)
@@ -264,6 +365,9 @@ def _train(
     bounds: dict[str, float] = {}  # by the surrogate's weights
 
     def bound_of(surrogate: SurrogateLaw) -> float:
+        """Return the bound of a surrogate, computed once for the same weights; 0: none is
+        wanted.
+        """
         weights = surrogate.network.fingerprint(surrogate.range)
         if wanted and weights not in bounds:
             bounds[weights] = shaped_bound(surrogate, samples, shaping)
@@ -290,18 +394,18 @@ def _check_surrogate(study: CellStudy, surrogate: SurrogateLaw, samples: StressS
     path = study.training_path()
     if surrogate.data_fingerprint != samples.fingerprint:
         raise MismatchError(f"{path}: it was trained on other samples; {START_OVER}")
-    here = {"training": asdict(study.cell.training)}
-    there = {"training": asdict(surrogate.settings)}
+    wanted = {"training": asdict(study.cell.training)}
+    stored = {"training": asdict(surrogate.settings)}
     if surrogate.is_calibrated and surrogate.calibration is not None:
-        here["calibration"] = asdict(study.recipe.calibration)
-        there["calibration"] = dict(surrogate.calibration.settings)
-    check_same(path, here, there)
+        wanted["calibration"] = asdict(study.recipe.calibration)
+        stored["calibration"] = dict(surrogate.calibration.settings)
+    check_same(path, wanted, stored)
 
 
 def large_errors(study: CellStudy, trained: Trained) -> str | None:
-    """Return what to do where a component's error is so large that much will be left to RVEs."""
+    """Advise what to do where a component's error is so large that much will be left to RVEs."""
     rms = trained.surrogate.errors["rms"]
-    name = max(STRESSES, key=lambda each: rms[each])
+    name = max(STRESSES, key=lambda component: rms[component])
     if rms[name] <= LARGE_ERROR:
         return None
     sampled = study.section("range")
@@ -316,9 +420,10 @@ def large_errors(study: CellStudy, trained: Trained) -> str | None:
 
 
 def training_summary(trained: Trained) -> str:
-    """The largest held-out errors of a surrogate in a line."""
+    """Summarise the largest held-out errors of a surrogate in a line."""
     errors = trained.surrogate.errors
-    rms, worst = (max(errors[figure][name] for name in STRESSES) for figure in ("rms", "worst"))
+    rms = max(errors["rms"][name] for name in STRESSES)
+    worst = max(errors["worst"][name] for name in STRESSES)
     kept = " (already trained)" if trained.kept else ""
     errors_text = f"{100 * rms:.2g} % RMS, {100 * worst:.2g} % worst"
     return f"held-out errors up to {errors_text}, from {len(trained.samples.F)} samples{kept}"
@@ -339,16 +444,16 @@ def calibrate(
     shaping: Sequence[Truth] = (),
     runs: Runs | None = None,
 ) -> SurrogateLaw:
-    """The surrogate with the bound of its error, without which a `CachedLaw` never trusts it.
+    """Give a surrogate the bound of its error, without which a `CachedLaw` never trusts it.
 
     RVEs along paths that it has not seen give the bound; `surrogate.calibration` says what it
     promises, `bound_summary` what was found.
 
     Args:
-        samples: that it was trained on; walks are drawn from their range.
+        samples: those that it was trained on; walks are drawn from their range.
         law: the full model; None: the RVEs of the samples.
         settings: how many paths of which kind.
-        problem: whose runs under other loads are paths too; None: the paper's bar.
+        problem: its runs under other loads are paths too; None: the paper's bar.
         macro: settings of these runs; the paper's bar has 2 × 2 elements.
         report: called with the fraction that is done, up to 1, and a remark.
         shaping: as of `shaping_truths`, which computes it where it is left out.
@@ -362,6 +467,7 @@ def calibrate(
     if runs is None:
 
         def runs(count: int, seed: int) -> Iterator[list[State]]:
+            """Run the problem, or the bar, under other loads."""
             bar = LoadCase(elements=(RUN_ELEMENTS, RUN_ELEMENTS))
             vary = varied_problems if problem else random_loads
             return _met_in_runs(surrogate, vary(problem or bar, count, seed), macro, seed)
@@ -372,11 +478,12 @@ def calibrate(
     walk_seed, run_seed, shaping_seed = drawn.generate_state(3).tolist()
 
     def run_kind(count: int, seed: int) -> DeformationPaths:
+        """Make paths of the states that runs meet."""
         met = []
         for along_a_run in runs(count, seed):
             met.append(along_a_run)
             report(0.0, f"run {len(met)} of {count}")
-        return run_paths(met, -(-settings.length // 3))
+        return run_paths(met, math.ceil(settings.length / 3))
 
     shaping = [*(shaping or shaping_truths(samples, law, settings))]
     shapes = []
@@ -390,6 +497,7 @@ def calibrate(
     done = 0
 
     def solved(paths: DeformationPaths) -> Truth:
+        """Compute the RVEs' stresses along paths."""
         nonlocal done
         truth = true_stress(
             paths, law, lambda k: report((done + k) / max(total, 1), "stresses of RVEs")
@@ -409,8 +517,10 @@ def calibrate(
 def shaping_truths(
     samples: StressSamples, law: StressLaw, settings: CalibrationSettings
 ) -> list[Truth]:
-    """Stresses along the walks that shape the bound. Training may look at these, since what the
-    bound promises rests on the paths that calibrate it."""
+    """Compute RVEs' stresses along the walks that shape the bound.
+
+    Training may look at these, since the bound's promise rests on the paths that calibrate it.
+    """
     count = int(np.ceil(SHAPING_WALKS * settings.walks))
     (seed,) = np.random.SeedSequence([settings.seed, 1]).generate_state(1).tolist()
     walks = random_walks(samples.range, count, settings.length, seed)
@@ -420,8 +530,11 @@ def shaping_truths(
 def shaped_bound(
     surrogate: SurrogateLaw, samples: StressSamples, shaping: Sequence[Truth]
 ) -> float:
-    """The largest bound within the domain that the shaping paths alone would give, by the spread of
-    stress; infinite where they give none."""
+    """Compute the largest bound within the domain that the shaping paths alone would give.
+
+    It is relative to the spread of stress; infinite where they give none.
+    """
+    # the smallest α that so few paths can support
     alpha = 1.0 / (1.0 + min(truth.paths.count for truth in shaping))
     bounded = calibrate_by(surrogate, samples, shaping, shaping, alpha)
     return _edge(bounded, samples) / stress_spread(samples.valid.stress)
@@ -448,7 +561,8 @@ def _runs(
     }
 
     def tissue(watched: StressLaw) -> StressLaw:
-        return law_by_region(recipe, problem.mesh, lambda each: others.get(each.name, watched))
+        """Make the law of all points from that of the cell's own."""
+        return law_by_region(recipe, problem.mesh, lambda study: others.get(study.name, watched))
 
     return _met_in_runs(surrogate, cases, macro, seed, tissue)
 
@@ -470,30 +584,39 @@ def _met_in_runs(
     seed: int,
     tissue: Callable[[StressLaw], StressLaw] = lambda watched: watched,
 ) -> Iterator[list[State]]:
-    """(F, F_dot) at some of the surrogate's points at the steps of each run, while in its range;
-    `tissue` gives the law of all points by that of the surrogate's."""
+    """Run problems, and yield the states (F, F_dot) that some points meet in each, step by step.
+
+    A run ends where it leaves the surrogate's range.
+
+    Args:
+        surrogate: the law at the points that are watched.
+        cases: the problems.
+        seed: of the choice of points.
+        tissue: makes the law of all points from the watched one.
+    """
     macro = replace(macro, frames=2, record_dissipation=False)
     met: list[State] = []
     points: Index | None = None
     system: System | None = None
 
     def note(F: Array, F_dot: Array) -> None:
+        """Record a step at the chosen points."""
         nonlocal points
         if points is None:
             points = np.random.default_rng(seed).permutation(len(F))[:RUN_POINTS]
         met.append((F[points], F_dot[points]))
 
     law = tissue(WatchedLaw(surrogate, note))
-    for each in cases:
+    for case in cases:
         met = []
-        system = system_of(each, law) if system is None else system.under(each)
+        system = system_of(case, law) if system is None else system.under(case)
         with suppress(SimulationError):  # a load beyond the surrogate's range ends the path
-            simulate(each, law, macro, system=system)
+            simulate(case, law, macro, system=system)
         yield met
 
 
 def _unbounded(surrogate: SurrogateLaw) -> str:
-    """Why the bound is infinite even at rest; empty where it is not."""
+    """Say why the bound is infinite even at rest; empty where it is not."""
     calibration = surrogate.calibration
     if calibration is None or not np.isfinite(calibration.quantile):
         return (
@@ -513,13 +636,15 @@ def _at_rest(surrogate: SurrogateLaw) -> float:
 
 
 def _edge(surrogate: SurrogateLaw, samples: StressSamples) -> float:
-    """The largest bound at any sample that the surrogate answers; infinite where it has none."""
+    """Return the largest bound at any sample that the surrogate answers; infinite where it has
+    none.
+    """
     everywhere = surrogate.error_bound(samples.valid.F, samples.valid.F_dot)
     return float(everywhere[np.isfinite(everywhere)].max(initial=_at_rest(surrogate)))
 
 
 def bound_summary(surrogate: SurrogateLaw, samples: StressSamples, tolerance: float) -> str:
-    """Return what the calibration found, in two lines.
+    """Summarise the calibration in two lines.
 
     Args:
         tolerance: of the cache, a fraction of the spread of stress.
@@ -545,9 +670,9 @@ def bound_summary(surrogate: SurrogateLaw, samples: StressSamples, tolerance: fl
 
 
 def random_loads(problem: Problem, count: int, seed: int) -> Iterator[Problem]:
-    """The bar under body forces of any direction that come, go and reverse, of up to 25 µs.
+    """Vary the body force of the bar: any direction, coming, going and reversing, up to 25 µs.
 
-    Their modulus is a quarter to three times that of its own, uniform; its factor runs linearly
+    Its modulus is a quarter to three times that of its own, uniform; its factor runs linearly
     through values uniform in [−1, 1], the first of them at once.
     """
     rng = np.random.default_rng(seed)
@@ -569,7 +694,7 @@ def random_loads(problem: Problem, count: int, seed: int) -> Iterator[Problem]:
 
 @dataclass(frozen=True, slots=True)
 class Varied(Amplitude):
-    """factor · amplitude(pace · t)."""
+    """The amplitude factor · amplitude(pace · t)."""
 
     amplitude: Amplitude
     factor: float
@@ -590,27 +715,31 @@ class Varied(Amplitude):
 
 
 def varied_problems(problem: Problem, count: int, seed: int) -> Iterator[Problem]:
-    """The problem under loads that are weaker or stronger, and faster or slower with its duration.
+    """Vary a problem: loads weaker or stronger, and faster or slower with its duration.
 
     Constant loads and initial velocities vary by their factor alone.
     """
     rng = np.random.default_rng(seed)
     for _ in np.arange(count):
         pace = float(np.exp(rng.uniform(*np.log(PACE))))
-        conditions = tuple(
-            _varied(each, float(rng.uniform(*FACTOR)), pace) for each in problem.conditions
-        )
-        bodies = tuple(_varied(each, float(rng.uniform(*FACTOR)), pace) for each in problem.bodies)
+        conditions = []
+        for condition in problem.conditions:
+            conditions.append(_varied(condition, float(rng.uniform(*FACTOR)), pace))
+        bodies = []
+        for body in problem.bodies:
+            bodies.append(_varied(body, float(rng.uniform(*FACTOR)), pace))
         yield replace(
             problem,
-            conditions=conditions,
-            bodies=bodies,
+            conditions=tuple(conditions),
+            bodies=tuple(bodies),
             duration=problem.duration / pace,
             output_interval=problem.duration / pace,
         )
 
 
 def _varied(stated: Condition | RigidBody, factor: float, pace: float) -> Any:
+    """Return a condition or body with its amplitude, or its velocity, varied."""
+    # vectors that no amplitude multiplies
     vectors = {InitialVelocity: ("velocity",), RigidBody: ("velocity", "acceleration")}
     changes: dict[str, Any] = {
         name: tuple(factor * value for value in getattr(stated, name))

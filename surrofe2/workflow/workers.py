@@ -1,7 +1,7 @@
 """Pieces of work by this process, by several, or by whatever executor a user brings.
 
 A piece is a pure function of where it begins and how much it takes, so a piece whose process is
-lost is done again, and results do not depend on who did what. Executors are those of
+lost is done again, and results do not depend on which process did what. Executors are those of
 `concurrent.futures`, as also mpi4py.futures, executorlib, Parsl and dask.distributed offer them.
 """
 
@@ -30,28 +30,29 @@ from surrofe2.base.errors import InputError, SimulationError
 
 log = logging.getLogger(__name__)
 
+# Least seconds of work of a piece that is sent to a worker.
 PIECE = 1.0
-"""Least seconds of work of a piece that is sent to a worker."""
+# Pieces that wait for workers at once.
 MANY = 128
-"""Pieces that wait for workers at once."""
+# Seconds until a scheduler must answer and have a worker: a job may have started both just now.
 PATIENCE = 60.0
-"""s until a scheduler must answer and have a worker: a job may have started both just now."""
+# A piece is sent so often before its processes count as lost for a reason of its own.
 ATTEMPTS = 4
-"""How often a piece is sent before its processes are taken to be lost for a reason of its own."""
+# Exit code of a worker that, as it starts, would start workers itself.
 _NO_GUARD = 79
-"""Exit code of a worker that, as it starts, is to start workers itself."""
-_GUARD = 'below `if __name__ == "__main__":`'
+_GUARD = 'below `if __name__ == "__main__":`'  # words for where a script starts workers
 
+# A function that computes the items `first` to `first + count`. It and its result can be sent to a
+# process.
 Work = Callable[[int, int], Any]
-"""Result of the items `first` to `first + count`; it and its result can be sent to a process."""
 
 
 class Processes(ThreadPoolExecutor):
     """An executor of `workers` processes of this machine that replaces those it loses.
 
     Each process serves one thread of this one over a pipe of their own, so that a process that dies
-    while it writes a result ends the pipe, and keeps no one waiting. Its kernels take an equal
-    share of this process's threads.
+    while it writes a result ends the pipe, and keeps no other one waiting. Its kernels take an
+    equal share of this process's threads.
     """
 
     def __init__(self, workers: int) -> None:
@@ -72,6 +73,12 @@ class Processes(ThreadPoolExecutor):
         return super().submit(self._send, work, arguments)
 
     def _send(self, work: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+        """Send work to the process of this thread and return its result; send it again if that is
+        lost.
+
+        Raises:
+            SimulationError: the executor is closed, or the work lost its process `ATTEMPTS` times.
+        """
         for _ in range(ATTEMPTS):
             try:
                 pipe = self._pipe()
@@ -102,7 +109,7 @@ class Processes(ThreadPoolExecutor):
             process.start()
             far_end.close()
             self._all.append(process)
-            if self._is_closed:  # since it was started
+            if self._is_closed:  # it was closed since this process was started
                 process.kill()
             self._wait_for_start(process)
         return self._of_thread.pipe
@@ -142,7 +149,10 @@ class Processes(ThreadPoolExecutor):
 
 
 def _serve(pipe: Connection, threads: int) -> None:
-    """Work in a process until the pipe ends: interrupts are for its parent, with which it ends."""
+    """Do the work that comes through a pipe, in a process of its own, until the pipe ends.
+
+    Interrupts are for its parent, with which it ends.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     take_process()
     Thread(target=_end_with_parent, daemon=True).start()
@@ -152,14 +162,15 @@ def _serve(pipe: Connection, threads: int) -> None:
         while True:
             work, arguments = pipe.recv()
             try:
-                result = True, work(*arguments)
+                result = (True, work(*arguments))
             except Exception as error:
                 error.add_note(traceback.format_exc())
-                result = False, error
+                result = (False, error)
             pipe.send(result)
 
 
 def _end_with_parent() -> None:
+    """End this process as soon as its parent has ended."""
     parent = parent_process()
     if parent is not None:
         parent.join()
@@ -168,10 +179,17 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def executor_of(workers: int = 0, scheduler: str | None = None) -> Iterator[Any]:
-    """The executor that a command wants: so many processes, a cluster of Dask at tcp://…, or None.
+    """Make the executor that a command asks for, and close it after the block.
+
+    Args:
+        workers: number of processes; 0: none.
+        scheduler: address tcp://… of a cluster of Dask; None: none.
+
+    Yields:
+        The executor; None where neither is asked for.
 
     Raises:
-        InputError: both are given, dask.distributed is not installed, or no one answers.
+        InputError: both are given, dask.distributed is not installed, or no scheduler answers.
     """
     if workers and scheduler:
         raise InputError(f"--workers: {workers}; with --scheduler the cluster has the workers")
@@ -212,29 +230,29 @@ def _cluster(address: str) -> Iterator[Any]:
 
 
 def in_pieces(work: Work, items: range, unit: int, executor: Any = None) -> Iterator[Any]:
-    """Results of pieces of `items`, in their order.
+    """Do work on items piece by piece, and yield the results in their order.
 
-    Pieces are of whole `unit`s but the last. Without an executor each is a unit and is done here.
-    With one, the first two units are done here as well: they load the kernels and say how many
-    units take a second.
+    Pieces are of whole `unit`s except the last. Without an executor each is a unit and is done
+    here. With one, the first two units are done here as well: they load the kernels and measure how
+    many units take a second.
 
     Raises:
         InputError: the executor's processes cannot run kernels.
         SimulationError: they were lost.
     """
     prepare(executor)
-    at = items.start
+    next_item = items.start
     seconds = 0.0
-    while at < items.stop and (executor is None or at < items.start + 2 * unit):
-        count = min(unit, items.stop - at)
+    while next_item < items.stop and (executor is None or next_item < items.start + 2 * unit):
+        count = min(unit, items.stop - next_item)
         begin = time.perf_counter()
-        result = work(at, count)
+        result = work(next_item, count)
         seconds = time.perf_counter() - begin
         yield result
-        at += count
+        next_item += count
     size = unit * max(1, round(PIECE / max(seconds, 1e-6)))
     sent = deque[Future[Any]]()
-    for first in range(at, items.stop, size):
+    for first in range(next_item, items.stop, size):
         sent.append(executor.submit(work, first, min(size, items.stop - first)))
         if len(sent) == MANY:
             yield result_of(sent.popleft())

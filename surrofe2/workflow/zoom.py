@@ -35,8 +35,8 @@ from surrofe2.store.store import locked_folder, write_bytes, write_columns
 from surrofe2.workflow.laws import true_law
 
 FIELDS_OF_MOTION = (F_DOT_NAME, F_NAME)
+# RVEs whose particles are computed together: 40 MB for one plant cell each.
 _AT_ONCE = 512
-"""RVEs whose particles are computed together: 40 MB for one plant cell each."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -63,7 +63,7 @@ class Zoom(Viewed):
 
     @property
     def t(self) -> Array:
-        """(n,) µs, of a rest the factor of the load."""
+        """(n,) times, µs; of a rest factors of the load."""
         return self.motion.t
 
     def extremes(self) -> dict[str, Array]:
@@ -91,12 +91,13 @@ def in_megapascals(columns: Mapping[str, Array], thickness: float) -> dict[str, 
         thickness: thickness of the tissue, µm, by which a stress of the plane is divided.
     """
     ending = "_uN_per_um"
-    return {
-        f"{name.removesuffix(ending)}_MPa" if name.endswith(ending) else name: (
-            values / thickness if name.endswith(ending) else values
-        )
-        for name, values in columns.items()
-    }
+    converted = {}
+    for name, values in columns.items():
+        if name.endswith(ending):
+            converted[f"{name.removesuffix(ending)}_MPa"] = values / thickness
+        else:
+            converted[name] = values
+    return converted
 
 
 Point = tuple[float, float]
@@ -145,9 +146,12 @@ def zoom_into(folder: str | Path, point: Any) -> Zoom | list[Zoom]:
         if name not in laws:
             laws[name] = true_law(recipe.study())
         law = laws[name]
-        F, F_dot = (motion.values[what][:, element] for what in (F_NAME, F_DOT_NAME))
+        F = motion.values[F_NAME][:, element]
+        F_dot = motion.values[F_DOT_NAME][:, element]
         answer = law.respond(F, F_dot)
-        for k in np.flatnonzero(answer.status)[:1]:
+        failed = np.flatnonzero(answer.status)
+        if failed.size:
+            k = failed[0]
             why = describe(answer.status[k])
             raise InputError(f"{folder}: the RVE at frame {k}, t = {motion.t[k]:.6g}: {why}")
         looks.append(
@@ -178,8 +182,8 @@ def write_zoom(
     out = Path(out)
     check_form(form)
     x, y = zoom.point
-    of = "" if zoom.cell is None else f" “{zoom.cell}”"
-    title = f"Plant cells{of} at ({x:.4g}, {y:.4g}) µm, element {zoom.element}"
+    cell = "" if zoom.cell is None else f" “{zoom.cell}”"
+    title = f"Plant cells{cell} at ({x:.4g}, {y:.4g}) µm, element {zoom.element}"
     columns = {"factor" if zoom.is_rest else "t_us": zoom.t, **zoom.extremes()}
     with locked_folder(out):
         report(0.1, "picture")
@@ -220,7 +224,7 @@ def recipes_of(record: RunRecord) -> dict[CellName, Recipe]:
 
 
 def cell_numbers(motion: StoredFields, recipes: Mapping[CellName, Recipe]) -> Index:
-    """(e,) number of the recipe of each element's cell."""
+    """Return the number (e,) of the recipe of each element's cell."""
     if len(recipes) == 1:
         return np.zeros(len(motion.cells), np.int64)
     if CELL not in motion.values:
@@ -229,9 +233,13 @@ def cell_numbers(motion: StoredFields, recipes: Mapping[CellName, Recipe]) -> In
 
 
 def add_cell_fields(folder: Path) -> int:
-    """Add `Particles.extremes` of every element and frame to the fields of a run; how many RVEs.
+    """Add `Particles.extremes` of every element and frame to the fields of a run.
 
-    They are of RVEs with the mean F and Ḟ of the element, NaN where one has no stress."""
+    They are of RVEs with the mean F and Ḟ of the element, NaN where one has no stress.
+
+    Returns:
+        The number of RVEs.
+    """
     recipes = recipes_of(read_record(folder))
     with locked_folder(folder):
         motion = read_fields(folder, FIELDS_OF_MOTION, (CELL,))
@@ -240,27 +248,30 @@ def add_cell_fields(folder: Path) -> int:
         numbers = cell_numbers(motion, recipes)
         values: dict[str, Array] = {}
         for k, recipe in enumerate(recipes.values()):
-            own = numbers == k
-            found = extremes_of(true_law(recipe.study()), F[:, own], F_dot[:, own])
+            of_cell = numbers == k
+            extremes = extremes_of(true_law(recipe.study()), F[:, of_cell], F_dot[:, of_cell])
             thickness = recipe.study().cell.parameters.tissue_thickness
-            for name, of_cell in in_megapascals(found, thickness).items():
-                values.setdefault(name, np.full(F.shape[:2], np.nan))[:, own] = of_cell
+            for name, column in in_megapascals(extremes, thickness).items():
+                whole = values.setdefault(name, np.full(F.shape[:2], np.nan))
+                whole[:, of_cell] = column
         add_to_elements(folder, values)
     return F.size // 4
 
 
 def extremes_of(law: RveLaw, F_of: Array, F_dot_of: Array) -> dict[str, Array]:
-    """`Particles.extremes` at F, Ḟ (m, e, 2, 2), by name; (m, e), NaN where there is no stress."""
+    """Compute `Particles.extremes` at F, Ḟ (m, e, 2, 2), by name: (m, e), NaN without a stress."""
     F = F_of.reshape(-1, 2, 2)
     F_dot = F_dot_of.reshape(-1, 2, 2)
     extremes: dict[str, Array] = {}
     for begin in range(0, len(F), _AT_ONCE):
         part = slice(begin, begin + _AT_ONCE)
         answer = law.respond(F[part], F_dot[part])
-        good = np.flatnonzero(answer.status == 0)
-        if not good.size:
+        solved = np.flatnonzero(answer.status == 0)
+        if not solved.size:
             continue
-        seen = law.particles(F[part][good], F_dot[part][good], answer.state.take(good))
+        state = answer.state.take(solved)
+        seen = law.particles(F[part][solved], F_dot[part][solved], state)
         for name, values in seen.extremes().items():
-            extremes.setdefault(name, np.full(len(F), np.nan))[begin + good] = values
+            whole = extremes.setdefault(name, np.full(len(F), np.nan))
+            whole[begin + solved] = values
     return {name: values.reshape(F_of.shape[:2]) for name, values in extremes.items()}

@@ -31,32 +31,46 @@ from surrofe2.law.stress_law import Status
 
 
 def _parity(pair: tuple[int, int]) -> int:
+    """Return the parity of the monomial x_i x_j: the component whose sign an image flips with it.
+
+    The index 7 stands for the factor 1, which no image flips.
+    """
     return parity(tuple(k for k in pair if k < INPUTS))
 
 
+# The factors of each monomial, sorted by parity.
 _PAIRS = np.array(sorted(combinations_with_replacement(range(INPUTS + 1), 2), key=_parity))
 PRODUCTS = len(_PAIRS)
+# For each component the number of monomials up to the last one of its parity.
 _ENDS = tuple(
     int(sum(_parity(pair) <= component for pair in _PAIRS.tolist()))
     for component in range(len(COMPONENT_SIGNS))
 )
 _SUM, _DIFFERENCE, _SHEAR, _SPIN = _ENDS
 
-MANY = 1000  # points from which on more than one core pays
+# Number of points from which on more than one core pays.
+MANY = 1000
 
 _OK = int(Status.OK)
 _OUT_OF_RANGE = int(Status.OUT_OF_RANGE)
 _NOT_FINITE = int(Status.NOT_FINITE)
 _NOT_TRUSTED = int(Status.NOT_TRUSTED)
-_AT_ONCE = 16 * TILE  # points a core answers at once
-_NEAREST = 1e-9  # of the tolerance: a bound that is as good as none
-_SLACK = 1.0 + 1e-6  # for the rounding of screened bounds
+_AT_ONCE = 16 * TILE  # points that a core answers at once
+# A bound below this fraction of the tolerance is as good as none: the weight stays finite.
+_NEAREST = 1e-9
+# Screened bounds may be larger than the tolerance by so much, because of their rounding.
+_SLACK = 1.0 + 1e-6
 
-# rows of what eight points are worked out in: inputs and a 1, distances from a centre, components
-_ONE = INPUTS
-_AWAY = INPUTS + 1
-_S = 2 * INPUTS + 1
-_TOTAL, _RADIUS, _LEAST, _COS, _SIN = range(_S + OUTPUTS, _S + OUTPUTS + 5)
+# The rows of `room`, in which eight points are worked out, one in each lane.
+_X = 0  # the seven inputs
+_ONE = _X + INPUTS  # 1
+_AWAY = _ONE + 1  # the seven distances from a record's centre
+_S = _AWAY + INPUTS  # sums of the weighted components of the models
+_TOTAL = _S + OUTPUTS  # sum of the weights
+_RADIUS = _TOTAL + 1  # sum of the weighted bounds of the error
+_LEAST = _RADIUS + 1  # smallest bound of all records
+_COS = _LEAST + 1  # cos θ and sin θ of the rotation R
+_SIN = _COS + 1
 _ROWS = _SIN + 1
 
 
@@ -68,42 +82,57 @@ def look_up(
     records: Any,
     screen: Any,
 ) -> tuple[Array, NDArray[np.int8], Array]:
-    """(stress (n, 2, 2), status (n,), bound (n,)) as `StressTable.lookup` gives them, by the
-    tolerance that is asked for and the table's own, and the `make_screen` of all records."""
+    """Look up the stress of n points in all records.
+
+    Args:
+        F, F_dot: contiguous float64 (n, 2, 2).
+        tolerances: the tolerance that is asked for, and the table's own, µN/µm.
+        images: 4 with the symmetry D4, 1 without.
+        records: `Records`.
+        screen: `make_screen` of them.
+
+    Returns:
+        stress (n, 2, 2), status (n,) and bound of the error (n,), as of `StressTable.lookup`.
+    """
     count = len(F)
     answer = np.empty((count, 2, 2)), np.empty(count, dtype=np.int8), np.empty(count)
-    compute = _all_parallel if count >= MANY else _some
+    compute = _look_up_parallel if count >= MANY else _look_up_range
     compute(0, count, (F, F_dot), tolerances, images, records, screen, answer)
     return answer
 
 
 @parallel_kernel
-def _all_parallel(first, last, asked, tolerances, images, records, screen, answer):  # type: ignore[no-untyped-def]
+def _look_up_parallel(first, last, asked, tolerances, images, records, screen, answer):  # type: ignore[no-untyped-def]
+    """Do what `_look_up_range` does on all cores, a part of the points at a time."""
     for part in prange((last - first + _AT_ONCE - 1) // _AT_ONCE):
         begin = first + part * _AT_ONCE
         end = min(begin + _AT_ONCE, last)
-        _some(begin, end, asked, tolerances, images, records, screen, answer)
+        _look_up_range(begin, end, asked, tolerances, images, records, screen, answer)
 
 
 @kernel
-def _some(first, last, asked, tolerances, images, records, screen, answer):  # type: ignore[no-untyped-def]
+def _look_up_range(first, last, asked, tolerances, images, records, screen, answer):  # type: ignore[no-untyped-def]
+    """Fill `answer`, the arrays of stress, status and bound, at points from `first` to `last`."""
     F, F_dot = asked
     tolerance, size = tolerances
     room = np.zeros((_ROWS, TILE))
     x = np.empty(INPUTS)
-    inputs = room[: _ONE + 1]
+    inputs = room[_X : _ONE + 1]
     bounds = np.empty((len(INPUT_SIGNS), TILE))
     products = np.empty((PRODUCTS, TILE))
     candidates = np.empty(images * screen.shape[0], dtype=np.int64)
+    # Largest bound b of a model that answers: the bound of its error, √(b size), is then at most
+    # the tolerance that was asked for. A negative tolerance stays negative and allows nothing.
     limit = min(size, tolerance * abs(tolerance) / size)
     store(1.0, room, _ONE)
     for start in range(first, last, TILE):
         for lane in range(TILE):
+            # behind the last point it is repeated
             p = min(start + lane, last - 1)
             room[_COS, lane], room[_SIN, lane] = _read_inputs(F, F_dot, p, x)
             for i in range(INPUTS):
-                room[i, lane] = x[i]
-        for row in range(_S, _LEAST):
+                room[_X + i, lane] = x[i]
+        for row in range(_S, _LEAST):  # all sums
             store(0.0, room, row)
         store(np.inf, room, _LEAST)
         fill_products(inputs, products)
@@ -116,25 +145,30 @@ def _some(first, last, asked, tolerances, images, records, screen, answer):  # t
                     candidates[count] = images * k + flips
                     count += 1
         for n in range(count):
-            _ask(candidates[n] // images, candidates[n] % images, limit, size, records, room)
+            _add_model(candidates[n] // images, candidates[n] % images, limit, size, records, room)
         for lane in range(min(TILE, last - start)):
             _write(room, lane, size, start + lane, answer)
 
 
 @kernel
-def _ask(k, flips, limit, size, records, room):  # type: ignore[no-untyped-def]
-    """Add record k's model at an image of eight points, turned back, with its weight."""
+def _add_model(k, flips, limit, size, records, room):  # type: ignore[no-untyped-def]
+    """Add to the sums in `room` the model of record k at the image `flips` of eight points.
+
+    Args:
+        limit: largest bound by which a model answers, µN/µm.
+        size: the table's own tolerance, µN/µm.
+    """
     for i in range(INPUTS):
-        away = load(room, i) * INPUT_SIGNS[flips, i] - records.centre[k, i]
+        away = load(room, _X + i) * INPUT_SIGNS[flips, i] - records.centre[k, i]
         store(away, room, _AWAY + i)
-    bound = spread(0.0)
+    bound = spread(0.0)  # dᵀ C d, by the lower half of C
     for i in range(INPUTS):
         row = spread(0.0)
         away = load(room, _AWAY + i)
         for j in range(i):
             row += records.curvature[k, i, j] * load(room, _AWAY + j)
         bound += (row + row + records.curvature[k, i, i] * away) * away
-    bound = where_less(bound, 0.0, 0.0, bound)
+    bound = where_less(bound, 0.0, 0.0, bound)  # rounding may make it negative
     least = load(room, _LEAST)
     store(where_less(bound, least, bound, least), room, _LEAST)
     nearest = _NEAREST * size
@@ -152,7 +186,7 @@ def _ask(k, flips, limit, size, records, room):  # type: ignore[no-untyped-def]
 
 @kernel
 def _write(room, lane, size, p, answer):  # type: ignore[no-untyped-def]
-    """Stress, status and bound of point p, which is in this lane."""
+    """Write stress, status and bound of point p, which is in this lane, into `answer`."""
     stress, status, bound = answer
     least = room[_LEAST, lane]
     total = room[_TOTAL, lane]
@@ -173,7 +207,10 @@ def _write(room, lane, size, p, answer):  # type: ignore[no-untyped-def]
 
 @kernel
 def _read_inputs(F, F_dot, p, x):  # type: ignore[no-untyped-def]
-    """Fill x (7,) and return cos and sin of R; NaN where F is no deformation or not finite."""
+    """Fill x (7,) with the inputs of point p, and return cos θ and sin θ of R.
+
+    All are NaN where F is no deformation or a number is not finite. See `base.tensors.to_inputs`.
+    """
     xx = F[p, 0, 0]
     xy = F[p, 0, 1]
     yx = F[p, 1, 0]
@@ -209,7 +246,10 @@ def _read_inputs(F, F_dot, p, x):  # type: ignore[no-untyped-def]
 
 @kernel
 def _write_stress(room, lane, total, stress, p):  # type: ignore[no-untyped-def]
-    """σ = R S Rᵀ from sums that are `total` times the components of S; whether it is finite."""
+    """Write σ = R S Rᵀ of point p from the sums of its lane, and return whether it is finite.
+
+    The sums are `total` times the components of S.
+    """
     c = room[_COS, lane]
     sine = room[_SIN, lane]
     half = 0.5 / total
@@ -233,10 +273,11 @@ def _write_stress(room, lane, total, stress, p):  # type: ignore[no-untyped-def]
 
 
 def make_screen(records: Records) -> Array:
-    """(n, `PRODUCTS`) coefficients of the bounds of n records."""
+    """Return (n, `PRODUCTS`) coefficients of the bounds of n records as polynomials in x."""
     centre = records.centre
     curvature = records.curvature
     pull = np.einsum("nij,nj->ni", curvature, centre)
+    # (x, 1)ᵀ W (x, 1) = (x − x₀)ᵀ C (x − x₀), of which the upper half is taken
     whole = np.empty((len(centre), INPUTS + 1, INPUTS + 1))
     whole[:, :INPUTS, :INPUTS] = curvature
     whole[:, :INPUTS, INPUTS] = -pull
@@ -247,27 +288,31 @@ def make_screen(records: Records) -> Array:
 
 @kernel
 def fill_products(x, products):  # type: ignore[no-untyped-def]
-    """The monomials (`PRODUCTS`, TILE) at inputs x (8, TILE), the last of which are ones."""
+    """Fill in the monomials (`PRODUCTS`, TILE) of eight inputs x (8, TILE), the last of which
+    are 1.
+    """
     for m in range(PRODUCTS):
         store(load(x, _PAIRS[m, 0]) * load(x, _PAIRS[m, 1]), products, m)
 
 
 @kernel
 def fill_bounds(screen, k, products, bounds):  # type: ignore[no-untyped-def]
-    """The bounds (4, TILE) of record k at the images of eight points."""
-    a = spread(0.0)
-    b = spread(0.0)
-    c = spread(0.0)
-    d = spread(0.0)
+    """Fill in the bounds (4, TILE) of record k at the four images of eight points."""
+    # sums of the terms by parity: an image changes the sign of two of them
+    of_sum = spread(0.0)
+    of_difference = spread(0.0)
+    of_shear = spread(0.0)
+    of_spin = spread(0.0)
     for m in range(_SUM):
-        a += screen[k, m] * load(products, m)
+        of_sum += screen[k, m] * load(products, m)
     for m in range(_SUM, _DIFFERENCE):
-        b += screen[k, m] * load(products, m)
+        of_difference += screen[k, m] * load(products, m)
     for m in range(_DIFFERENCE, _SHEAR):
-        c += screen[k, m] * load(products, m)
+        of_shear += screen[k, m] * load(products, m)
     for m in range(_SHEAR, _SPIN):
-        d += screen[k, m] * load(products, m)
-    store((a + d) + (b + c), bounds, 0)  # as COMPONENT_SIGNS has it
-    store((a + d) - (b + c), bounds, 1)
-    store((a - d) + (b - c), bounds, 2)
-    store((a - d) - (b - c), bounds, 3)
+        of_spin += screen[k, m] * load(products, m)
+    # the signs are those of COMPONENT_SIGNS
+    store((of_sum + of_spin) + (of_difference + of_shear), bounds, 0)
+    store((of_sum + of_spin) - (of_difference + of_shear), bounds, 1)
+    store((of_sum - of_spin) + (of_difference - of_shear), bounds, 2)
+    store((of_sum - of_spin) - (of_difference - of_shear), bounds, 3)

@@ -28,7 +28,7 @@ from surrofe2.base.compilation import kernel
 from surrofe2.base.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
 from surrofe2.base.tensors import INPUTS, from_components, to_components, transpose
 
-OUTPUTS = 4
+OUTPUTS = 4  # components of a stress
 
 
 class Records(NamedTuple):
@@ -47,6 +47,7 @@ class Records(NamedTuple):
     curvature: Array
 
     def take(self, index: Index) -> Records:
+        """Return those of the records that an index array chooses."""
         return Records(*(part[index] for part in self))
 
 
@@ -59,12 +60,18 @@ NO_RECORDS = Records(
 
 
 def curvature_from_slopes(slope: Array, probed: Array, step: Array, reach: Array) -> Array:
-    """C (n, 7, 7) from the slopes G (n, 4, 7) at the centre and those (n, 7, 4, 7) at x₀ + step
-    (7,) along each input in turn; squares of different inputs are added up in the unit `reach`
-    (7,).
+    """Compute the curvature C from the change of exact slopes around a record.
 
-    With the second derivatives H_k of the four components, the error is |½ (dᵀ H_k d)_k| in the
-    Frobenius norm, which ½ dᵀ (½ Σ H_k²)^½ d follows closely (exactly where the H_k commute).
+    Args:
+        slope: (n, 4, 7) slopes G at the centre.
+        probed: (n, 7, 4, 7) slopes at x₀ + step along each input in turn.
+        step: (7,) length of the step along each input.
+        reach: (7,) units of the inputs, in which squares of different inputs are added up.
+
+    Returns:
+        (n, 7, 7). With the second derivatives H_k of the four components, the error is
+        |½ (dᵀ H_k d)_k| in the Frobenius norm, which ½ dᵀ (½ Σ H_k²)^½ d follows closely (exactly
+        where the H_k commute).
     """
     second = (probed - slope[:, None]) / step[:, None, None]  # [n, along, k, of]
     second = np.moveaxis(second, 1, 3) * reach[:, None] * reach
@@ -76,16 +83,19 @@ def curvature_from_slopes(slope: Array, probed: Array, step: Array, reach: Array
 
 
 def curvature_from_constant(slope: Array, tolerance: float) -> Array:
-    """C (n, 7, 7) such that the stress changes by at most the tolerance over the ellipsoid.
+    """Compute a curvature C (n, 7, 7) by which the stress changes by at most the tolerance.
 
-    ISAT's first, conservative ellipsoid (Pope 1997, section 3.3), from the slopes alone.
+    It is ISAT's first, conservative ellipsoid (Pope 1997, section 3.3), from the slopes (n, 4, 7)
+    alone: within it even a constant stress would be right.
     """
     return 0.5 * np.swapaxes(slope, 1, 2) @ slope / tolerance
 
 
 def input_slopes(R: Array, by_F: Array, by_F_dot: Array) -> Array:
-    """∂s/∂x (n, 4, 7) from ∂σ/∂F and ∂σ/∂Ḟ, (n, 2, 2, 2, 2) each: a change of x at fixed R changes
-    F by R δU and Ḟ by R δA, and σ by R δS Rᵀ."""
+    """Compute ∂s/∂x (n, 4, 7) from ∂σ/∂F and ∂σ/∂Ḟ, (n, 2, 2, 2, 2) each.
+
+    A change of x at fixed R (n, 2, 2) changes F by R δU and Ḟ by R δA, and σ by R δS Rᵀ.
+    """
     directions = from_components(np.eye(OUTPUTS))
     stretch = np.einsum("nabcd,nck,jkd->njab", by_F, R, directions[:3])
     rate = np.einsum("nabcd,nck,jkd->njab", by_F_dot, R, directions)
@@ -95,16 +105,16 @@ def input_slopes(R: Array, by_F: Array, by_F_dot: Array) -> Array:
 
 
 class Rule(NamedTuple):
-    """When ellipsoids grow and shrink; bounds and errors as shares of the tolerance.
+    """A rule when ellipsoids grow and shrink; bounds and errors as fractions of the tolerance.
 
     Attributes:
         reach: an ellipsoid grows to a point only where its bound there is at most this,
-        growing: and the error seen there at most this, for the same is then claimed of the opposite
+        growing: and the error there at most this, for the same is then claimed of the opposite
             point, and of those between;
-        grown: so far that its bound there is this, for a cache takes a point back only well within
-            an ellipsoid.
-        shrinking: errors above the bound are let pass up to this.
-        margin: a shrunk ellipsoid bounds so many times the error that was seen.
+        grown: it grows so far that its bound there is this, below 1, since a cache takes a point
+            back only well within an ellipsoid.
+        shrinking: errors above the bound are tolerated up to this.
+        margin: a shrunk ellipsoid bounds so many times the error that was observed.
     """
 
     reach: float = 2.0
@@ -115,15 +125,25 @@ class Rule(NamedTuple):
 
 
 RULE = Rule()
-NO_GROWTH = Rule(reach=1.0, growing=-1.0)
+NO_GROWTH = Rule(reach=1.0, growing=-1.0)  # no error is below 0
+# A record within so small a fraction of the tolerance of another, by its bound, adds nothing.
 SAME = 0.01
-"""A record within so small a fraction of the tolerance of another, by its bound, adds nothing."""
 
 
 @kernel
 def update_ellipsoids(x, s, images, records, tolerance, rule):  # type: ignore[no-untyped-def]
-    """(covered (m,), grown, shrunk) of m RVE answers x (m, 7) and s (m, 4), by which curvatures
-    change in place; `images`: 4 with the symmetry D4, 1 without."""
+    """Grow and shrink the ellipsoids of records, in place, by m RVE answers.
+
+    Args:
+        x: (m, 7) inputs of the answers.
+        s: (m, 4) components of their stress.
+        images: 4 with the symmetry D4, 1 without.
+        tolerance: µN/µm.
+        rule: when to grow and when to shrink.
+
+    Returns:
+        (m,) whether an ellipsoid holds each answer now; how many have grown, and shrunk.
+    """
     covered = np.zeros(x.shape[0], dtype=np.bool_)
     grown = 0
     shrunk = 0
@@ -131,7 +151,7 @@ def update_ellipsoids(x, s, images, records, tolerance, rule):  # type: ignore[n
     p = np.empty(INPUTS)
     candidate = np.empty(INPUTS)
     for point in range(x.shape[0]):
-        nearest = -1
+        nearest = -1  # the record that may grow to this point; none yet
         least = reach
         within = False
         for k in range(records.centre.shape[0]):
@@ -162,7 +182,7 @@ def update_ellipsoids(x, s, images, records, tolerance, rule):  # type: ignore[n
 
 @kernel
 def _quadratic(d, matrix):  # type: ignore[no-untyped-def]
-    """dᵀ M d."""
+    """Compute dᵀ M d."""
     total = 0.0
     for i in range(INPUTS):
         row = 0.0
@@ -174,7 +194,11 @@ def _quadratic(d, matrix):  # type: ignore[no-untyped-def]
 
 @kernel
 def _error(p, s, flips, stress, slope):  # type: ignore[no-untyped-def]
-    """Frobenius norm of the linear model's error at the image `flips` of a true answer s."""
+    """Compute the error of a linear model against an RVE's answer s, in the Frobenius norm.
+
+    Args:
+        p: (7,) distance of the answer's image `flips` from the record's centre.
+    """
     total = 0.0
     for k in range(OUTPUTS):
         answer = stress[k]
@@ -186,7 +210,7 @@ def _error(p, s, flips, stress, slope):  # type: ignore[no-untyped-def]
 
 @kernel
 def set_bound(p, target, curvature):  # type: ignore[no-untyped-def]
-    """Change C (7, 7) by rank one in place so that pᵀ C p is `target`."""
+    """Change C (7, 7) by rank one, in place, so that pᵀ C p becomes `target`."""
     pull = np.zeros(INPUTS)
     bound = 0.0
     for i in range(INPUTS):
@@ -202,13 +226,16 @@ def set_bound(p, target, curvature):  # type: ignore[no-untyped-def]
 
 
 def merged(first: Records, second: Records, tolerance: float, images: int) -> Records:
-    """All records of both but those of the second that the first has too; tolerance in µN/µm.
+    """Join two sets of records, without those of the second that the first has, too.
 
     The stress at each centre is an RVE's, and shrinks every ellipsoid that is wrong there.
+    `tolerance` is in µN/µm.
     """
-    away = (centre - first.centre for centre in second.centre)
-    bounds = (np.einsum("ni,nij,nj->n", d, first.curvature, d) for d in away)
-    is_new = [not (bound <= SAME * tolerance).any() for bound in bounds]
+    is_new = []
+    for centre in second.centre:
+        away = centre - first.centre
+        bounds = np.einsum("ni,nij,nj->n", away, first.curvature, away)
+        is_new.append(not (bounds <= SAME * tolerance).any())
     new = second.take(np.flatnonzero(is_new))
     records = Records(*(np.concatenate(pair) for pair in zip(first, new, strict=True)))
     update_ellipsoids(records.centre, records.stress, images, records, tolerance, NO_GROWTH)

@@ -1,4 +1,4 @@
-"""Tangents of what a table answers, exact to rounding.
+"""Tangents of a table's stress, exact to rounding.
 
 The answer of `lookup` is the mean of linear models m_k with weights w_k = (L/b_k − 1)², b_k their
 bounds and L the largest that is allowed. So
@@ -30,19 +30,23 @@ from surrofe2.base.tensors import (
 from surrofe2.cache.table.records import OUTPUTS, Records
 from surrofe2.law.stress_law import Tangents
 
-_NEAREST = 1e-9  # of the tolerance: as of `lookup`
-_AT_ONCE = 64  # points a core answers at once
-_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
+_NEAREST = 1e-9  # fraction of the tolerance, as in `lookup`
+_AT_ONCE = 64  # points that a core answers at once
+_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # T, the rotation by a right angle
 
 
 def table_tangents(
     F: Array, F_dot: Array, tolerances: tuple[float, float], images: int, records: Records
 ) -> Tangents:
-    """∂P/∂F and ∂P/∂Ḟ of the stress that `lookup.look_up` gives by the same arguments; NaN where no
-    ellipsoid holds the point.
+    """Compute ∂P/∂F and ∂P/∂Ḟ of the stress that `lookup.look_up` gives by the same arguments.
 
     Args:
         F, F_dot: contiguous float64 (n, 2, 2), det F > 0.
+        tolerances: the tolerance that is asked for, and the table's own, µN/µm.
+        images: 4 with the symmetry D4, 1 without.
+
+    Returns:
+        NaN where no ellipsoid holds the point.
     """
     x, R = to_inputs(F, F_dot)
     tolerance, size = tolerances
@@ -114,9 +118,9 @@ def _slopes_at(x, limit, size, images, records, components, slopes):  # type: ig
 
 
 def _of_first_piola(F: Array, F_dot: Array, R: Array, components: Array, slopes: Array) -> Tangents:
-    """Tangents from components s (n, 4) of S = Rᵀ σ R and ∂s/∂x (n, 4, 7), entry by entry.
+    """Compute tangents of P from components s (n, 4) of S = Rᵀ σ R and ∂s/∂x (n, 4, 7).
 
-    With R = exp(θ T), T the turn by a right angle: dU = Rᵀ dF − T U dθ, dA = Rᵀ dḞ − T A dθ,
+    With R = exp(θ T), T the rotation by a right angle: dU = Rᵀ dF − T U dθ, dA = Rᵀ dḞ − T A dθ,
     dσ = R (dS + (T S − S T) dθ) Rᵀ and dP = dσ cof F + σ cof dF, for in the plane the cofactor is
     linear.
     """

@@ -44,26 +44,28 @@ from surrofe2.cache.table.records import (
 from surrofe2.cache.table.slopes import table_tangents
 from surrofe2.law.stress_law import Tangents
 
+# Samples by which the spread of stress is known within 0.3 % of that of 512, on all recipes.
 SPREAD_SAMPLES = 32
-"""By them the spread is known within 0.3 % of that of 512 on all recipes."""
+# Distance of a neighbour from its record, in half widths of the range: far enough that slopes
+# change by more than rounding, near enough that the change is linear.
 NEIGHBOUR = 0.1
-"""How far a neighbour lies from its record, in half widths of the range."""
+# Factor of the second derivatives, which change within the ellipsoid.
 MARGIN = 1.2
-"""On the second derivatives, for what they change within the ellipsoid."""
+# All records are screened for every point, so a lookup costs as much as there are.
 MOST_RECORDS = 4096
-"""All of them are screened for every point, so a lookup costs as much as there are."""
 
-_GROUP = 1 + INPUTS
+_GROUP = 1 + INPUTS  # a record's RVEs: at its centre, and a neighbour along each input
 _log = logging.getLogger("surrofe2.cache")
 
 
 def _no_counts() -> Counter[str]:
+    """Return the counts of a table that has learnt nothing."""
     return Counter(added=0, grown=0, shrunk=0, table_rve_solves=0)
 
 
 @dataclass(slots=True)
 class _Knowledge:
-    """What a table has learnt, whoever looks it up by whatever tolerance.
+    """The records that tables with several tolerances share.
 
     Attributes:
         records: the RVE answers with their ellipsoids.
@@ -77,23 +79,24 @@ class _Knowledge:
 
 
 class StressTable:
-    """σ(F, Ḟ) from linear models about RVE answers, each within its ellipsoid of accuracy.
+    """The stress σ(F, Ḟ) from linear models about RVE answers, each within its ellipsoid of
+    accuracy.
 
-    `lookup` is pure; the table changes in `learn` alone. Tables by `with_tolerance` share what is
-    learnt, and each has the tolerance of its risks to itself.
+    `lookup` is pure; the table changes in `learn` alone. Tables by `with_tolerance` share their
+    records, and each has the tolerance of its risks to itself.
 
     Args:
         law: that of the RVEs, whose `respond(…, tangents=True)` gives records.
-        tolerance: largest error of a stress that is given, µN/µm.
-        range: whose half widths say how far neighbours lie from a record (a tenth) and how far
-            an ellipsoid may reach at first; the table answers beyond it too.
-        spread: of the stress, µN/µm, of which tolerances are shares.
+        tolerance: largest error of a stress that is looked up, µN/µm.
+        range: its half widths say how far neighbours lie from a record (a tenth) and how far an
+            ellipsoid may reach at first; the table answers beyond it too.
+        spread: of the stress, µN/µm, of which tolerances are fractions.
         most_records: after so many none is added; the law answers where none holds a point.
 
     Attributes:
-        images: how many images the symmetry of the cell makes of a state.
+        images: number of states that the symmetry of the cell makes of one, itself included.
         counts: `added`, `grown`, `shrunk` ellipsoids and `table_rve_solves` since the start.
-        seconds: of what it began with, set by who made it.
+        seconds: what its first records took, s; set by the caller that made them.
 
     Raises:
         InputError: the law gives no tangents, or the tolerance is not positive.
@@ -125,7 +128,7 @@ class StressTable:
         self.tolerance = float(tolerance)
         self.range = range
         self.stress_spread = float(spread)
-        self._allowed = 1.0  # µN/µm, until `with_tolerance` says what is
+        self._allowed = 1.0  # allowed error, µN/µm, until `with_tolerance` states one
         self.most_records = most_records
         self.seconds = 0.0
         self._reach = half_widths(range)
@@ -134,12 +137,12 @@ class StressTable:
 
     @property
     def size(self) -> int:
-        """How many records it has."""
+        """Number of records."""
         return len(self._known.records.centre)
 
     @property
     def records(self) -> Records:
-        """What the table knows now, a copy."""
+        """A copy of the records that the table has now."""
         return Records(*(part.copy() for part in self._known.records))
 
     @property
@@ -147,11 +150,11 @@ class StressTable:
         return self._known.counts
 
     def with_tolerance(self, tolerance: float, relative: float) -> StressTable:
-        """A table of the same records, whose risks are by this fraction of the spread.
+        """Return a table of the same records whose risks are by this fraction of the spread.
 
-        The records, their ellipsoids and the counts are shared, so that what one table learns all
-        of them know: they are grown for `tolerance` of the table alone. The tolerance by which
-        risks count is not shared.
+        Records, ellipsoids and counts are shared: what one table learns all of them know, and
+        ellipsoids are grown for the `tolerance` by which the first table was made. The tolerance of
+        the risks is not shared. A table has no use for the `relative` one.
         """
         table = copy(self)
         table._allowed = tolerance * self.stress_spread
@@ -163,20 +166,25 @@ class StressTable:
     def lookup(
         self, F: Array, F_dot: Array, limit: float = np.inf
     ) -> tuple[Array, NDArray[np.int8], Array]:
-        """(stress (n, 2, 2), status (n,), risk (n,)) in one compiled pass; input is not checked.
+        """Look up stress and risk at n points, in one compiled pass; input is not checked.
 
         The risk is a bound of the error over the tolerance of `with_tolerance`, of 1 µN/µm before
         it is called. The bound in µN/µm is the table's own tolerance times the radius within the
-        ellipsoid, 0 at the record and 1 at the surface; the law through the errors seen would be
-        its square. Status 3 where no ellipsoid holds the point (risk infinite), 6 where the risk is
-        above `limit`.
+        ellipsoid, 0 at the record and 1 at the surface. Errors that were observed follow its
+        square.
 
-        F, F_dot: contiguous float64 (n, 2, 2).
+        Args:
+            F, F_dot: contiguous float64 (n, 2, 2).
+            limit: largest risk that is trusted.
+
+        Returns:
+            stress (n, 2, 2); status (n,): 3 where no ellipsoid holds the point, 6 where the risk is
+            above `limit`; risk (n,), infinite where no ellipsoid holds the point.
         """
         known = self._known
         if known.screen is None:
             known.screen = make_screen(known.records)
-        tolerances = float(limit) * self._allowed, self.tolerance
+        tolerances = (float(limit) * self._allowed, self.tolerance)
         stress, status, risk = look_up(
             F, F_dot, tolerances, self.images, known.records, known.screen
         )
@@ -189,20 +197,25 @@ class StressTable:
         return self.lookup(F, F_dot, limit)[1:]
 
     def tangents(self, F: Array, F_dot: Array) -> Tangents:
-        """∂P/∂F and ∂P/∂Ḟ of the stress of `lookup` at the limit 1, exact to rounding; NaN where no
-        ellipsoid holds the point.
+        """Compute ∂P/∂F and ∂P/∂Ḟ of the stress of `lookup` at the limit 1, exact to rounding.
 
-        F, F_dot: contiguous float64 (n, 2, 2), det F > 0.
+        They are NaN where no ellipsoid holds the point. F, F_dot: contiguous float64 (n, 2, 2),
+        det F > 0.
         """
-        tolerances = self._allowed, self.tolerance
+        tolerances = (self._allowed, self.tolerance)
         return table_tangents(F, F_dot, tolerances, self.images, self._known.records)
 
     def learn(self, F: Array, F_dot: Array, stress: Array, state: Any = None) -> None:
-        """Take RVE answers (m, 2, 2) in: grow or shrink ellipsoids, and add records where none
-        holds; `state` is the law's warm start at these points, or None."""
+        """Learn from m RVE answers: grow or shrink ellipsoids, and add records where none holds
+        one.
+
+        Args:
+            F, F_dot, stress: (m, 2, 2) what was asked and answered.
+            state: the law's warm start at these points, or None.
+        """
         known = self._known
         known.screen = None
-        x, R = to_inputs(F, F_dot)
+        x, R = to_inputs(F, F_dot)  # the seven inputs, and the rotation
         s = to_components(transpose(R) @ stress @ R)
         uncovered = np.flatnonzero(~self._cover(x, s, known.records))
         while len(uncovered) and self.size < self.most_records:
@@ -221,9 +234,13 @@ class StressTable:
                 )
 
     def apart(self, F: Array, F_dot: Array, most: int) -> Index:
-        """Numbers of at most so many states that lie apart, none in the ellipsoid of another if all
-        are like that of the latest record; F, F_dot: (m, 2, 2)."""
-        return self._apart(to_inputs(F, F_dot)[0], most)
+        """Choose at most so many of m states that lie apart, and return their numbers.
+
+        None is in the ellipsoid of another, if all ellipsoids are like that of the latest record.
+        F, F_dot: (m, 2, 2).
+        """
+        x, _ = to_inputs(F, F_dot)
+        return self._apart(x, most)
 
     def learn_rest(self) -> None:
         """Make the undeformed state a record, at which all points of a tissue begin."""
@@ -235,29 +252,39 @@ class StressTable:
             self.learn(F, F_dot, accepted.stress, accepted.state)
 
     def restore(self, records: Records) -> None:
-        """Know these records and no others."""
+        """Replace all records by these."""
         self._known.records = Records(*(part.copy() for part in records))
         self._known.screen = None
 
     def to_arrays(self) -> dict[str, NDArray]:
+        """Return records and counts, for a checkpoint or a file."""
         return {**self.records._asdict(), "counts": np.array(list(self.counts.values()))}
 
     def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
+        """Take records and counts from arrays that `to_arrays` gave."""
         self.restore(Records(*(arrays[name] for name in Records._fields)))
         counts = dict(zip(self.counts, arrays["counts"].tolist(), strict=True))
         self._known.counts = Counter(counts)
 
     def _cover(self, x: Array, s: Array, records: Records) -> Flags:
-        """(m,) which RVE answers these records cover, after they have grown and shrunk by them."""
+        """Let m RVE answers grow and shrink the ellipsoids of these records.
+
+        Returns:
+            (m,) whether an ellipsoid holds each answer then.
+        """
         covered: Flags
-        at = self.images, records, self.tolerance, RULE
-        covered, grown, shrunk = update_ellipsoids(x, s, *at)
+        covered, grown, shrunk = update_ellipsoids(x, s, self.images, records, self.tolerance, RULE)
         self.counts.update(grown=grown, shrunk=shrunk)
         return covered
 
     def _apart(self, x: Array, most: int) -> Index:
-        """Return which of these points should become records at once, at most so many: none in the
-        ellipsoid of another, taken to be like that of the latest record; a first one comes alone.
+        """Choose which of these points should become records at once, at most so many.
+
+        None is in the ellipsoid of another, taken to be like that of the latest record. Where there
+        is no record yet, a first one is chosen alone.
+
+        Returns:
+            Numbers of the points.
         """
         if not self.size:
             return np.zeros(1, dtype=np.intp)
@@ -274,11 +301,16 @@ class StressTable:
         return np.array(chosen, dtype=np.intp)
 
     def _solved(self, x: Array, R: Array, state: Any, points: Index) -> Records:
-        """Records at canonical images of the points x (m, 7) at R (m, 2, 2).
+        """Solve records at the canonical images of m points.
 
-        Eight RVEs each: the point, and a neighbour along every input. Where a neighbour has no
-        tangents, the ellipsoid is that of the stress taken as constant; a point that has none
-        itself gets no record. Their warm start is that of the `points` (m,) of the law's state.
+        A record takes eight RVEs: the point, and a neighbour along every input. Where a neighbour
+        has no tangents, the ellipsoid is that of the stress taken as constant. A point that has
+        none itself gets no record.
+
+        Args:
+            x, R: (m, 7) inputs and (m, 2, 2) rotations of the points.
+            state: the law's warm start at all points, or None.
+            points: (m,) numbers of these points in `state`.
         """
         m = len(x)
         step = NEIGHBOUR * self._reach
@@ -293,8 +325,8 @@ class StressTable:
         slopes = input_slopes(frame, *answer.tangents.cauchy(F, stress))
         slopes = slopes.reshape(m, _GROUP, OUTPUTS, INPUTS)
         sound = (answer.status == 0).reshape(m, _GROUP) & np.isfinite(slopes).all(axis=(2, 3))
-        sampled = np.flatnonzero(sound[:, 0])
-        whole = sound[sampled].all(axis=1)
+        sampled = np.flatnonzero(sound[:, 0])  # points that get a record
+        whole = sound[sampled].all(axis=1)  # of which all neighbours have tangents, too
         slopes = slopes[sampled]
         x = x[sampled]
         s = to_components(transpose(frame) @ stress @ frame).reshape(m, _GROUP, OUTPUTS)[sampled, 0]
@@ -314,13 +346,18 @@ class StressTable:
         )
 
     def _image(self, x: Array) -> Index:
-        """(n,) which image of each state is its canonical one; 0 without symmetry."""
-        return canonical_image(x) if self.images > 1 else np.zeros(len(x), dtype=np.intp)
+        """Return (n,) which image of each state is its canonical one; 0 without symmetry."""
+        if self.images == 1:
+            return np.zeros(len(x), dtype=np.intp)
+        return canonical_image(x)
 
 
 def sampled_spread(law: Fallback, range: SamplingRange, seed: int = 1) -> float:
-    """Spread of the stress over `SPREAD_SAMPLES` Sobol samples of a range, µN/µm; InputError
-    without one."""
+    """Compute the spread of the stress over `SPREAD_SAMPLES` Sobol samples of a range, µN/µm.
+
+    Raises:
+        InputError: no sample has a stress.
+    """
     F, F_dot = sample(range, SPREAD_SAMPLES, seed)
     answer = law.respond(F, F_dot)
     valid = answer.stress[answer.status == 0]
