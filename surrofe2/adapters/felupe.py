@@ -25,7 +25,15 @@ from surrofe2.law.stress_law import StressLaw, StressResponse, describe, require
 
 
 class _Answer(NamedTuple):
-    """What the law answered at F (n, 2, 2), the substep begun at F₀ − 1 = `before` (n, 4)."""
+    """The law's response at one deformation in a substep.
+
+    Attributes:
+        dt: length of the substep, µs.
+        F: (n, 2, 2).
+        before: (n, 4) F₀ − 1 at the begin of the substep.
+        F_dot: (n, 2, 2) rate over the substep, 1/µs.
+        response: of the law.
+    """
 
     dt: float
     F: Array
@@ -35,7 +43,7 @@ class _Answer(NamedTuple):
 
 
 class FelupeMaterial:
-    """`umat` of `felupe.SolidBody(umat, field)` for fields in the plane.
+    """A `umat` of `felupe.SolidBody(umat, field)` for fields in the plane.
 
     A material belongs to one body, for it keeps the law's states of its points. At the end of a
     substep the law commits its response. As one of the `plugins` of `felupe.Job` the material sees
@@ -62,7 +70,7 @@ class FelupeMaterial:
         self._last: _Answer | None = None
 
     def gradient(self, x: Sequence[Array]) -> list[Array]:
-        """[P (2, 2, q, c) in µN/µm, the state at the end of the substep (4, q, c)].
+        """Return [P (2, 2, q, c) in µN/µm, the state at the end of the substep (4, q, c)].
 
         Raises:
             SimulationError: a point has no stress, or the law does not accept the last substep.
@@ -74,7 +82,7 @@ class FelupeMaterial:
         return [_last(P, trailing), _last(end.reshape(-1, 4), trailing)]
 
     def hessian(self, x: Sequence[Array]) -> list[Array]:
-        """[∂P/∂F (2, 2, 2, 2, q, c) over the substep, µN/µm]; raises as `gradient`."""
+        """Return [∂P/∂F (2, 2, 2, 2, q, c) over the substep, µN/µm]; raises as `gradient`."""
         tangents = self._answer(x).response.tangents
         assert tangents is not None
         return [_last(tangents.over_step(self.dt), x[0].shape[2:])]
@@ -95,8 +103,10 @@ class FelupeMaterial:
         self._report(accepted.left_bifurcation)
 
     def _answer(self, x: Sequence[Array]) -> _Answer:
-        F = _first(x[0], (2, 2))
-        before = _first(x[1], (4,))
+        """Return the response at F, the last one where nothing has changed since."""
+        F_of_felupe, state_before = x
+        F = _first(F_of_felupe, (2, 2))
+        before = _first(state_before, (4,))
         last = self._last
         if last is not None and not np.array_equal(before, last.before):
             # FElupe took over the state of the last answer: its substep has ended.
@@ -111,7 +121,9 @@ class FelupeMaterial:
         return self._last
 
     def _report(self, is_beyond: Flags | None) -> None:
-        """Warn of points that are beyond a bifurcation since now; None: the law does not tell."""
+        """Warn of points that have left their branch since the last call; None: the law does not
+        know.
+        """
         if is_beyond is None:
             return
         known = self.left_bifurcation
@@ -130,7 +142,7 @@ class FelupeMaterial:
 
 
 def require_stress(response: StressResponse) -> None:
-    """Raise a SimulationError that names the first point without a stress."""
+    """Raise a `SimulationError` that names the first point without a stress, if there is one."""
     failed = np.flatnonzero(response.status)
     if failed.size:
         reason = response.reasons.get(failed[0], "")
@@ -141,11 +153,11 @@ def require_stress(response: StressResponse) -> None:
 
 
 def _first(values: Array, shape: tuple[int, ...]) -> Array:
-    """(n, …) from (…, q, c)."""
+    """Move the axes of the points to the front: (n, …) of (…, q, c)."""
     return np.ascontiguousarray(np.moveaxis(values.reshape(*shape, -1), -1, 0))
 
 
 def _last(values: Array, trailing: tuple[int, ...]) -> Array:
-    """(…, q, c) from (n, …)."""
+    """Move the points to the last axes: (…, q, c) of (n, …)."""
     moved = np.moveaxis(values, 0, -1)
     return np.ascontiguousarray(moved.reshape(*moved.shape[:-1], *trailing))

@@ -41,6 +41,7 @@ from surrofe2.rve import RveLaw
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow.laws import choose_law, true_law
 
+# Environment variables, see the head of the file.
 RECIPE = "SURROFE2_RECIPE"
 POINTS = "SURROFE2_POINTS"
 _ROWS = (1, 2)
@@ -49,13 +50,13 @@ _HEADER = [f"{name}_{a}{b}" for name in ("F", "F_dot", "stress") for a in _ROWS 
 
 @cache
 def the_recipe() -> Recipe:
-    """The recipe of this process."""
+    """Return the recipe of this process."""
     return load_recipe(os.environ.get(RECIPE, "recipe.toml"))
 
 
 @cache
 def the_rve() -> RveLaw:
-    """Its RVEs."""
+    """Return the RVEs of this process."""
     law = true_law(the_recipe().study())
     require_tangents(law, "micro_manager")
     return law
@@ -63,7 +64,7 @@ def the_rve() -> RveLaw:
 
 @cache
 def the_surrogate() -> SurrogateLaw:
-    """Its surrogate."""
+    """Return the surrogate of this process."""
     law = choose_law(the_recipe().study(), "surrogate").law
     assert isinstance(law, SurrogateLaw)
     return law
@@ -71,16 +72,17 @@ def the_surrogate() -> SurrogateLaw:
 
 @cache
 def the_bound() -> SurrogateLaw:
-    """Its surrogate with the tolerances of the cache."""
+    """Return the surrogate with the tolerances of the cache."""
     settings = the_recipe().cache
     return the_surrogate().with_tolerance(settings.tolerance, settings.relative)
 
 
 class PointSimulation(MicroSimulationInterface):
-    """A stress law with tangents at one point; without states of its points it may serve all.
+    """A stress law with tangents at one point; a law without states may serve all points.
 
     What was solved is kept, by `accept`, when the next solve or a checkpoint comes, and forgotten
-    when a checkpoint is put back: then the time window is solved again."""
+    when a checkpoint is put back: then the time window is solved again.
+    """
 
     def __init__(self, sim_id: int, law: StressLaw) -> None:
         self._id = sim_id
@@ -110,7 +112,7 @@ class PointSimulation(MicroSimulationInterface):
             file.write(",".join(f"{value:.17g}" for value in values) + "\n")
 
     def solve(self, micro_sim_input: Mapping[str, Any], dt: float) -> dict[str, Array]:
-        """Stress and tangents by name from F and Ḟ by name.
+        """Compute stress and tangents by name from F and Ḟ by name.
 
         Raises:
             InputError: an entry is missing or no vector of the plane, or det F ≤ 0.
@@ -120,11 +122,11 @@ class PointSimulation(MicroSimulationInterface):
         self._keep()
         answer = self._law.respond(F, F_dot, self._state, tangents=True)
         require_stress(answer)
-        self._solved = F, F_dot, answer
+        self._solved = (F, F_dot, answer)
         return written(answer)
 
     def get_state(self) -> dict[str, NDArray[Any]] | None:
-        """Arrays that another simulation of the same recipe may be given; None: at rest."""
+        """Return arrays that another simulation of the same recipe may be given; None: at rest."""
         self._keep()
         return state_arrays(self._law, self._state) or None
 
@@ -134,7 +136,7 @@ class PointSimulation(MicroSimulationInterface):
         self._state = state_of(self._law, state or {})
 
     def get_global_id(self) -> int:
-        """Number among all simulations."""
+        """Return the number among all simulations."""
         return self._id
 
     def set_global_id(self, global_id: int) -> None:
@@ -142,6 +144,7 @@ class PointSimulation(MicroSimulationInterface):
         self._id = global_id
 
     def _keep(self) -> None:
+        """Let the law commit the last solve, if there is one."""
         if self._solved is None:
             return
         F, F_dot, answer = self._solved
@@ -175,24 +178,31 @@ class Switching:
     def __call__(
         self, resolution: int, location: Any, t: float, input: Mapping[str, Any], prev_output: Any
     ) -> int:
-        """+1 from the surrogate to the RVE where its risk, by the recipe's tolerance, exceeds 1.
+        """Return +1 where a point goes over from the surrogate to the RVE, −1 back, else 0.
 
-        Back, −1, where it does not, but in a later time window, so that iterations converge. A
-        point that comes from another rank as an RVE may have changed in this window.
+        It goes over where its risk, by the recipe's tolerance, exceeds 1; and back where it does
+        not, but in a later time window, so that iterations converge. A point that comes from
+        another rank as an RVE may have changed in this window.
+
+        Args:
+            resolution: 0 of the surrogate, 1 of the RVE.
+            location: of the point.
+            t: begin of the time window.
+            input: F and Ḟ by name.
         """
         if t != self.window:
             self.window = t
             self._last = self.switched
             self.switched = {}
-        here = np.asarray(location, dtype=np.float64).tobytes()
-        if here not in self.switched:
-            self.switched[here] = self._last.get(here, t if resolution == 1 else np.nan)
+        key = np.asarray(location, dtype=np.float64).tobytes()
+        if key not in self.switched:
+            self.switched[key] = self._last.get(key, t if resolution == 1 else np.nan)
         status, _ = the_bound().status_and_risk(*deformation_of(input), 1.0)
         if resolution == 0 and status[0]:
-            self.switched[here] = t
+            self.switched[key] = t
             return 1
         is_trusted_again = resolution == 1 and not status[0]
-        if is_trusted_again and self.switched[here] != t:
+        if is_trusted_again and self.switched[key] != t:
             return -1
         return 0
 
@@ -208,6 +218,7 @@ def deformation_of(data: Mapping[str, Any]) -> tuple[Array, Array]:
 
 
 def _vector(data: Mapping[str, Any], name: str) -> Array:
+    """Return a vector of the plane by name, or raise an `InputError`."""
     if name not in data:
         known = ", ".join(map(str, data))
         raise InputError(f"read_data: {name} is missing among {known}; it must be a row of F or Ḟ")

@@ -6,15 +6,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from time import perf_counter, process_time
 
+# Seconds of wall and of CPU in which kernels were compiled or read.
 _waited = [0.0, 0.0]
-"""Seconds of wall and of CPU in which kernels were compiled or read."""
+# Times, wall and CPU, when compilations began that are not finished: the kernels that one calls are
+# compiled within it.
 _begun: list[tuple[float, float]] = []
-"""When those began that are not finished: the kernels that one calls are compiled within it."""
 
 
 @contextmanager
 def waiting() -> Iterator[None]:
-    """While a kernel is compiled or read."""
+    """Let the clocks stand in the block, in which a kernel is compiled or read."""
     _begun.append((perf_counter(), process_time()))
     try:
         yield
@@ -26,13 +27,13 @@ def waiting() -> Iterator[None]:
 
 
 def clock() -> float:
-    """Seconds of a clock that stands while this process compiles kernels or reads them."""
+    """Return seconds of a clock that stands while this process compiles kernels or reads them."""
     now = _begun[0][0] if _begun else perf_counter()
     return now - _waited[0]
 
 
 def seconds_compiling() -> float:
-    """Seconds of wall in which this process compiled kernels or read them so far."""
+    """Return the seconds of wall in which this process compiled kernels or read them so far."""
     return _waited[0]
 
 
@@ -44,11 +45,11 @@ class Meter:
 
     @property
     def seconds(self) -> float:
-        """All until now."""
+        """Seconds until now."""
         return clock() - self._begun
 
 
 def cpu_clock() -> float:
-    """Seconds of CPU, but for those that this process compiles kernels or reads them."""
+    """Return seconds of CPU, without those in which kernels are compiled or read."""
     now = _begun[0][1] if _begun else process_time()
     return now - _waited[1]

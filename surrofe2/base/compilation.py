@@ -36,12 +36,12 @@ if environment.is_taken and _BLAS not in sys.modules:
     del sys.modules[_BLAS]
 
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}  # not nnan, ninf: isnan must stay true
+# Options of all that is compiled; `numba.extending.overload` takes them as jit_options.
 OPTIONS = {"error_model": "numpy", "fastmath": FAST}
-"""Options of all that is compiled; `numba.extending.overload` takes them as jit_options."""
 
 
+# Bytes of a line of the processor's cache.
 CACHE_LINE = 64
-"""Bytes of a line of the processor's cache."""
 
 
 class OwnCode(JITCodeLibrary):
@@ -50,6 +50,7 @@ class OwnCode(JITCodeLibrary):
     _shared_module: Any
 
     def _finalize_final_module(self) -> None:
+        """Complete the module, its copies of functions made private."""
         if self._shared_module is None:  # what other kernels take copies of stays as it was
             self._shared_module = self._final_module.clone()
             _relink(self._shared_module, "external", "linkonce_odr")
@@ -58,6 +59,7 @@ class OwnCode(JITCodeLibrary):
 
 
 def _relink(module: Any, before: str, after: str) -> None:
+    """Change the linkage of the functions of a module that have this one."""
     for function in module.functions:
         if not function.is_declaration and function.linkage.name == before:
             function.linkage = after
@@ -82,11 +84,15 @@ def own_code(codegen: Any) -> Iterator[None]:
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """`numba.njit` with options of one's own, cached by `kernel_cache` unless `cache` is False."""
+    """Make a decorator like `numba.njit` with these options; it caches kernels in `kernel_cache`.
+
+    With `cache=False` it does not.
+    """
     options = {"no_cfunc_wrapper": True} | OPTIONS | options
     is_cached = options.pop("cache", True)
 
     def decorate(function: Callable[..., Any]) -> Any:
+        """Compile a function."""
         dispatcher = numba.njit(**options)(function)
         folder = folder_of_kernels(Path(function.__code__.co_filename)) if is_cached else None
         if folder is not None:
@@ -102,7 +108,8 @@ def _own(dispatcher: Any) -> Any:
 
     def own(signature: Any) -> Any:
         # of a constant, numba would make a kernel for each of its values
-        signature = tuple(numba.types.unliteral(each) for each in signature)
+        """Compile a signature, or load it, with its code to itself."""
+        signature = tuple(numba.types.unliteral(kind) for kind in signature)
         with global_compiler_lock, waiting(), own_code(dispatcher.targetctx.codegen()):
             return compile_or_load(signature)
 
@@ -110,14 +117,15 @@ def _own(dispatcher: Any) -> Any:
     return dispatcher
 
 
+# Decorator of a function of arrays and numbers, which is compiled.
 kernel = compiled()
-"""A function of arrays and numbers, compiled."""
 
+# Decorator of a kernel whose `numba.prange` loops run on all cores; their bodies are one call of a
+# kernel.
 parallel_kernel = compiled(parallel=True)
-"""A kernel whose `numba.prange` loops run on all cores; their bodies are one call of a kernel."""
 
+# Decorator of a formula that is written out where kernels use it.
 pair_law = numba.njit(inline="always", **OPTIONS)
-"""A formula that is written out where kernels use it."""
 
 
 @cache

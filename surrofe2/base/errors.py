@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+# Characters of a sentence; of a longer one the middle is left out.
 LONGEST = 300
-"""Characters of a sentence; of a longer one the middle is left out."""
 _LONGEST_VALUE = 80
 _LONGEST_NAME = 60
 
@@ -33,10 +33,14 @@ class InputError(Surrofe2Error, ValueError):
     """
 
     def __init__(self, sentence: str = "", problem: str = "") -> None:
-        self.where, self.problem = (sentence, problem) if problem else ("", sentence)
-        super().__init__(
-            f"{shortened(sentence, _LONGEST_NAME)}: {problem}" if problem else sentence
-        )
+        if problem:
+            self.where = sentence
+            self.problem = problem
+            super().__init__(f"{shortened(sentence, _LONGEST_NAME)}: {problem}")
+        else:
+            self.where = ""
+            self.problem = sentence
+            super().__init__(sentence)
 
     def within(self, where: str) -> InputError:
         """Return the same error of settings that stand elsewhere: `where` replaces their name."""
@@ -64,8 +68,11 @@ class SimulationError(Surrofe2Error, RuntimeError):
 
 def shortened(text: str, most: int = LONGEST) -> str:
     """Return beginning and end of a text, where it has more than `most` characters."""
+    if len(text) <= most:
+        return text
     begin = 2 * most // 3
-    return text if len(text) <= most else f"{text[:begin]}…{text[1 + begin - most :]}"
+    end = most - begin - 1  # one sign stands for what is left out
+    return f"{text[:begin]}…{text[-end:]}"
 
 
 def printable(text: str) -> str:

@@ -31,18 +31,29 @@ from surrofe2.base.launcher import HEARD
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 SIGNALS = (*ENDING, signal.SIGUSR1, signal.SIGUSR2, signal.SIGXCPU)
+# Seconds between a signal and the next one that counts as another: launchers of MPI pass on what
+# ranks have got.
 _APART = 1.0
-"""s between a signal and the next one of its own; launchers of MPI pass on what ranks have got."""
+# Seconds after which a signal that could not be taken yet is answered by a line.
 _PATIENCE = 5.0
-"""s after which a signal that could not be taken yet is answered by a line."""
+# Seconds until an interruption that was swallowed or put off is raised again.
 _AGAIN = 0.25
-"""s until an interruption that was swallowed or put off is raised again."""
+# Functions in Python that numba's machine code and llvmlite's compiler call.
 NOT_CUT = ("_numba_unpickle", "_raw_object_cache_getbuffer", "_raw_object_cache_notify")
-"""Functions in Python that numba's machine code and llvmlite's compiler call."""
 
 
 @dataclass(slots=True)
 class _State:
+    """The state of the process with respect to signals.
+
+    Attributes:
+        is_working: whether there may be work to keep.
+        number: the signal that interrupts it, or 0.
+        source: words for another process that got the signal, empty for this one.
+        held: number of blocks in which an interruption waits.
+        end: ends the process with an exit code at a second signal.
+    """
+
     is_working: bool = False
     number: int = 0
     source: str = ""
@@ -68,7 +79,7 @@ def watch() -> None:
 
 
 def begin_work() -> None:
-    """Say that from now on there may be work to keep."""
+    """Note that from now on there may be work to keep."""
     _state.is_working = True
 
 
@@ -125,6 +136,7 @@ def cause() -> str:
 
 
 def _interrupted_by(number: int, source: str = "") -> str:
+    """Write by which signal the command was interrupted, if not by Ctrl-C."""
     if number == signal.SIGINT and not source:
         return "interrupted"
     return f"interrupted by {signal.Signals(number).name}{source}"
@@ -161,6 +173,7 @@ def exit_code() -> int:
 
 
 def _take(number: int, frame: FrameType | None) -> None:
+    """Take a signal: end at once before work begins; else raise, and again until it is noticed."""
     if not _state.is_working:
         os.write(2, f"{_interrupted_by(number)}: nothing was changed\n".encode())
         os._exit(128 + number)
@@ -173,6 +186,10 @@ def _take(number: int, frame: FrameType | None) -> None:
 
 
 def _raise_again(number: int, frame: FrameType | None) -> None:
+    """Raise the interruption, unless it must wait or is already being handled.
+
+    Machine code that has called Python, see `NOT_CUT`, would take it for an error.
+    """
     if _state.held:
         return
     while frame is not None:

@@ -29,13 +29,15 @@ from surrofe2.base.locks import lock
 log = logging.getLogger(__name__)
 
 PACKAGE = Path(__file__).parents[1]
+_DIGEST_SIZE = hashlib.sha256().digest_size  # bytes at the end of each file
+# Statements that import from the package, by which the sources of a kernel are found.
 _IMPORT = re.compile(
     r"^\s*(?:from|import)\s+surrofe2\.?([\w.]*)(?:\s+import\s+(\([^)]*\)|.*))?", re.M
 )
 
 
 def _digest(sources: Iterable[Path]) -> str:
-    """16 hexadecimal digits of the names and contents of source files."""
+    """Return 16 hexadecimal digits of the names and contents of source files."""
     digest = hashlib.sha256()
     for source in sorted(sources):
         content = source.read_bytes()
@@ -47,7 +49,10 @@ def _digest(sources: Iterable[Path]) -> str:
 
 @cache
 def _imported(source: Path) -> frozenset[Path]:
-    """The files of the package that a source file imports; all files of a room it imports from."""
+    """Return the files of the package that a source file imports.
+
+    Where it imports from a room, they are the named modules of the room, else all of its files.
+    """
     files: set[Path] = set()
     for name, imported in _IMPORT.findall(source.read_text(encoding="utf-8")):
         place = PACKAGE.joinpath(*name.split(".")) if name else PACKAGE
@@ -62,12 +67,15 @@ def _imported(source: Path) -> frozenset[Path]:
 
 @cache
 def _digest_of_kernels(source: Path) -> str:
-    """Digest of all sources on which the machine code of this file's kernels can depend."""
+    """Return the digest of all sources on which the machine code of this file's kernels can
+    depend.
+    """
     sources: set[Path] = set()
     new = {source}
     while new:
         sources |= new
-        new = {each for one in new for each in _imported(one)} - sources
+        imported = {file for source_file in new for file in _imported(source_file)}
+        new = imported - sources
     return _digest(sources)
 
 
@@ -78,6 +86,7 @@ def cache_folder() -> Path:
 
 
 def _cache_root() -> Path:
+    """Return the folder of all that the package keeps between processes."""
     home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
     try:
         base = Path(home) if home else Path.home() / ".cache"
@@ -108,6 +117,7 @@ def _kernels_root() -> Path | None:
 
 @cache
 def _tell_once(why: str) -> None:
+    """Warn that kernels are not kept, once for each reason."""
     log.warning("kernels are compiled in memory and not kept, which takes a minute: %s", why)
 
 
@@ -128,6 +138,9 @@ class CheckedFiles(IndexDataCacheFile):
         self._save_data(overloads[key], data)
 
     def _load_index(self) -> dict[Any, str]:
+        """Return the names of the files of machine code by key; none of other sources or
+        versions.
+        """
         content = self._content(self._index_path)
         if content is None:
             return {}
@@ -138,9 +151,11 @@ class CheckedFiles(IndexDataCacheFile):
         return overloads if (version, stamp) == (self._version, self._source_stamp) else {}
 
     def _save_index(self, overloads: dict[Any, str]) -> None:
+        """Write the names of the files of machine code."""
         self._store(self._index_path, (self._version, self._source_stamp, overloads))
 
     def _load_data(self, name: str) -> Any:
+        """Read machine code; a `FileNotFoundError` where it is missing or damaged."""
         content = self._content(self._data_path(name))
         if content is None:
             raise FileNotFoundError(name)  # numba then compiles the kernel and saves it again
@@ -150,19 +165,23 @@ class CheckedFiles(IndexDataCacheFile):
             raise FileNotFoundError(name) from error
 
     def _save_data(self, name: str, data: Any) -> None:
+        """Write machine code."""
         self._store(self._data_path(name), data)
 
     def _content(self, path: str) -> bytes | None:
+        """Return the content of a file without its SHA-256; None where it is missing or damaged."""
         try:
             stored = Path(path).read_bytes()
         except FileNotFoundError:
             return None
-        if hashlib.sha256(stored[:-32]).digest() == stored[-32:]:
-            return stored[:-32]
+        content = stored[:-_DIGEST_SIZE]
+        if hashlib.sha256(content).digest() == stored[-_DIGEST_SIZE:]:
+            return content
         _tell_damaged(self._cache_path)
         return None
 
     def _store(self, path: str, value: Any) -> None:
+        """Write a value, followed by its SHA-256."""
         content = self._dump(value)
         with self._open_for_write(path) as file:
             file.write(content + hashlib.sha256(content).digest())
@@ -170,11 +189,12 @@ class CheckedFiles(IndexDataCacheFile):
 
 @cache
 def _tell_damaged(folder: str) -> None:
+    """Warn of damaged files in a folder, once."""
     log.warning("%s: damaged files of compiled kernels; they are compiled again", folder)
 
 
 class _Place:
-    """Where the files of a kernel are, as numba asks for it."""
+    """The place of a kernel's files, as numba asks for it."""
 
     def __init__(self, function: Callable[..., Any], folder: Path) -> None:
         self._folder = folder
@@ -186,7 +206,7 @@ class _Place:
         self._folder.mkdir(parents=True, exist_ok=True)
 
     def get_disambiguator(self) -> str:
-        """Tell functions of one name in one file apart."""
+        """Return what tells functions of one name in one file apart."""
         return str(self._line)
 
 
@@ -236,15 +256,15 @@ class KernelCache(FunctionCache):
         Callers choose these types: the kernel's own file need not import what defines them, and a
         tuple whose fields have changed places has the same signature.
         """
-        modules = {sys.modules[each] for each in _modules_of_types(signature)}
+        modules = {sys.modules[name] for name in _modules_of_types(signature)}
         sources = sorted(Path(str(module.__file__)) for module in modules)
         return (*super()._index_key(signature, codegen), *map(_digest_of_kernels, sources))
 
 
 def _modules_of_types(types: Iterable[Any]) -> Iterator[str]:
-    """Return where the package defines the classes of named tuples, nested ones too."""
-    for each in types:
-        if isinstance(each, numba.types.BaseNamedTuple):
-            yield each.instance_class.__module__
-        if isinstance(each, numba.types.BaseTuple):
-            yield from _modules_of_types(each)
+    """Yield the modules of the package that define the classes of named tuples, nested ones too."""
+    for kind in types:
+        if isinstance(kind, numba.types.BaseNamedTuple):
+            yield kind.instance_class.__module__
+        if isinstance(kind, numba.types.BaseTuple):
+            yield from _modules_of_types(kind)

@@ -1,4 +1,6 @@
-"""Whether a launcher of MPI (mpiexec, srun) started this process, seen without loading MPI."""
+"""The launcher of MPI (mpiexec, srun) that has started this process, if any, seen without
+loading MPI.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +10,14 @@ import sys
 import time
 from contextlib import suppress
 
+# Environment variable by which every process that a launcher starts works for itself.
 ALONE = "SURROFE2_ALONE"
-"""Environment variable by which every process that a launcher starts works for itself."""
+# s that a launcher takes to pass on the last lines of a rank. It ends ranks as soon as it has
+# reason to, and what it has not read of their pipes by then is lost.
 HEARD = 0.3
-"""s that a launcher takes to pass on the last lines of a rank. It ends ranks as soon as it has
-reason to, and what it has not read of their pipes by then is lost."""
+# s that a launcher takes to end its processes, and ranks to come to the same line of a command, at
+# most.
 ENOUGH = 2.0
-"""s that a launcher takes to end its processes, and ranks to come to the same line of a command, at
-most."""
 _SIZES = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE")
 _RANKS = ("PMI_RANK", "OMPI_COMM_WORLD_RANK", "MV2_COMM_WORLD_RANK", "PMIX_RANK")
 

@@ -10,8 +10,8 @@ import errno
 import fcntl
 import io
 
+# The number that the kernel's NFS lets through; Python has no name for it.
 _ENOTSUPP = 524
-"""The number that the kernel's NFS lets through; Python has no name for it."""
 _KEEPS_NONE = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, _ENOTSUPP)
 
 

@@ -16,10 +16,11 @@ from typing import Any
 
 
 def public_names(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` of a package; `__all__` is among its attributes."""
+    """Make `__getattr__` and `__dir__` of a package; `__all__` is among its attributes."""
 
     @cache
     def homes() -> dict[str, str]:
+        """Return the module of each public name."""
         source = Path(str(sys.modules[package].__file__)).read_text(encoding="utf-8")
         return {
             alias.name: str(node.module)
@@ -31,6 +32,7 @@ def public_names(package: str) -> tuple[Callable[[str], Any], Callable[[], list[
         }
 
     def get(name: str) -> Any:
+        """Import and return a public name."""
         if name == "__all__":
             return names()
         if name.startswith("_") or name not in homes():
@@ -38,6 +40,7 @@ def public_names(package: str) -> tuple[Callable[[str], Any], Callable[[], list[
         return getattr(import_module(homes()[name]), name)
 
     def names() -> list[str]:
+        """Return the public names in order."""
         return sorted(homes())
 
     return get, names

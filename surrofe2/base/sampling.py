@@ -18,11 +18,11 @@ from surrofe2.base.settings import check_settings, setting
 from surrofe2.base.tensors import INPUTS, transpose, unrotated
 from surrofe2.base.units import RATE
 
+# Fraction of its size to which a sample is drawn towards rest, at most.
 NEAREST = 0.03
-"""Fraction of its size to which a sample is drawn towards rest, at most."""
 SLACK = 1e-12  # rounding of the polar decomposition at the edge of the range
+# Name of the points of `training_points`, by which data sets of others are recognised.
 SEQUENCE = "Sobol, every third drawn to rest"
-"""Name of the points of `training_points`, by which data sets of others are recognised."""
 _DRAWN = 3  # every so many samples of a data set, one
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # multiples of it, without their integers, are even in [0, 1)
 _MOST_SAMPLES = 2**30  # points of the scrambled Sobol sequence
@@ -99,7 +99,9 @@ def sample(range: SamplingRange, count: int, seed: int, start: int = 0) -> tuple
         raise InputError(f"count: {count} from {start}; the sequence ends at {_MOST_SAMPLES}")
     lower, upper = range.ends
     points = lower + (upper - lower) * _sobol(int(count), int(seed), int(start))
-    return points[:, [0, 2, 2, 1]].reshape(-1, 2, 2), points[:, 3:].reshape(-1, 2, 2).copy()
+    # columns as `QUANTITIES` has them: U₁₁, U₂₂, U₁₂, and the four entries of RᵀḞ
+    U = points[:, [0, 2, 2, 1]].reshape(-1, 2, 2)
+    return U, points[:, 3:].reshape(-1, 2, 2).copy()
 
 
 def training_points(
@@ -115,9 +117,10 @@ def training_points(
     """
     F, F_dot = sample(range, count, seed, start)
     n = np.arange(start, start + count)
-    share = np.where(n % _DRAWN == _DRAWN - 1, NEAREST ** (n * _GOLDEN % 1.0), 1.0)
-    share = np.where(n == 0, 0.0, share)[:, None, None]
-    return np.eye(2) + share * (F - np.eye(2)), share * F_dot
+    is_drawn = n % _DRAWN == _DRAWN - 1
+    factor = np.where(is_drawn, NEAREST ** (n * _GOLDEN % 1.0), 1.0)
+    factor = np.where(n == 0, 0.0, factor)[:, None, None]
+    return np.eye(2) + factor * (F - np.eye(2)), factor * F_dot
 
 
 def contains(range: SamplingRange, F: Array, F_dot: Array) -> Flags:
@@ -132,8 +135,8 @@ def contains(range: SamplingRange, F: Array, F_dot: Array) -> Flags:
     return np.asarray(inside.all(axis=1))
 
 
+# The quantities that a range bounds.
 QUANTITIES = ("U₁₁", "U₂₂", "U₁₂", "(RᵀḞ)₁₁", "(RᵀḞ)₁₂", "(RᵀḞ)₂₁", "(RᵀḞ)₂₂")
-"""The quantities that a range bounds."""
 
 
 def _quantities(F: Array, F_dot: Array) -> Array:
@@ -191,8 +194,8 @@ def neighbours(
     those of its point; F is symmetric, as of `sample`.
     """
     random = np.random.default_rng(seed)
-    at = random.permutation(len(F))[np.arange(count) % len(F)]
-    U, A, _ = unrotated(F[at], F_dot[at])
+    chosen = random.permutation(len(F))[np.arange(count) % len(F)]
+    U, A, _ = unrotated(F[chosen], F_dot[chosen])
     lower, upper = range.ends
     moved = 0.5 * distance * (upper - lower) * random.uniform(-1.0, 1.0, (count, INPUTS))
     U = U + moved[:, [0, 2, 2, 1]].reshape(-1, 2, 2)

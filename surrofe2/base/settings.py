@@ -28,6 +28,7 @@ T = TypeVar("T")
 
 # Characters of a list of names in an error message.
 _LONGEST_LIST = 150
+# Keys that recipes had in earlier versions, as "section.key", and what to do instead.
 REMOVED: dict[str, str] = {
     "training.form": "leave it out; the network always gives the whole stress",
     "training.energy_hidden": "leave it out; the network always gives the whole stress",
@@ -40,7 +41,6 @@ REMOVED: dict[str, str] = {
     "samples.add": "leave it out; give harvests to `surrofe2 train --add`",
     "calibration.share": "call it calibration.alpha",
 }
-"""Keys that recipes had in earlier versions, as "section.key", and what to do instead."""
 # Numbers beyond these, other than the ends, are mistakes, whose products overflow.
 _SMALLEST = 1e-60
 _LARGEST = 1e30
@@ -51,6 +51,9 @@ def setting(default: Any = MISSING, about: str = "", unit: str = NONE, **bounds:
     """Make a field of a settings dataclass.
 
     Args:
+        default: value of an entry that is left out; without one it must be given.
+        about: meaning of the field, for messages and the schema.
+        unit: its unit.
         bounds: for numbers, also those in a list: `least`, `most`, `above`, `below`, and `inf=True`
             where infinity is allowed; for a text: `one_of`, and `is_file=True` where it is a name
             on the disk, which stays as it is. `read` (name, entry) returns the value of an entry
@@ -249,8 +252,8 @@ def check_value(name: str, value: Any, hint: Any, bounds: Mapping[str, Any]) -> 
         check_table(name, value)
         faults = Faults()
         checked = {
-            key: faults.take(check_value, f"{name}.{key}", each, options[1], bounds)
-            for key, each in value.items()
+            key: faults.take(check_value, f"{name}.{key}", entry, options[1], bounds)
+            for key, entry in value.items()
         }
         faults.check()
         return checked
@@ -273,6 +276,11 @@ def check_value(name: str, value: Any, hint: Any, bounds: Mapping[str, Any]) -> 
 
 
 def _list(name: str, value: Any, options: tuple[Any, ...], bounds: Mapping[str, Any]) -> Any:
+    """Check a list: its length, and each entry; return a tuple.
+
+    Args:
+        options: types of its entries; one type and an ellipsis where it may be of any length.
+    """
     endless = options[-1] is Ellipsis
     if not isinstance(value, tuple | list) or not (endless or len(value) == len(options)):
         allowed = "a list" if endless else f"a list of {len(options)}"
@@ -283,6 +291,7 @@ def _list(name: str, value: Any, options: tuple[Any, ...], bounds: Mapping[str, 
 
 
 def _number(name: str, value: Any, kind: type, bounds: Mapping[str, Any]) -> Any:
+    """Check a number against its bounds, and return it as an int or a float."""
     numeric = isinstance(value, Integral if kind is int else Real)  # numpy's, too
     if not numeric or isinstance(value, bool):
         raise _refusal(name, value, "an integer" if kind is int else "a number", bounds)
@@ -292,7 +301,8 @@ def _number(name: str, value: Any, kind: type, bounds: Mapping[str, Any]) -> Any
     below = bounds.get("below")
     inside = (above is None or value > above) and (below is None or value < below)
     # comparisons, as an integer may be beyond all floats
-    finite = abs(value) < math.inf or (bounds.get("inf", False) and value == value)
+    is_nan = value != value  # NaN alone is not equal to itself; math.isnan fails on large integers
+    finite = abs(value) < math.inf or (bounds.get("inf", False) and not is_nan)
     if not (finite and inside and least <= value <= most):
         raise _refusal(name, value, allowed_numbers(kind, bounds), {})
     if kind is float and not (_SMALLEST <= abs(value) <= _LARGEST or value in _ENDS):
@@ -301,21 +311,29 @@ def _number(name: str, value: Any, kind: type, bounds: Mapping[str, Any]) -> Any
 
 
 def allowed_numbers(kind: type, bounds: Mapping[str, Any]) -> str:
-    """Say the bounds of a number."""
-    least, most, above, below = (bounds.get(key) for key in ("least", "most", "above", "below"))
+    """Write the bounds of a number in words."""
+    least = bounds.get("least")
+    most = bounds.get("most")
+    above = bounds.get("above")
+    below = bounds.get("below")
     noun = "an integer " if kind is int else ""
     if least is not None and most is not None:
         return f"{noun}from {least} to {most}" if noun else f"within [{least:g}, {most:g}]"
     if above is not None and below is not None:
         return f"between {above:g} and {below:g}"
     if least is not None:
-        return f"{noun}{'of ' if noun else ''}at least {least:g}" + ("" if noun else " and finite")
-    words = "positive" if above == 0 else f"above {above:g}" if above is not None else ""
+        if kind is int:
+            return f"an integer of at least {least:g}"
+        return f"at least {least:g} and finite"
+    words = ""
+    if above is not None:
+        words = "positive" if above == 0 else f"above {above:g}"
     end = "" if bounds.get("inf") else "finite"
     return " and ".join(word for word in (words, end) if word) or "a number"
 
 
 def _refusal(name: str, value: Any, allowed: str, metadata: Mapping[str, Any]) -> InputError:
+    """Make the error that rejects a value and says what is allowed."""
     unit = metadata.get("unit", NONE)
     shown = quoted(list(value) if isinstance(value, tuple) else value)
     problem = f"{shown}; it must be {allowed}"

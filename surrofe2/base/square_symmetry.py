@@ -17,15 +17,15 @@ DIFFERENCE = 1
 SHEAR = 2
 SPIN = 3
 COMPONENTS = ("sum", "difference", "shear", "spin")
+# The component that each of the seven inputs is, of U − I and then of A.
 INPUT_COMPONENTS = (SUM, DIFFERENCE, SHEAR, SUM, DIFFERENCE, SHEAR, SPIN)
-"""The component that each of the seven inputs is, of U − I and then of A."""
 
 _TURN = np.array([1.0, -1.0, -1.0, 1.0])  # of sum, difference, shear, spin
 _REFLECTION = np.array([1.0, 1.0, -1.0, -1.0])
+# Signs (4, 4) of the components of a tensor in each image; bit 0: turned, bit 1: reflected.
 COMPONENT_SIGNS = np.array([np.ones(4), _TURN, _REFLECTION, _TURN * _REFLECTION])
-"""Signs (4, 4) of the components of a tensor in each image; bit 0: turned, bit 1: reflected."""
+# Signs (4, 7) of the inputs in each image.
 INPUT_SIGNS = COMPONENT_SIGNS[:, INPUT_COMPONENTS]
-"""Signs (4, 7) of the inputs in each image."""
 
 
 def parity(product: tuple[int, ...]) -> int:

@@ -20,8 +20,8 @@ import numpy as np
 from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError, shortened
 
+# Length of x, the inputs.
 INPUTS = 7
-"""Length of x."""
 
 
 def det(F: Array) -> Array:
@@ -43,7 +43,8 @@ def rotation(F: Array) -> Array:
     sine = F[:, 1, 0] - F[:, 0, 1]
     length = np.sqrt(cosine**2 + sine**2)
     R = np.empty_like(F)
-    R[:, 0, 0] = R[:, 1, 1] = cosine / length
+    R[:, 0, 0] = cosine / length
+    R[:, 1, 1] = cosine / length
     R[:, 1, 0] = sine / length
     R[:, 0, 1] = -R[:, 1, 0]
     return R

@@ -40,7 +40,7 @@ NONE = "1"
 
 
 def with_micro_sign(text: str) -> str:
-    """A text in which Greek mu (U+03BC) is the micro sign (U+00B5), which looks the same.
+    """Return a text in which Greek mu (U+03BC) is the micro sign (U+00B5), which looks the same.
 
     Keyboards and editors give either; names and units are compared after this.
     """
@@ -48,7 +48,7 @@ def with_micro_sign(text: str) -> str:
 
 
 def time_text(seconds: float) -> str:
-    """Seconds as people say them."""
+    """Write seconds as people read them: "12.3 s", "3 min 20 s"."""
     if seconds < 60.0:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
@@ -56,19 +56,23 @@ def time_text(seconds: float) -> str:
 
 
 def rough_time(seconds: float) -> str:
-    """An order of magnitude of seconds, in one digit and the unit that suits it."""
-    units = {"days": 86400.0, "h": 3600.0, "min": 60.0}
-    unit, size = next(((u, s) for u, s in units.items() if seconds >= 1.5 * s), ("s", 1.0))
+    """Write an order of magnitude of seconds, in one digit and the unit that suits it."""
+    unit = "s"
+    size = 1.0
+    for larger, seconds_of_it in (("min", 60.0), ("h", 3600.0), ("days", 86400.0)):
+        if seconds >= 1.5 * seconds_of_it:
+            unit = larger
+            size = seconds_of_it
     return f"{float(f'{seconds / size:.1g}'):g} {unit}"
 
 
 def rough_number(value: float, digits: int = 1) -> str:
-    """An order of magnitude: so many digits, then zeros."""
+    """Write an order of magnitude: so many digits, then zeros."""
     return f"{float(f'{value:.{digits}g}'):,.0f}"
 
 
 def number(value: float, digits: int = 3) -> str:
-    """A number of so many significant digits, without an exponent."""
+    """Write a number of so many significant digits, without an exponent."""
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g}"
     decimals = digits - 1 - math.floor(math.log10(abs(value)))

@@ -9,12 +9,12 @@ from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
+# Libraries whose versions may change the numbers of a run.
 IN_RECORDS = ("numpy", "scipy", "numba", "torch")
-"""Libraries whose versions may change the numbers of a run."""
 
 
 def describe_platform() -> dict[str, str]:
-    """Processor, cores, system and library versions; nothing that identifies the machine."""
+    """Return processor, cores, system and library versions; nothing that identifies the machine."""
     libraries = {}
     for name in IN_RECORDS:
         with suppress(PackageNotFoundError):  # runs do without torch
@@ -29,7 +29,7 @@ def describe_platform() -> dict[str, str]:
 
 
 def report_versions() -> str:
-    """Text for an issue: versions of surrofe2, Python, system and dependencies, cores and threads.
+    """Write versions of surrofe2, Python, system and dependencies, cores and threads, for an issue.
 
     Packages of extras are listed where they are installed. Nothing identifies the machine or its
     user.
@@ -53,7 +53,7 @@ def report_versions() -> str:
 
 
 def _dependencies() -> dict[str, str]:
-    """Versions of what the package requires by name, and of its extras as far as installed."""
+    """Return the versions of what the package requires by name, and of its extras if installed."""
     versions = {}
     for requirement in requires("surrofe2") or ():
         name = re.split(r"[^\w.-]", requirement, maxsplit=1)[0]
@@ -67,7 +67,7 @@ def _dependencies() -> dict[str, str]:
 
 
 def _processor() -> str:
-    """The processor's name, or its architecture where the system does not tell the name."""
+    """Return the processor's name, or its architecture where the system does not tell the name."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):

@@ -240,20 +240,20 @@ def solve(
     """
     F = asked.F
     F_dot = asked.F_dot
-    at = np.concatenate([F.reshape(-1, 4), F_dot.reshape(-1, 4)], axis=1)
+    places = np.concatenate([F.reshape(-1, 4), F_dot.reshape(-1, 4)], axis=1)
     start = None
     if last is not None:
         start = last.state
         if not np.array_equal(last.points, asked.points):
-            nearest = [((last.at - place) ** 2).sum(axis=1).argmin() for place in at]
+            nearest = [((last.at - place) ** 2).sum(axis=1).argmin() for place in places]
             start = start.take(np.array(nearest))
     answer = fallback.respond(F, F_dot, start)
     accepted = fallback.accept(F, F_dot, answer)
     status = accepted.status
     state = accepted.state
-    good = ((status == 0) & are_unique(state, len(at))).nonzero()[0]
+    good = ((status == 0) & are_unique(state, len(places))).nonzero()[0]
     if state is not None and len(good):
-        last = Starts(asked.points[good], at[good], state.take(good))
+        last = Starts(asked.points[good], places[good], state.take(good))
     return StressResponse(answer.stress, status, state), last
 
 
@@ -324,10 +324,18 @@ class Audit:
         chosen = (draw < below).nonzero()[0]
         if not len(chosen):
             return False
-        at = points[chosen]
+        chosen_points = points[chosen]
         draw = draw[chosen]
-        steps = np.full(len(at), step)
-        asked = Question(steps, at, F[at], F_dot[at], stress[at], risk[at], draw)
+        steps = np.full(len(chosen_points), step)
+        asked = Question(
+            steps,
+            chosen_points,
+            F[chosen_points],
+            F_dot[chosen_points],
+            stress[chosen_points],
+            risk[chosen_points],
+            draw,
+        )
         self._waiting = self._waiting.and_also(asked.only(draw < fraction))
         if short > 0:
             self._spare = self._spare.and_also(asked.only(draw >= fraction))

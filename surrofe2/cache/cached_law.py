@@ -545,9 +545,9 @@ class CachedLaw(Viewed):
         """Give the fallback's answers at the known points to everything that keeps or learns
         them.
         """
-        at = known.points
-        answer = StressResponse(stress[at], np.zeros(len(at), dtype=np.int8), known.state)
-        self._keep(F[at], F_dot[at], answer, FALLBACK, np.ones(len(at), dtype=np.bool_))
+        points = known.points
+        answer = StressResponse(stress[points], np.zeros(len(points), dtype=np.int8), known.state)
+        self._keep(F[points], F_dot[points], answer, FALLBACK, np.ones(len(points), dtype=np.bool_))
 
     def _keep(
         self, F: Array, F_dot: Array, answer: StressResponse, why: int, is_news: Flags

@@ -141,9 +141,17 @@ class ClosingAudit:
         draw = self._random.random(len(points))
         chosen = (draw < below).nonzero()[0]
         if len(chosen):
-            at = points[chosen]
-            steps = np.full(len(at), step)
-            new = Question(steps, at, F[at], F_dot[at], stress[at], risk[at], draw[chosen])
+            new_points = points[chosen]
+            steps = np.full(len(new_points), step)
+            new = Question(
+                steps,
+                new_points,
+                F[new_points],
+                F_dot[new_points],
+                stress[new_points],
+                risk[new_points],
+                draw[chosen],
+            )
             kept = kept.and_also(new)
             # sorted out only when there are twice too many, since sorting costs time
             if len(kept.step) > 2 * SAMPLE:

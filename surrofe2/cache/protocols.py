@@ -35,7 +35,7 @@ class Surrogate(Protocol):
 
     @property
     def initialisation(self) -> str:
-        """How the RVE that was learnt was initialised, as of `RveLaw`."""
+        """Initialisation of the RVE that was learnt, as of `RveLaw`."""
 
     @property
     def density(self) -> float | Array:
@@ -110,7 +110,7 @@ class Fallback(ResumableLaw, Protocol):
 
     @property
     def initialisation(self) -> str:
-        """How its RVE is initialised, as of `RveLaw`."""
+        """Initialisation of its RVE, as of `RveLaw`."""
 
 
 def check_parts(surrogate: Surrogate, fallback: Fallback) -> None:

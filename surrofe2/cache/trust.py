@@ -1,4 +1,4 @@
-"""How far the surrogate is trusted: one acceptance plan for windows of audits, and its factor.
+"""Trust in the surrogate: one acceptance plan for windows of audits, and its factor.
 
 Answers of the cache are audited at random, and errors above the tolerance are violations. A window
 of n audits with k violations stands where the exact upper bound of Clopper and Pearson (1934) on
@@ -200,7 +200,7 @@ class Window:
 
 @dataclass
 class Trust:
-    """How far the surrogate is trusted, and what happened to that; plain values, for checkpoints.
+    """The trust in the surrogate, and what happened to it; plain values, for checkpoints.
 
     Attributes:
         factor: by which risks are multiplied before they are compared with 1.

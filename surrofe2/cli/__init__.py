@@ -1,9 +1,8 @@
-"""The command line: parse, call a workflow, print what came of it.
+"""The command line: parse, call a workflow, print its results.
 
-console (what is printed, progress, shared options) serves all commands: study (new, check, study,
-grid), learn (generate, train, refine, export), run, tissue, rest (and modes), compare, cells
-(moduli, cells,
-zoom).
+console (printing, progress, shared options) serves all commands: study (new, check, study, grid),
+learn (generate, train, refine, export), run, tissue, rest (and modes), compare, cells (moduli,
+cells, zoom).
 
 `COMMANDS` names the commands, their modules and their group in help. A module is imported when its
 command is called. `surrofe2 --help` takes the first line and the example of each command from the
@@ -35,6 +34,7 @@ from surrofe2.base.interruption import begin_work, cause, end_work, exit_code, i
 from surrofe2.base.launcher import ALONE, ENOUGH, rank, world_size
 from surrofe2.cli import console
 
+# Module and group of each command, in the order of help.
 COMMANDS = {
     "new": ("study", "Study"),
     "check": ("study", "Study"),
@@ -53,19 +53,17 @@ COMMANDS = {
     "moduli": ("cells", "Physics"),
     "cells": ("cells", "Physics"),
 }
-"""Module and group of each command, in the order of help."""
 
+# Commands whose work MPI ranks share.
 ON_RANKS = ("run",)
-"""Commands whose work MPI ranks share."""
 
+# Options of all commands, which the group takes before a command sees them.
 SHARED = {
     "--quiet": "Print nothing but warnings and errors.",
     "--traceback": "Show where an error came from, not only its message.",
 }
-"""Options of all commands, which the group takes before a command sees them."""
 
-_USAGE_ERROR: Any = typer.BadParameter.__mro__[1]
-"""UsageError, which typer does not export."""
+_USAGE_ERROR: Any = typer.BadParameter.__mro__[1]  # UsageError, which typer does not export
 
 _HELP = """
 FE² for plant tissue, in full or through a learnt stress cache.
@@ -81,11 +79,11 @@ class Commands(TyperGroup):
     """Commands from `COMMANDS`, each of which ends with one line instead of a traceback."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Their names in the order of help."""
+        """Return the names of the commands in the order of help."""
         return list(COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """A command as help shows it, without its module."""
+        """Return a command as help shows it, without its module."""
         if cmd_name not in COMMANDS:
             return None
         module, group = COMMANDS[cmd_name]
@@ -96,7 +94,7 @@ class Commands(TyperGroup):
         return TyperCommand(cmd_name, help=summary, short_help=summary, rich_help_panel=group)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The command that is called, from its module."""
+        """Return the command that is called, from its module."""
         name, shown, rest = super().resolve_command(ctx, args)
         if name is None or shown is None:
             return name, shown, rest
@@ -147,7 +145,7 @@ class Commands(TyperGroup):
             code = 1
         except console.InterruptedWork as work:
             kept, has_begun = work.args
-            words = [each for each in ctx.meta["arguments"] if each != "--fresh" or not has_begun]
+            words = [word for word in ctx.meta["arguments"] if word != "--fresh" or not has_begun]
             again = console.command_line(words)
             message = f"{cause()}: {kept}; resume with: {again}"
             code = exit_code()
@@ -187,15 +185,16 @@ def _printable_usage() -> Iterator[None]:
 
 
 def _as_help(docstring: str | None) -> str:
-    """A docstring whose paragraphs flow to the width of the terminal, commands in bold."""
-    paragraphs = (" ".join(each.split()) for each in _escaped(docstring or "").split("\n\n"))
-    return "\n\n".join(
-        re.sub(r"^(.*: )(surrofe2 .*)$", r"\1[bold]\2[/bold]", each) for each in paragraphs
-    )
+    """Return a docstring whose paragraphs flow to the width of the terminal, commands in bold."""
+    paragraphs = []
+    for paragraph in _escaped(docstring or "").split("\n\n"):
+        line = " ".join(paragraph.split())
+        paragraphs.append(re.sub(r"^(.*: )(surrofe2 .*)$", r"\1[bold]\2[/bold]", line))
+    return "\n\n".join(paragraphs)
 
 
 def _escaped(text: str) -> str:
-    """Plain text whose brackets rich prints as they are."""
+    """Return a plain text whose brackets rich prints as they are."""
     return text.replace("[", "\\[")
 
 
@@ -210,12 +209,14 @@ app = typer.Typer(
 
 
 def _show_version(wanted: bool) -> None:
+    """Print the version and end."""
     if wanted:
         typer.echo(f"surrofe2 {version('surrofe2')}")
         raise typer.Exit
 
 
 def _show_versions(wanted: bool) -> None:
+    """Print the versions of all that is used and end."""
     if wanted:
         from surrofe2.base.versions import report_versions  # late: it loads numba
 

@@ -243,7 +243,7 @@ def cells(
 
 
 def _labels(path: Path, pixel: float | None) -> tuple[Labels, float, tuple[str, ...]]:
-    """Labels of an image or a surface, the side of a pixel in µm, and remarks."""
+    """Return the labels of an image or a surface, the side of a pixel in µm, and remarks."""
     if path.suffix.lower() != ".ply":
         if pixel is None:
             raise InputError("--pixel: missing; an image needs the side of a pixel in µm")

@@ -56,7 +56,7 @@ def compare(
 
 
 def show_comparison(result: Comparison) -> None:
-    """The figures of a comparison as a table."""
+    """Show the numbers of a comparison as a table."""
     console.show_table(f"Against {result.reference}", result.table)
     if result.force_table.rows:
         console.show_table("Forces on the tissue", result.force_table)

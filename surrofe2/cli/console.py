@@ -1,4 +1,4 @@
-"""What commands share: what they print, how far they are, what is kept of them, their options."""
+"""Printing, progress, interruption and options that commands share."""
 
 from __future__ import annotations
 
@@ -134,12 +134,12 @@ def folder_of(out: Path | None, recipe: Path) -> Path:
 # obey, and rich gets them as Text, in which brackets and colons are no markup.
 
 
+# The command that is at work, whether it prints only warnings and errors, and when it began.
 _now: dict[str, Any] = {"command": "", "quiet": False, "began": time.perf_counter()}
-"""The command that is at work, whether it prints only warnings and errors, and when it began."""
 
 
 def begin(command: str, *, quiet: bool) -> None:
-    """A command begins."""
+    """Note that a command begins."""
     _now.update(command=command, quiet=quiet, began=time.perf_counter())
 
 
@@ -153,23 +153,28 @@ class PrintHandler(logging.Handler):
 
 
 def print_warning(message: str) -> None:
-    """A warning or an error: one red line on stderr, never wrapped, its brackets as they are."""
+    """Print a warning or an error: one red line on stderr, never wrapped, its brackets as they
+    are.
+    """
     line = re.sub(r"\s*[\r\n]\s*", " ", message.strip())  # messages of libraries have several
     _console("stderr").print(Text(printable(line), style="red"), soft_wrap=True)
 
 
 def print_line(message: str) -> None:
-    """One line on stdout."""
+    """Print one line on stdout."""
     if not _now["quiet"]:
         typer.echo(printable(message))
 
 
 def command_line(words: Iterable[str]) -> str:
-    """A call of surrofe2 as a shell takes it, also where a word has what no terminal shows."""
+    """Return a call of surrofe2 as a shell takes it, also where a word has what no terminal
+    shows.
+    """
     return " ".join(["surrofe2", *map(_shell_word, words)])
 
 
 def _shell_word(word: str) -> str:
+    """Quote a word for a shell; signs that no terminal shows become escapes."""
     if word.isprintable():
         return shlex.quote(word)
     signs = []
@@ -184,22 +189,23 @@ def _shell_word(word: str) -> str:
 
 
 def _console(name: Literal["stdout", "stderr"]) -> Console:
-    """A console of rich, whose own colours and movements of the cursor reach the terminal."""
+    """Make a console of rich, whose own colours and movements of the cursor reach the terminal."""
     stream = getattr(sys, name)
     return Console(file=getattr(stream, "rich_proxied_file", stream), stderr=name == "stderr")
 
 
 def show_notes(notes: Iterable[tuple[str, bool]]) -> None:
-    """Messages, each with whether it is a warning."""
+    """Print messages, each with whether it is a warning."""
     for message, is_warning in notes:
         (print_warning if is_warning else print_line)(message)
 
 
 def done(where: str | Path | None, what: str, *, timed: bool = True) -> None:
-    """The line that sums up: where the outcome is, what it is and how long the command took.
+    """Print the line that sums up: where the outcome is, what it is and how long the command took.
 
     Args:
-        where: None of a command that wrote no file; its name stands there.
+        where: file or folder of the outcome; None: there is none, and the command's name stands.
+        what: words for the outcome.
         timed: whether to say how long; not where `what` does.
     """
     seconds = f", {time_text(time.perf_counter() - _now['began'])}" if timed else ""
@@ -207,7 +213,9 @@ def done(where: str | Path | None, what: str, *, timed: bool = True) -> None:
 
 
 def show_table(title: str, table: Table[Any]) -> None:
-    """A table on stdout; where it is wider than the terminal, in parts with the same names."""
+    """Print a table on stdout; where it is wider than the terminal, in parts with the same
+    names.
+    """
     if _now["quiet"]:
         return
     console = _console("stdout")
@@ -215,8 +223,11 @@ def show_table(title: str, table: Table[Any]) -> None:
     headings, texts = table.for_people()
     columns = [printable(heading) for heading in headings]
     rows = [[printable(text) for text in row] for row in texts]
+    # a heading may be wrapped between words, a value is never
     heads = [max(map(cell_len, column.split())) for column in columns]
-    widths = [1 + max([head, *(cell_len(row[k]) for row in rows)]) for k, head in enumerate(heads)]
+    widths = []
+    for k, head in enumerate(heads):
+        widths.append(1 + max([head, *(cell_len(row[k]) for row in rows)]))
     parts: list[list[int]] = [names]
     for k in range(table.names, len(columns)):
         if parts[-1] != names and sum(widths[j] for j in (*parts[-1], k)) >= console.width:
@@ -243,12 +254,15 @@ _CLOSED = OSError(errno.EBADF, "closed before the command began")
 
 
 class _Noting(io.FileIO):
-    """A descriptor whose first error of writing is kept, and what follows it is lost."""
+    """A descriptor that keeps its first error of writing; later writing is lost without an
+    error.
+    """
 
     error: OSError | None = None
     is_closed = False
 
     def write(self, content: bytes) -> int:  # type: ignore[override]
+        """Write, and return the number of bytes as if all had been written."""
         if self.is_closed:
             self.error = _CLOSED
             return len(content)
@@ -260,22 +274,24 @@ class _Noting(io.FileIO):
 
 
 class _Escaping(io.TextIOWrapper):
-    """A stream that escapes what `printable` does, but for line breaks and tabs.
+    """A stream that escapes what `printable` does, except line breaks and tabs.
 
     So tracebacks and messages of other libraries quote names safely, too.
     """
 
     def write(self, text: str) -> int:
+        """Write a text with its control characters escaped."""
         super().write("".join(map(self._escaped, re.split(r"([\n\t])", text))))
         return len(text)
 
     @staticmethod
     def _escaped(part: str) -> str:
+        """Escape a part between line breaks and tabs."""
         return part if part in ("\n", "\t") else printable(part)
 
     @property
     def rich_proxied_file(self) -> _Styled:
-        """Where consoles of rich write: by this name they look for what is behind a stream."""
+        """The stream for consoles of rich, which look by this name for what is behind a stream."""
         return _Styled(self)
 
 
@@ -286,20 +302,22 @@ class _Styled:
         self._stream = stream
 
     def write(self, text: str) -> int:
+        """Write a text as it is."""
         return io.TextIOWrapper.write(self._stream, text)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
 
 
+# Descriptors of stdout and stderr by name, with the errors that they have kept.
 _raw: dict[str, _Noting] = {}
 
 
 def note_errors() -> None:
-    """From now on stdout and stderr never fail and obey nothing that names hold.
+    """Replace stdout and stderr by streams that never fail, and that no name in a text can control.
 
-    What a terminal has no sign for becomes "?". A stream that was closed before the command began
-    loses what is written to it, and no file gets its number.
+    A sign that a terminal does not have becomes "?". A stream that was closed before the command
+    began loses what is written to it, and no file gets its number.
     """
     fill_standard_streams()
     for number, name in ((1, "stdout"), (2, "stderr")):
@@ -321,38 +339,40 @@ def note_errors() -> None:
 
 
 def leave(code: int) -> None:
-    """End the process without taking its objects apart; 1 instead of 0 if words were lost."""
+    """End the process without taking its objects apart; with 1 instead of 0 if output was lost."""
     for name, stream in (("stdout", sys.stdout), ("stderr", sys.stderr)):
         if stream is not None:
             stream.flush()
         error = _raw[name].error if name in _raw else None
         if error is not None:
             code = code or 1
-            if error.errno != errno.EPIPE:  # whoever listened has heard enough
+            if error.errno != errno.EPIPE:  # the reader of a pipe has ended, as `head` does
                 sys.stderr.write(f"error: {name}: {error.strerror}\n")
     os._exit(code)
 
 
 # Progress
 
+# Seconds between lines where there is no terminal; work that is done sooner prints nothing.
 SELDOM = 10.0
-"""Seconds between lines where there is no terminal; work that is done sooner prints nothing."""
+# Seconds before a rate is reported.
 _SETTLED = 0.5
-"""Seconds before a rate is reported."""
 
 
 @contextmanager
 def progress(what: str, total: float, unit: str) -> Iterator[Report]:
-    """A function (done, note) that shows how far work is, at which rate, and the time left."""
+    """Yield a function (done, note) that shows how far work is, at which rate, and the time
+    left.
+    """
     with stages() as stage, stage(what, total, unit) as report:
         yield report
 
 
 @contextmanager
 def stages() -> Iterator[Stage]:
-    """One display for all stages of a command, each a `progress`.
+    """Open one display for all stages of a command, each a `progress`.
 
-    In a terminal bars on stderr, with their times; elsewhere a plain line now and then, see
+    In a terminal it has bars on stderr, with their times; elsewhere a plain line now and then, see
     `SELDOM`.
     """
     console = _console("stderr")
@@ -373,33 +393,49 @@ def stages() -> Iterator[Stage]:
 
 @contextmanager
 def _stage(display: Progress, taken: int, what: str, total: float, unit: str) -> Iterator[Report]:
-    """A bar of a display, where so many characters are taken, or lines where it is disabled; work
-    whose total is 1 is reported in percent."""
+    """Show a stage: a bar of a display, or lines where the display is disabled.
+
+    Args:
+        taken: characters of the line that the bar takes.
+        total: amount of work; 1 is reported in percent.
+    """
     what = printable(what)
-    began = last = time.perf_counter()
-    first: tuple[float, float] | None = None  # what was done before counts for no rate
+    began = time.perf_counter()
+    last = began  # time of the last line
+    # time and amount at the first report: what was done before counts for no rate
+    first: tuple[float, float] | None = None
     task = display.add_task(what, total=total, status="")
 
     def report(done: float, note: str = "") -> None:
+        """Show how much is done, and a remark."""
         nonlocal first, last
         moment = time.perf_counter()
+        is_counted = total != 1.0
+        if first is None and done > 0.0:
+            first = (moment, done)
+        elapsed = 0.0
+        more = 0.0
+        if first is not None:
+            elapsed = moment - first[0]
+            more = done - first[1]
         parts = list[str]()
-        far = [f"{_short(done)} of {_short(total)} {unit}"] * (total != 1.0)
-        first = first or ((moment, done) if done > 0.0 else None)
-        elapsed, more = (moment - first[0], done - first[1]) if first else (0.0, 0.0)
         if elapsed >= _SETTLED and more > 0.0:
-            parts = [f"{time_text(max((total - done) * elapsed / more, 0.0))} left"]
-            parts += [f"{_short(more / elapsed)} {unit}/s"] * bool(far)
+            parts.append(f"{time_text(max((total - done) * elapsed / more, 0.0))} left")
+            if is_counted:
+                parts.append(f"{_short(more / elapsed)} {unit}/s")
         if note:
             parts.append(printable(note))
         if not display.disable:
-            parts = far + parts
+            if is_counted:
+                parts.insert(0, f"{_short(done)} of {_short(total)} {unit}")
+            # the last parts are left out where the line would be too long
             while len(", ".join(parts)) > display.console.width - taken - cell_len(what) and parts:
                 parts.pop()
             display.update(task, completed=done, status=", ".join(parts))
         elif not _now["quiet"] and moment - last >= SELDOM:
             last = moment
-            parts = [f"{100.0 * done / total:.0f} %"] * bool(total) + parts
+            if total:
+                parts.insert(0, f"{100.0 * done / total:.0f} %")
             typer.echo(f"{what}: {', '.join(parts)}", err=True)
 
     yield report
@@ -407,7 +443,7 @@ def _stage(display: Progress, taken: int, what: str, total: float, unit: str) ->
 
 
 def _short(number: float) -> str:
-    """A number in few characters, counts of thousands with their commas."""
+    """Write a number in few characters, counts of thousands with their commas."""
     return f"{number:,.0f}" if abs(number) >= 1000.0 else f"{number:.3g}"
 
 
@@ -415,8 +451,11 @@ def _short(number: float) -> str:
 
 
 class InterruptedWork(KeyboardInterrupt):
-    """Ctrl-C; its arguments are what was kept, and whether work is there to resume from: else
-    --fresh is as needed as before."""
+    """Ctrl-C during work.
+
+    Its arguments are words for what was kept, and whether there is work to resume from; else
+    --fresh stays in the command that resumes.
+    """
 
 
 @contextmanager
@@ -459,5 +498,5 @@ def working(
 def running(
     what: str, total: float, unit: str, folder: Path, kept: str = "run up to its last checkpoint"
 ) -> AbstractContextManager[Report]:
-    """`working` on a run that is written into a folder."""
+    """Show the progress of a run that is written into a folder; see `working`."""
     return working(what, total, unit, f"{folder} keeps the {kept}", (folder / "run.json",))

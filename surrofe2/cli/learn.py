@@ -145,6 +145,7 @@ def refine(
     rows = list[Round]()
 
     def tell(row: Round) -> None:
+        """Keep a row, and print what became of its round."""
         rows.append(row)
         console.print_line(row.sentence)
 

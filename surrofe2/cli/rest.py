@@ -127,11 +127,11 @@ def modes(
     n = study.problem().mesh.nelements
     for state, of_state in record["states"].items():
         title = f"{state.capitalize()}, {n} elements, preset {study.study().cell.preset}"
-        rows = [
-            (method, numbers["watched"][1], k, *each)
-            for method, numbers in of_state.items()
-            for k, each in enumerate(zip(*(numbers[name] for name in _OF_MODES), strict=True), 1)
-        ]
+        rows = []
+        for method, numbers in of_state.items():
+            modes = zip(*(numbers[name] for name in _OF_MODES), strict=True)
+            for k, mode in enumerate(modes, 1):
+                rows.append((method, numbers["watched"][1], k, *mode))
         console.show_table(title, Table(_COLUMNS, rows))
         for method, numbers in of_state.items():
             if not numbers["stable"]:

@@ -186,10 +186,10 @@ def _repeat(
 
 @contextmanager
 def all_ranks(threads: int | None, what: str) -> Iterator[int | None]:
-    """The threads of each rank, in a block that rank 0 alone enters; without ranks `threads`.
+    """Yield the threads of each rank, in a block that rank 0 alone enters; without ranks `threads`.
 
     Args:
-        what: is kept, for the message where a rank dies.
+        what: words for what is kept, for the message where a rank dies.
 
     Raises:
         Exit: here and on every other rank, when rank 0 is done.
@@ -199,16 +199,16 @@ def all_ranks(threads: int | None, what: str) -> Iterator[int | None]:
         return
     threads = threads or own_threads()
     use_threads(threads)
-    again = console.command_line(each for each in sys.argv[1:] if each != "--fresh")
+    again = console.command_line(word for word in sys.argv[1:] if word != "--fresh")
     message = f"error: a rank died; {what}; any number of ranks resumes with: {again}"
     with watched(printable(message)) if rank() == 0 else nullcontext():
         comm = world()
         if comm.rank:
             with held():
                 code = serve(comm, sys.argv[1:])
-                end_work()  # rank 0 says what became of the run
+                end_work()  # rank 0 prints how the run ended
             atexit.register(leave, code)
             raise typer.Exit(code)
-        atexit.register(leave)  # when all is said: a launcher may not listen any longer
+        atexit.register(leave)  # the last act: a launcher may not pass on lines any longer
         with Driver(comm, sys.argv[1:]):
             yield threads

@@ -12,7 +12,7 @@ from surrofe2.base.units import rough_number, rough_time
 from surrofe2.cli import console
 from surrofe2.cli.compare import REPORT, show_comparison
 from surrofe2.recipe.entries import listed_values
-from surrofe2.recipe.recipe import CellStudy
+from surrofe2.recipe.recipe import CellStudy, Recipe
 from surrofe2.recipe.schema import TEMPLATES, write_recipe
 from surrofe2.report.comparison import compare_runs
 from surrofe2.report.page import write_report
@@ -99,23 +99,7 @@ def check(
         console.print_warning(message)
     if faults:
         raise InputError(f"{recipe}: {len(faults)} problem{'s' * (len(faults) > 1)} found")
-    if merged:
-        along, across = mesh.mesh.elements or (0, 0)
-        console.print_line(f"the mesh is large: checked with {along} × {across} elements")
-    for line in (*checking.parts_of_mesh(mesh), *checking.lines_of_cells(study)):
-        console.print_line(line)
-    without = [
-        each.section("range") for each in study.studies().values() if each.cell.range is None
-    ]
-    if without:
-        console.print_line(f"No [{without[0]}]: only `--law rve` can run this recipe.")
-    else:
-        for message in checking.study_faults(mesh, ("rve", "cached")):
-            console.print_line(f"not by --law cached or surrogate: {message}")
-    for message, _ in sharp_notes(sharp_bodies(mesh.problem())):
-        console.print_warning(message)
-    for message in scale.scale_warnings(mesh, merged):
-        console.print_warning(message)
+    _show_content(study, mesh, merged)
     if only:
         console.done(recipe, "no problem found")
         return
@@ -130,20 +114,7 @@ def check(
             run = checking.dry_run(study, seconds, report)
         by_rves = checking.seconds_by_rves(study, run)
         particles = scale.all_particles(mesh)
-    if run.omitted:
-        console.print_line(f"# this range holds only a part of the run; left out: {run.omitted}")
-    for cell, met in run.met.items():
-        low, high = met.stretch
-        try:
-            section = checking.range_section(checking.proposed_range(met, margin), cell)
-            for line in section.splitlines():
-                console.print_line(line)
-        except InputError as error:
-            console.print_warning(str(error))
-        console.print_line(
-            f"# by the quadratic law of the RVE at rest: met stretch {low:.4g} to {high:.4g}, "
-            f"shear {met.shear:.3g}, rate {met.rate:.3g} 1/µs; margin {100.0 * margin:g} %"
-        )
+    _show_ranges(run, margin)
     remark = None if is_rest else study.macro.remark(run.displacement)
     if remark is not None:
         console.print_warning(remark)
@@ -162,6 +133,53 @@ def check(
         advice = f"use `surrofe2 tissue {recipe}`: all particles take less than FE²"
     # without the seconds of the check, which would read as those of the law
     console.done(recipe, advice, timed=False)
+
+
+def _show_content(study: Recipe, mesh: Recipe, merged: int) -> None:
+    """Print what mesh and cells of a recipe are, and warnings about them.
+
+    Args:
+        study: the recipe.
+        mesh: the recipe with the mesh that is checked; see `checking.checked_mesh`.
+        merged: how often its elements were merged, two each way into one; 0: never.
+    """
+    if merged:
+        along, across = mesh.mesh.elements or (0, 0)
+        console.print_line(f"the mesh is large: checked with {along} × {across} elements")
+    for line in (*checking.parts_of_mesh(mesh), *checking.lines_of_cells(study)):
+        console.print_line(line)
+    without = [
+        of_cell.section("range")
+        for of_cell in study.studies().values()
+        if of_cell.cell.range is None
+    ]
+    if without:
+        console.print_line(f"No [{without[0]}]: only `--law rve` can run this recipe.")
+    else:
+        for message in checking.study_faults(mesh, ("rve", "cached")):
+            console.print_line(f"not by --law cached or surrogate: {message}")
+    for message, _ in sharp_notes(sharp_bodies(mesh.problem())):
+        console.print_warning(message)
+    for message in scale.scale_warnings(mesh, merged):
+        console.print_warning(message)
+
+
+def _show_ranges(run: checking.DryRun, margin: float) -> None:
+    """Print the [range] of each cell that a dry run proposes; all but its entries are comments."""
+    if run.omitted:
+        console.print_line(f"# this range holds only a part of the run; left out: {run.omitted}")
+    for cell, met in run.met.items():
+        low, high = met.stretch
+        try:
+            section = checking.range_section(checking.proposed_range(met, margin), cell)
+            for line in section.splitlines():
+                console.print_line(line)
+        except InputError as error:
+            console.print_warning(str(error))
+        console.print_line(
+            f"# by the quadratic law of the RVE at rest: met stretch {low:.4g} to {high:.4g}, "
+            f"shear {met.shear:.3g}, rate {met.rate:.3g} 1/µs; margin {100.0 * margin:g} %"
+        )
 
 
 def study(
@@ -214,10 +232,10 @@ def study(
         if law == "cached":
             for cell_study in stated.studies().values():
                 _learn(cell_study, last, fresh, stage)
-        for k, each in enumerate(laws, first):
-            run_folder = folder / each
-            with stage(f"{k}/{last} run by {each}", *extent_of(stated)) as report:
-                record = study_by_method(stated, each, run_folder, fresh=fresh, report=report)
+        for k, law_of_run in enumerate(laws, first):
+            run_folder = folder / law_of_run
+            with stage(f"{k}/{last} run by {law_of_run}", *extent_of(stated)) as report:
+                record = study_by_method(stated, law_of_run, run_folder, fresh=fresh, report=report)
             for line in response_lines(run_folder, record):
                 console.print_line(f"{k}/{last} {line}")
             console.print_line(f"{k}/{last} {run_folder}: {summary_of(record)}")

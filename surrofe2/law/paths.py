@@ -86,6 +86,7 @@ def oscillation(direction: Array, amplitude: float, frequency: float) -> Motion:
     omega = 2.0 * np.pi * frequency
 
     def motion(t: float) -> tuple[Array, Array]:
+        """Return F and Ḟ at t."""
         swing = np.sin(omega * t)
         speed = omega * np.cos(omega * t)
         return np.eye(2) + amplitude * swing * direction, amplitude * speed * direction
@@ -112,6 +113,7 @@ def ramp_and_hold(target: Array, length: float) -> Motion:
     """
 
     def motion(t: float) -> tuple[Array, Array]:
+        """Return F and Ḟ at t."""
         s = min(t / length, 1.0)
         rise = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
         rate = 30.0 * (s * (1.0 - s)) ** 2 / length

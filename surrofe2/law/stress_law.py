@@ -275,7 +275,7 @@ class StressLaw(Protocol):
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
     ) -> StressResponse:
-        """Stress at n points.
+        """Compute the stress at n points.
 
         Args:
             F: (n, 2, 2) deformation gradient, det F > 0.

@@ -98,7 +98,8 @@ def answer_error(
     seed: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> AnswerError:
-    """The error of a rest by a law, from stresses of the true law at all elements or a sample.
+    """Estimate the error of a rest by a law from stresses of the true law at all elements or a
+    sample.
 
     Args:
         law: by which the rest was found.
@@ -149,8 +150,8 @@ def answer_error(
 
 
 def corrected(rest: Rest, law: Any, error: AnswerError) -> tuple[Rest, Frames]:
-    """The rest after the correction, and its whole fields: displacements, stresses and forces of
-    its last load step; works are left as they were.
+    """Return the rest after the correction, and its whole fields: displacements, stresses and
+    forces of its last load step; works are left as they were.
 
     Raises:
         ValueError: the error is that of a sample.
@@ -173,7 +174,7 @@ def corrected(rest: Rest, law: Any, error: AnswerError) -> tuple[Rest, Frames]:
     changes = {
         **_changes(system.probe_names, system.probes @ error.displacement),
         **_changes([f"force {name}" for name in system.force_names], error.forces),
-        **_changes([f"position {each.name}" for each in system.contacts], bodies),
+        **_changes([f"position {contact.name}" for contact in system.contacts], bodies),
     }
     for k, name in enumerate(columns):
         row[k] += changes.get(name, 0.0)

@@ -426,30 +426,31 @@ class EquationsOfMotion:
         point = self.discretisation.point_near(node) if is_of_mesh else 0  # a body has no point
         return OutOfBalance(str(self.no_stress(now.t, point, now.F, reason)))
 
-    def _begin(self, at: Evaluation, accepted: StressResponse) -> Evaluation:
+    def _begin(self, now: Evaluation, accepted: StressResponse) -> Evaluation:
         """Return the evaluation by which a step begins, after what the law committed there.
 
         Args:
-            at: the evaluation that the law was given.
+            now: the evaluation that the law was given.
             accepted: its response.
 
         Raises:
             NoStress: the law rejects a point.
         """
         if accepted.status.any():
-            raise self._failed(at.t, at.F, accepted.status)
+            raise self._failed(now.t, now.F, accepted.status)
         self.law_state = accepted.state
-        if accepted.stress is not at.response.stress:  # a law that keeps it returns that very array
+        # a law that keeps the stress returns that very array
+        if accepted.stress is not now.response.stress:
             left_bifurcation = accepted.left_bifurcation
             if left_bifurcation is not None:
                 self.tally.effort["left_bifurcation"] += int(left_bifurcation.sum())
             response = replace(
-                at.response, stress=accepted.stress, switched=None, tangents=None,
+                now.response, stress=accepted.stress, switched=None, tangents=None,
                 left_bifurcation=left_bifurcation,
             )  # fmt: skip
-            at = self._evaluation(at.t, at.y, (at.u, at.v), at.F, at.F_dot, response)
-        self._start = at
-        return at
+            now = self._evaluation(now.t, now.y, (now.u, now.v), now.F, now.F_dot, response)
+        self._start = now
+        return now
 
     def _evaluation(
         self,
@@ -510,6 +511,7 @@ class EquationsOfMotion:
 
 
 def _tangents(response: StressResponse) -> Tangents:
+    """Return the tangents of a response; an `InputError` where it has none."""
     if response.tangents is None:
         raise InputError("tangents: the stress law gave none; ask it for them")
     return response.tangents

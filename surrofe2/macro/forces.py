@@ -264,6 +264,7 @@ class Contact:
     grip: Grip | None
 
     def at(self, t: float, within: float, u: Array, v: Array) -> Array:
+        """Return the forces on nodes and body at time t; see `Force`."""
         gap, normal, _ = self._gaps(u)
         if not self._acting(gap).any():
             return np.zeros(u.shape)
@@ -279,6 +280,7 @@ class Contact:
         return force
 
     def slopes(self, t: float, within: float, u: Array, v: Array) -> Slopes | None:
+        """Return the derivatives of `at` by u and v; None where no point is near the body."""
         gap, normal, curvature = self._gaps(u)
         acting = self._acting(gap)
         if not acting.any():
@@ -351,9 +353,8 @@ class Contact:
         if before is not None:
             # A point that slid the other way sticks first, or Newton's method throws it to and fro.
             slips[(before * slips < 0.0) & (limit > 0.0)] = 0.0
-            held_drag = np.where(
-                before == 0.0, tried, before * limit
-            )  # friction as it is held so far
+            # the friction as it is held so far: of a point that sticks, and of one that slips
+            held_drag = np.where(before == 0.0, tried, before * limit)
             error = abs(np.clip(tried, -limit, limit) - held_drag)
             off = np.where(slips == before, 0.0, error)
             stays = off < part * off.max(initial=0.0)

@@ -63,8 +63,8 @@ class FreeSides:
 
 
 def free_sides(problem: Problem) -> FreeSides:
-    """The sides that the surface of a problem names. Raises `InputError` where a boundary or a
-    region is not there, no side is free, or a side beside an element of no law or of two.
+    """Return the sides that the surface of a problem names. Raises `InputError` where a boundary or
+    a region is not there, no side is free, or a side beside an element of no law or of two.
     """
     mesh = problem.mesh
     surface = problem.surface
@@ -98,7 +98,7 @@ def free_sides(problem: Problem) -> FreeSides:
 def _laws(
     surface: Surface, mesh: skfem.Mesh, elements: Index
 ) -> tuple[tuple[SurfaceLaw, ...], Index]:
-    """The laws, and (m,) which of them each side takes."""
+    """Return the laws, and (m,) which of them each side takes."""
     if not isinstance(surface.law, Mapping):
         return (surface.law,), np.zeros(len(elements), np.int64)
     known = surface.regions or {name: region(mesh, name, "surface.law") for name in surface.law}

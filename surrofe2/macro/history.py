@@ -244,7 +244,7 @@ class Frames:
 
 
 def _in_elements(space: Discretisation, flags: Flags | None) -> Array:
-    """(n_el,) 1 where a point of the element is flagged, else 0; (0,) of None."""
+    """Return (n_el,) 1 where a point of the element is flagged, else 0; (0,) of None."""
     if flags is None:
         return NOTHING
     in_element = flags.reshape(len(space.elements), -1).any(axis=1)
@@ -638,11 +638,12 @@ class Recorder:
         return not self._equations.is_committing
 
     def checkpoint(self) -> MacroState:
-        """The state after the last step recorded, without what the next one has cost so far."""
+        """Return the state after the last step recorded, without what the next one has cost so far.
+        """
         return replace(self._state, wall_time=self._seconds()).copy()
 
     def state(self) -> MacroState:
-        """Everything up to the last step recorded, with all that was spent."""
+        """Return everything up to the last step recorded, with all that was spent."""
         return replace(self._state, wall_time=self._seconds(), **self._spent())
 
     def _spent(self) -> dict[str, Any]:
@@ -663,7 +664,7 @@ class Recorder:
         return int(np.searchsorted(self._frame_fractions, t, side="right"))
 
     def _forces(self, now: Evaluation) -> Array:
-        """(k, 2) forces on the tissue by supports, surface loads and bodies, µN."""
+        """Return (k, 2) forces on the tissue by supports, surface loads and bodies, µN."""
         return self._system.resultants(now.forces, self._equations.reaction(now))
 
     def _row(self, t: float, y: Array, work: Array, forces: Array) -> Array:

@@ -61,8 +61,8 @@ def _are_free_alike(free: Index) -> bool:
 
 
 def _factorised(mass: Matrix) -> Any:
-    """SuperLU's factors of a mass. The matrix is symmetric and positive definite, so it needs no
-    pivoting and an ordering that keeps symmetry.
+    """Compute SuperLU's factors of a mass. The matrix is symmetric and positive definite, so it
+    needs no pivoting and an ordering that keeps symmetry.
     """
     return scipy.sparse.linalg.splu(
         scipy.sparse.csc_matrix(mass),

@@ -31,9 +31,8 @@ class OuterSides:
         """Return the pieces of a mesh, two for each side that has a node in its middle."""
         sides = facet_nodes(mesh, mesh.boundary_facets())
         if sides.shape[1] == 3:
-            sides = np.concatenate(
-                [sides[:, [0, 2]], sides[:, [2, 1]]]
-            )  # by the node in the middle
+            # two pieces: both ends are joined to the node in the middle, which is the last
+            sides = np.concatenate([sides[:, [0, 2]], sides[:, [2, 1]]])
         return OuterSides(sides)
 
     def crossings(self, x: Array) -> int:

@@ -195,7 +195,9 @@ class Rest(RestState):
 
     @property
     def columns(self) -> dict[str, Array]:
-        """All that `columns_of` lists, (steps + 1,) by name; the factor has the name t."""
+        """Columns (steps + 1,) by name, those that `columns_of` lists; the factor has the name
+        t.
+        """
         return named_columns(columns_of(self.system, in_time=False), self.journal["rows"])
 
     @property

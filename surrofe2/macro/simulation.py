@@ -268,8 +268,9 @@ def _steps(
     resume: MacroState | None,
     closing: Callable[[int, int], None] | None,
 ) -> Iterator[float]:
-    """Steps to the end of the run, some of them again where an audited law says so, and at the end
-    the batches of its closing audit."""
+    """Make steps to the end of the run, some of them again where an audited law says so, and at the
+    end the batches of its closing audit.
+    """
     recorder.watch(resume)
     equations.is_committing = False
     while stepper.now.t < recorder.end:
@@ -416,7 +417,7 @@ def _dissipated(t: Array, samples: Array) -> Array:
 def _check_same_run(state: MacroState, system: System, settings: MacroSettings) -> None:
     """Check that a state to resume from is of this problem and integrator.
 
-    At a corner of an amplitude every method begins anew, so there the integrator may change.
+    At a corner of an amplitude every method begins again, so there the integrator may change.
 
     Raises:
         MismatchError: naming the part that differs.

@@ -66,7 +66,7 @@ class Works(NamedTuple):
 
     @property
     def row(self) -> Array:
-        """All of them in one row (k + 3 + 2 b,), for arithmetic and for columns.
+        """The works and impulses in one row (k + 3 + 2 b,), for arithmetic and for columns.
 
         It has the works in the order of `names_of_works`, then impulses as `names_of_impulses`.
         """
@@ -76,7 +76,7 @@ class Works(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class System:
-    """All of a discrete problem that does not change during a step.
+    """A discrete problem: what does not change during a step.
 
     Attributes:
         problem: what it is made of.

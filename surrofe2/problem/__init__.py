@@ -1,4 +1,4 @@
-"""What is computed, for finite elements and for a full tissue of particles alike.
+"""The problem that is computed, for finite elements and for a full tissue of particles alike.
 
 Reading order: mesh (and its parts); amplitude (factors in time), contact_law, rigid_bodies;
 conditions (what holds and loads a tissue), problem (all of it, and what is held), bar (of the

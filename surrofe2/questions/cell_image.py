@@ -302,8 +302,8 @@ def _beside(labels: Labels) -> Iterator[tuple[Index, Index]]:
 
 
 def _neighbours(labels: Labels, count: int) -> Index:
-    """(count,) number of cells that share a side of a pixel with each cell."""
-    pairs = np.concatenate([np.stack(each, axis=1) for each in _beside(labels)])
+    """Return (count,) the number of cells that share a side of a pixel with each cell."""
+    pairs = np.concatenate([np.stack(pair, axis=1) for pair in _beside(labels)])
     pairs = pairs[(pairs > 0).all(axis=1)]
     pairs = np.unique(np.sort(pairs, axis=1), axis=0)
     return np.bincount(pairs.ravel(), minlength=count)
@@ -560,7 +560,7 @@ def _corrected(
 
 
 def _rounded(value: float) -> float:
-    """A number of four digits, as a recipe states it."""
+    """Round a number to four digits, as a recipe states it."""
     return float(f"{value:.4g}")
 
 
@@ -582,14 +582,14 @@ def shapes_table(cells: ImagedCells) -> Table[Any]:
 
 
 def picture(cells: ImagedCells, like: LikeCells | None = None) -> Figure:
-    """The outlines of the image's cells, beside them those of an RVE."""
+    """Draw the outlines of the image's cells, beside them those of an RVE."""
     rve = None if like is None else polygons_at_rest(like.cell)
     axes = long_axes(cells.centre, cells.area, cells.aspect, cells.direction)
     return outlines_figure(cells.labels, cells.pixel, cells.number, axes, rve)
 
 
 def section(like: LikeCells, about: str) -> str:
-    """The section [cell] of a recipe in TOML, with a comment on where it comes from."""
+    """Return the section [cell] of a recipe in TOML, with a comment on where it comes from."""
     lines = [f"{MARK}{printable(about)}"]  # names of files may have line breaks
     lines += [f"# {remark}" for remark in like.remarks]
     lines.append("[cell]")

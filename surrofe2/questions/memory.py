@@ -1,4 +1,5 @@
-"""How long an RVE remembers: two pasts that end in the same (F, Ḟ), then one common way.
+"""The memory of an RVE: the stress after two pasts that end in the same (F, Ḟ), then follow one
+path.
 
 A cache on (F, Ḟ) presumes that the stress follows from (F, Ḟ). Two RVEs, integrated in time,
 meet at t = 0 with the same F and Ḟ and move alike from there on. The difference of their stresses
@@ -22,38 +23,39 @@ from surrofe2.run.charts import Curve, Panel
 from surrofe2.rve import RveLaw
 from surrofe2.rve.micro_integration import integrate_rve
 
+# A function that returns (F, Ḟ) at a time in µs.
 Path = Callable[[float], tuple[Array, Array]]
-"""(F, Ḟ) at a time in µs."""
 
+# The paths. µs, the bar's second mode; amplitudes of F₁₁ and F₁₂ by which the second past departs;
+# Ḟ₁₂ in 1/µs where both meet.
 PERIOD = 17.0
 STRETCH = 0.02
 SHEAR = 0.03
 RATE = 0.005
-"""µs, the bar's second mode; amplitudes of F₁₁ and F₁₂ by which the second past departs; Ḟ₁₂ in
-1/µs where both meet."""
-TOLERANCE = 0.01
-"""Part of the largest stress that may depend on the past."""
+# µs: how long the stresses are watched, and the step of the integration.
 AFTER = 10.0
 MICRO_STEP = 1e-3
-"""µs: how long the stresses are watched, and the step of the integration."""
+# Fraction of the largest stress that may depend on the past.
+TOLERANCE = 0.01
+# Differences below this fraction of the stress are the integrator's.
 _NOISE = 1e-9
-"""Differences below this part of the stress are the integrator's."""
+# Fraction of the fastest period within which a memory must fade to 1/e.
 _SHORT = 0.1
-"""Part of the fastest period within which a memory must fade to 1/e."""
 
 
 def steady_shear(rate: float, start: float = 0.0) -> Path:
-    """F of eq. (73) with F_xy = start + rate t, and Ḟ of eq. (74), rate in 1/µs."""
+    """Make the path F of eq. (73) with F_xy = start + rate t, and Ḟ of eq. (74), rate in 1/µs."""
     F_dot = np.array([[0.0, rate], [0.0, 0.0]])
     return lambda t: (np.array([[1.0, start + rate * t], [0.0, 1.0]]), F_dot)
 
 
 def returning(path: Path, period: float) -> Path:
-    """A path, but for an excursion D sin²(πt/T) before t = 0: F and Ḟ meet there, F̈ does not."""
+    """Make a path with an excursion D sin²(πt/T) before t = 0; F and Ḟ meet there, F̈ does not."""
     omega = 2.0 * np.pi / period
     away = 0.5 * np.array([[STRETCH, SHEAR], [0.0, 0.0]])
 
     def excursion(t: float) -> tuple[Array, Array]:
+        """Return F and Ḟ with those of the excursion."""
         F, F_dot = path(t)
         angle = omega * min(t, 0.0)
         return F + (1.0 - np.cos(angle)) * away, F_dot + omega * np.sin(angle) * away
@@ -63,14 +65,14 @@ def returning(path: Path, period: float) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """What the RVE remembers.
+    """The difference of the stresses after two pasts.
 
     Attributes:
         period: of the fastest motion expected, µs.
         t: (m,) µs from where the pasts meet.
         difference: (m,) Frobenius norm of the difference of the stresses, µN/µm.
         scale: largest norm of the stress, µN/µm.
-        tolerance: part of it that may depend on the past.
+        tolerance: fraction of it that may depend on the past.
     """
 
     period: float
@@ -85,7 +87,11 @@ class Memory:
         return float(self.difference.max())
 
     def fading_time(self, part: float = float(np.exp(-1.0))) -> float | None:
-        """µs after which the difference stays below a part of its largest value; None: never."""
+        """Return the time, µs, after which the difference stays below a fraction of its largest
+        value.
+
+        None: never, as far as it was watched.
+        """
         above = np.flatnonzero(self.difference > part * self.largest)
         last = int(above[-1]) + 1 if above.size else 0
         return float(self.t[last]) if last < len(self.t) else None
@@ -100,7 +106,7 @@ class Memory:
 
     @property
     def verdict(self) -> str:
-        """One sentence on whether a cache on (F, Ḟ) is sound."""
+        """The verdict in words: whether a cache on (F, Ḟ) is sound."""
         fading = self.fading_time()
         period = f"{self.period:g} µs"
         fades = f"not faded after {self.t[-1]:g} µs"
@@ -128,6 +134,8 @@ def memory(
     Args:
         period: of the fastest motion expected, µs.
         after: µs for which the stresses are watched.
+        micro_step: step of the integration, µs.
+        progress: called with the fraction that is done.
     """
     if not 0.0 < period < np.inf:
         raise InputError(f"--period: {period}; it must be positive and finite (µs)")
@@ -160,7 +168,7 @@ def memory_study(
     *,
     progress: Callable[[float], None] = lambda done: None,
 ) -> Study:
-    """The fading difference of the stresses; as `memory`."""
+    """Compute the fading difference of the stresses; see `memory`."""
     result = memory(cell, period, progress=progress)
     labels = "time since both pasts met (µs)", "difference of the stresses (µN/µm)"
     curve = Curve("difference", result.t, result.difference, markers=False)

@@ -33,6 +33,7 @@ from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
 from surrofe2.rve.particles import look_into
 
+# Moduli of a matrix (3, 3) by name; all but Poisson's ratio are in its unit.
 MODULI: Mapping[str, Callable[[Array], float]] = {
     "C11": lambda C: C[0, 0],
     "C12": lambda C: C[0, 1],
@@ -43,11 +44,12 @@ MODULI: Mapping[str, Callable[[Array], float]] = {
     "young": lambda C: C[0, 0] - C[0, 1] * C[1, 0] / C[1, 1],
     "poisson": lambda C: C[1, 0] / C[1, 1],
 }
-"""Of a matrix (3, 3), by name; all but Poisson's ratio in its unit."""
 
 
 def _along(degrees: float) -> tuple[Array, Array, Array]:
-    """v, w and u of the module's formulas: stresses along and across a direction, and shear."""
+    """Compute v, w and u of the module's formulas: stresses along and across a direction, and
+    shear.
+    """
     angle = np.deg2rad(degrees)
     n = np.array([np.cos(angle), np.sin(angle)])
     m = np.array([-n[1], n[0]])
@@ -58,20 +60,20 @@ def _along(degrees: float) -> tuple[Array, Array, Array]:
 
 
 def young(C: Array, degrees: float) -> float:
-    """Young's modulus of (3, 3) C in this direction from x towards y, in the unit of C."""
+    """Compute Young's modulus of C (3, 3) in this direction from x towards y, in the unit of C."""
     v, _, _ = _along(degrees)
     return float(1.0 / (v @ np.linalg.solve(C, v)))
 
 
 def poisson(C: Array, degrees: float) -> float:
-    """Poisson's ratio of C pulled in this direction and free across."""
+    """Compute Poisson's ratio of C pulled in this direction and free across."""
     v, w, _ = _along(degrees)
     strain = np.linalg.solve(C, v)
     return float(-(w @ strain) / (v @ strain))
 
 
 def shear_modulus(C: Array, degrees: float) -> float:
-    """Modulus of shear between this direction and the one across."""
+    """Compute the modulus of shear between this direction and the one across."""
     _, _, u = _along(degrees)
     return float(1.0 / (u @ np.linalg.solve(C, u)))
 
@@ -85,7 +87,7 @@ class CellModuli:
 
 
 def cell_moduli(cell: CellParameters, initialisation: str) -> CellModuli:
-    """Moduli at rest. One-sided where a pair sits at the cut-off of the repulsion.
+    """Compute the moduli at rest; one-sided where a pair sits at the cut-off of the repulsion.
 
     Raises:
         InputError: the plant cell has no equilibrium at rest.
@@ -99,7 +101,9 @@ def cell_moduli(cell: CellParameters, initialisation: str) -> CellModuli:
 
 
 def voigt(tangent: Array) -> Array:
-    """(3, 3) of a tangent (2, 2, 2, 2), its minor symmetries taken: xx, yy, xy."""
+    """Return the matrix (3, 3) of a tangent (2, 2, 2, 2), its minor symmetries taken: xx, yy,
+    xy.
+    """
     symmetric = 0.5 * (tangent + tangent.transpose(1, 0, 2, 3))
     symmetric = 0.5 * (symmetric + symmetric.transpose(0, 1, 3, 2))
     a = np.array([0, 1, 0])
@@ -108,7 +112,7 @@ def voigt(tangent: Array) -> Array:
 
 
 def turgor(cell: CellParameters) -> float:
-    """Pressure that the tension of the walls carries in the reference state, MPa.
+    """Compute the pressure that the tension of the walls carries in the reference state, MPa.
 
     It is the virial of the wall springs and of the repulsion between wall particles, over the
     thickness. A uniform fluid has this pressure. The mean of c_s² ρ over SPH particles is smaller,
@@ -122,7 +126,7 @@ def turgor(cell: CellParameters) -> float:
 
 
 def with_turgor(cell: CellParameters, pressure: float) -> CellParameters:
-    """The cell with that `turgor`, MPa, at the density that it has.
+    """Return the cell with that `turgor`, MPa, at the density that it has.
 
     The sound speed sets the pressure c_s² ρ of the fluid. Contacts are as much stronger as the
     turgor, as in `LivingTissue`, so that the distance of walls and fluid stays.
@@ -135,6 +139,7 @@ def with_turgor(cell: CellParameters, pressure: float) -> CellParameters:
         raise InputError(f"turgor: {pressure}; it must be positive (MPa)")
 
     def scaled(ratio: float) -> CellParameters:
+        """Return the cell with so many times the pressure of its fluid."""
         return replace(
             cell,
             sound_speed=cell.sound_speed * ratio**0.5,
@@ -147,6 +152,7 @@ def with_turgor(cell: CellParameters, pressure: float) -> CellParameters:
         return scaled(even)
 
     def excess(ratio: float) -> float:
+        """Return by which fraction the turgor exceeds what is wanted."""
         return turgor(scaled(ratio)) / pressure - 1.0
 
     try:  # walls carry a sixth more than the mean pressure of SPH particles
@@ -160,7 +166,8 @@ def with_turgor(cell: CellParameters, pressure: float) -> CellParameters:
 
 
 def experiment_table(cell: CellParameters) -> Table[Any]:
-    """Return what experiments on the tissue at rest would find: moduli, turgor, walls, stability.
+    """Return what experiments on the tissue at rest would measure: moduli, turgor, walls,
+    stability.
 
     Moduli are drained or not as the cell's sap is, and of slow tests, whose particles relax.
 
@@ -193,27 +200,31 @@ def experiment_table(cell: CellParameters) -> Table[Any]:
 
 
 _AXES = {"along x": 0.0, "along y": 90.0, "at 45°": 45.0}
+# Name, formula, unit and directions of each modulus.
 _TESTS: tuple[tuple[str, Callable[[Array, float], float], str, dict[str, float]], ...] = (
     ("Young's modulus", young, "MPa", _AXES),
     ("shear modulus", shear_modulus, "MPa", {"along the axes": 0.0, "at 45°": 45.0}),
     ("Poisson's ratio", poisson, "", _AXES),
 )
-"""Name, formula, unit and directions of each modulus."""
 _UNIT: Quantity[Any] = Quantity("unit", "", "")
 
 
 def moduli_tables(
     cell: CellParameters, by_method: Mapping[str, CellModuli]
 ) -> dict[str, Table[Any]]:
-    """By title: elastic and viscous moduli by initialisation, in 2D and over the thickness."""
+    """Make tables of elastic and viscous moduli by initialisation, in 2D and over the thickness.
+
+    Returns:
+        The tables by title.
+    """
     tables = {}
     for kind, unit in (("elastic", ""), ("viscous", " µs")):
         for of, over in (("N/m", 1.0), ("MPa", cell.tissue_thickness)):
-            rows = [
-                {"initialisation": method}
-                | {name: float(of_C(getattr(each, kind) / over)) for name, of_C in MODULI.items()}
-                for method, each in by_method.items()
-            ]
+            rows = []
+            for method, moduli in by_method.items():
+                matrix = getattr(moduli, kind) / over
+                values = {name: float(modulus_of(matrix)) for name, modulus_of in MODULI.items()}
+                rows.append({"initialisation": method, **values})
             columns: list[Quantity[Any]] = [Quantity("initialisation", "", "")]
             columns += [Quantity(name, "", ".4g") for name in MODULI]
             tables[f"{kind.capitalize()} moduli, {of}{unit}"] = Table(columns, rows)

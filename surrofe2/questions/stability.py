@@ -1,4 +1,5 @@
-"""Where a plant cell has a stable equilibrium: the map that bounds what may be sampled.
+"""The map of deformations at which a plant cell has a stable equilibrium: it bounds what is
+sampled.
 
 On the reference branch, followed from F = I along a straight line, the elastic Hessian is
 positive definite up to the onset of a bifurcation. Beyond, the RVE leaves the branch for another
@@ -29,10 +30,11 @@ CATEGORIES = (
 )
 STABLE, LEFT, UNSTABLE, FAILED = range(4)
 
+# Range of the map; F_xy < 0 mirrors F_xy > 0.
 STRETCH = (0.75, 1.5)
 SHEAR = (0.0, 0.6)
-"""Range of the map; F_xy < 0 mirrors F_xy > 0."""
 
+# Direction (F_xx, F_yy, F_xy) and how far it is followed.
 WAYS: Mapping[str, tuple[tuple[float, float, float], float]] = {
     "uniaxial compression": ((-1.0, 0.0, 0.0), 0.3),
     "equibiaxial compression": ((-1.0, -1.0, 0.0), 0.3),
@@ -40,17 +42,17 @@ WAYS: Mapping[str, tuple[tuple[float, float, float], float]] = {
     "equibiaxial stretch": ((1.0, 1.0, 0.0), 0.5),
     "simple shear": ((0.0, 0.0, 1.0), 0.6),
 }
-"""Direction (F_xx, F_yy, F_xy) and how far it is followed."""
 
-_BATCH = 128
+_BATCH = 128  # RVEs that are solved together
+# `find_onset`: the step along a way, and how closely its end is found.
 _MARCH = 2.5e-3
 _CLOSE = 1e-5
 
+# The planes of the map: title, label, index and span of the entry of F that varies with F_xx.
 PLANES: Mapping[str, tuple[str, str, tuple[int, int], tuple[float, float]]] = {
     "stretch": ("no shear", "stretch $F_{yy}$", (1, 1), STRETCH),
     "shear": ("$F_{yy}$ = 1", "shear $F_{xy}$", (0, 1), SHEAR),
 }
-"""Title, label, index and span of the entry of F that varies with F_xx."""
 
 COLUMNS: tuple[Quantity[Any], ...] = (
     Quantity("way", "", ""),
@@ -62,7 +64,9 @@ COLUMNS: tuple[Quantity[Any], ...] = (
 def stability(
     cell: CellParameters, points: int = 41, *, progress: Callable[[float], None] = lambda _: None
 ) -> Study:
-    """What becomes of RVEs on points × points deformations of two planes, and the onset by way."""
+    """Classify RVEs on points × points deformations of two planes, and find the onset along each
+    way.
+    """
     panels = []
     counts = {}
     done = 0
@@ -79,9 +83,9 @@ def stability(
         chosen = np.concatenate(parts) == np.arange(len(CATEGORIES))[:, None]
         counts[name] = dict(zip(CATEGORIES, chosen.sum(axis=1).tolist(), strict=True))
         curves = (
-            Curve(category, F[these, 0, 0], F[these][:, *index])
-            for category, these in zip(CATEGORIES, chosen, strict=True)
-            if these.any()
+            Curve(category, F[is_of_it, 0, 0], F[is_of_it][:, *index])
+            for category, is_of_it in zip(CATEGORIES, chosen, strict=True)
+            if is_of_it.any()
         )
         panels.append(Panel("stretch $F_{xx}$", y_label, tuple(curves), title))
     rows = []
@@ -100,7 +104,7 @@ def stability(
 
 
 def categories(cell: CellParameters, F: Array) -> Index:
-    """Index into `CATEGORIES` (m,) of the elastic equilibrium at each F (m, 2, 2)."""
+    """Return the index into `CATEGORIES` (m,) of the elastic equilibrium at each F (m, 2, 2)."""
     answer = RveLaw(cell, initialisation="elastic").respond(F, np.zeros_like(F))
     category = np.full(len(F), FAILED)
     category[answer.status == Status.OK] = STABLE
@@ -113,9 +117,12 @@ def categories(cell: CellParameters, F: Array) -> Index:
 def find_onset(
     cell: CellParameters, direction: tuple[float, float, float], length: float
 ) -> float | None:
-    """Return how far F = I + s (direction) may go before the reference branch loses stability.
+    """Find how far F = I + s (direction) may go before the reference branch loses stability.
 
-    Followed in steps of 0.0025 and then bisected to 1e-5; None where it is stable up to `length`.
+    It is followed in steps of 0.0025 and then bisected to 1e-5.
+
+    Returns:
+        s; None where it is stable up to `length`.
     """
     law = RveLaw(cell, initialisation="elastic")
     unit = law.unit_cell
@@ -133,5 +140,5 @@ def find_onset(
         elif step < _CLOSE:
             return s
         else:
-            step *= 0.5
+            step *= 0.5  # and stays so: the onset is within the step that failed
     return None

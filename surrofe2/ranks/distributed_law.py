@@ -23,16 +23,16 @@ from surrofe2.law.stress_law import (
 from surrofe2.ranks.driver import Driver, Worker, driver_at_work
 from surrofe2.rve.rve_law import RveLaw
 
+# Tiles of a rank: fewer RVEs are solved sooner than they are sent, as those of an audit are.
 LEAST = 16
-"""Tiles of a rank: fewer RVEs are solved sooner than they are sent, as those of an audit are."""
+# Points whose states rank 0 gets from a rank at once, so that no message holds a checkpoint.
 PIECE = 4096
-"""Points whose states rank 0 gets from a rank at once, so that no message holds a checkpoint."""
 
 
 class RankState:
-    """Warm start of n points that stays on the ranks which own them; see `cache.Fallback`.
+    """The warm start of n points, which stays on the ranks that own them; see `cache.Fallback`.
 
-    The states themselves never travel but for a checkpoint: a point stays on its rank.
+    The states themselves travel only for a checkpoint: a point stays on its rank.
 
     Attributes:
         law: whose state it is.
@@ -48,28 +48,29 @@ class RankState:
         self.number = next(law.driver.numbers)
 
     def __del__(self) -> None:
+        """Let all ranks forget the state with the next task."""
         self.law.driver.dropped.append(self.number)
 
     def shares(self) -> list[Index]:
-        """For each rank its points, in ascending order."""
+        """Return the points of each rank, in ascending order."""
         counts = np.bincount(self.owner, minlength=self.law.driver.ranks)
         return np.split(np.argsort(self.owner, kind="stable"), np.cumsum(counts)[:-1])
 
     def rows(self) -> Index:
-        """(n,) which of the points of its rank each is."""
+        """Return (n,) the number of each point among those of its rank."""
         order = np.concatenate(self.shares())
         rows: Index = np.argsort(order) - np.searchsorted(self.owner[order], self.owner)
         return rows
 
     def take(self, index: Index) -> RankState:
-        """The state of these points, in this order; a point may be taken twice."""
+        """Return the state of these points, in this order; a point may be taken twice."""
         if np.array_equal(index, np.arange(len(self.owner))):
             return self
         number = np.full(len(index), self.number)
         return self._joined(self.owner[index], self.left_points[index], number, self.rows()[index])
 
     def put(self, index: Index, part: RankState) -> RankState:
-        """This state with that of these points replaced."""
+        """Return this state with that of these points replaced."""
         owner = self.owner.copy()
         left_points = self.left_points.copy()
         row = self.rows()
@@ -81,22 +82,27 @@ class RankState:
         return self._joined(owner, left_points, number, row)
 
     def _joined(self, owner: Index, left_points: Flags, number: Index, row: Index) -> RankState:
-        """The state whose points are these rows of the states of these numbers, on their ranks."""
+        """Make the state whose points are these rows of the states of these numbers, on their
+        ranks.
+        """
         after = RankState(self.law, owner, left_points)
-        places = ((after.number, number[points], row[points]) for points in after.shares())
-        self.law.driver.do(_join, [each if len(each[1]) else None for each in places])
+        tasks: list[tuple[Any, ...] | None] = []
+        for points in after.shares():
+            task = (after.number, number[points], row[points])
+            tasks.append(task if len(points) else None)
+        self.law.driver.do(_join, tasks)
         return after
 
 
 class DistributedLaw:
-    """σ(F, Ḟ) of RVEs that live on the ranks of a driver; see `StressLaw` and `cache.Fallback`.
+    """The stress σ(F, Ḟ) of RVEs that live on the ranks of a driver; see `StressLaw`.
 
     Points without a state are given to ranks in equal blocks of whole tiles, few points to one
     rank, which their deformation decides. RVE states stay there. (F, Ḟ) are scattered, stresses
     gathered.
 
-    Attributes:
-        law: that of rank 0; every rank has the same.
+    Args:
+        law: that of rank 0; every rank gets the same.
         driver: of this very process.
     """
 
@@ -111,19 +117,22 @@ class DistributedLaw:
         driver.do(_have, [(self._number, law)] * driver.ranks)
 
     def beyond_bifurcation(self, state: RankState) -> Flags:
-        """(n,) whether the RVE of each point left its branch at a bifurcation on its way."""
+        """Return (n,) whether the RVE of each point left its branch at a bifurcation on its way."""
         return state.left_points
 
     def state_to_arrays(self, state: RankState) -> dict[str, NDArray]:
-        """All of a state, as one `RveState` of all points would give it, piece by piece; and, by
-        ``owner`` and ``ranks``, which rank has each point, and of how many.
+        """Return a state as one `RveState` of all points would, got from the ranks piece by piece.
+
+        ``owner`` and ``ranks`` say which rank has each point, and how many ranks there are.
         """
         whole = dict[str, NDArray]()
         shares = state.shares()
         for begin in range(0, max(map(len, shares)), PIECE):
             pieces = [points[begin : begin + PIECE] for points in shares]
-            at = self._number, state.number, begin
-            tasks = [(*at, len(points)) if len(points) else None for points in pieces]
+            tasks: list[tuple[Any, ...] | None] = []
+            for points in pieces:
+                task = (self._number, state.number, begin, len(points))
+                tasks.append(task if len(points) else None)
             for points, part in zip(pieces, self.driver.do(_to_arrays, tasks), strict=True):
                 for name, values in (part or {}).items():
                     room = np.empty((len(state.owner), *values.shape[1:]), values.dtype)
@@ -131,7 +140,8 @@ class DistributedLaw:
         return {**whole, "owner": state.owner, "ranks": np.array(self.driver.ranks)}
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> RankState:
-        """The state of which `state_to_arrays`, of any number of ranks or none, gave these arrays.
+        """Return the state of which `state_to_arrays`, of any number of ranks or none, gave these
+        arrays.
 
         As many ranks get the points that they had, so that what follows has the same bits.
         """
@@ -143,14 +153,17 @@ class DistributedLaw:
         else:
             owner = owner.astype(np.intp)
         state = RankState(self, owner, arrays["left"])
-        parts = [{name: each[points] for name, each in arrays.items()} for points in state.shares()]
-        tasks = [(self._number, state.number, part) if len(part["z"]) else None for part in parts]
+        tasks: list[tuple[Any, ...] | None] = []
+        for points in state.shares():
+            part = {name: values[points] for name, values in arrays.items()}
+            tasks.append((self._number, state.number, part) if len(points) else None)
         self.driver.do(_from_arrays, tasks)
         return state
 
     def respond(
         self, F: Array, F_dot: Array, state: RankState | None = None, *, tangents: bool = False
     ) -> StressResponse:
+        """Compute the stress at n points on their ranks; see `StressLaw`."""
         F, F_dot = check_deformation(F, F_dot)
         if tangents:
             require_tangents(self)
@@ -161,11 +174,12 @@ class DistributedLaw:
         return self._by_ranks(_respond, owner, (before, tangents), (F, F_dot))
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
+        """Commit a response on the ranks of its points; see `StressLaw`."""
         if not len(F):
             return response
         F, F_dot = check_deformation(F, F_dot)
         before = self._checked(response.state, len(F))
-        answered = F, F_dot, response.stress, response.status
+        answered = (F, F_dot, response.stress, response.status)
         accepted = self._by_ranks(_accept, before.owner, (before.number,), answered)
         has_left = accepted.left_bifurcation
         state = accepted.state
@@ -177,12 +191,21 @@ class DistributedLaw:
     def _by_ranks(
         self, work: Any, owner: Index, entries: tuple[Any, ...], arrays: Sequence[NDArray]
     ) -> StressResponse:
-        """Return what ranks make of arrays (n, …), each at the points that it owns."""
+        """Let each rank work on arrays (n, …) at the points that it owns, and join the responses.
+
+        Args:
+            work: a task of this file that returns a response.
+            owner: (n,) rank of each point.
+            entries: arguments that are the same for all ranks.
+        """
         after = RankState(self, owner, np.zeros(len(owner), dtype=np.bool_))
         shares = after.shares()
         of_all = (self._number, *entries, after.number)
-        tasks = [(*of_all, *(each[points] for each in arrays)) for points in shares]
-        results = self.driver.do(work, [task if len(task[-1]) else None for task in tasks])
+        tasks: list[tuple[Any, ...] | None] = []
+        for points in shares:
+            task = (*of_all, *(values[points] for values in arrays))
+            tasks.append(task if len(points) else None)
+        results = self.driver.do(work, tasks)
         parts = [
             (points, part) for points, part in zip(shares, results, strict=True) if len(points)
         ]
@@ -190,9 +213,9 @@ class DistributedLaw:
         return joined(parts, after)
 
     def _dealt(self, at: Array) -> Index:
-        """(n,) owners of points without a state, which have these values (n, …).
+        """Choose owners (n,) of points without a state, which have these values (n, …).
 
-        A cache asks for few points each time, and they shall not pile up on rank 0. The rank that
+        A cache asks for few points each time, and they must not pile up on rank 0. The rank that
         gets them follows from their values alone: `respond` is pure, and a run that resumes deals
         as an uninterrupted one does.
         """
@@ -205,15 +228,19 @@ class DistributedLaw:
         return owner
 
     def _checked(self, state: Any, points: int) -> RankState:
+        """Return a state if it is one of this law for so many points; else raise an
+        `InputError`.
+        """
         if isinstance(state, RankState) and len(state.owner) == points and state.law is self:
             return state
         raise InputError(f"state: not one of this DistributedLaw for {points} points; pass None")
 
 
-# Tasks: what each rank does, rank 0 too, with its `Worker` and the arguments scattered to it.
+# Tasks that each rank does, rank 0 too, with its `Worker` and the arguments scattered to it.
 
 
 def _have(worker: Worker, number: int, law: RveLaw) -> None:
+    """Keep a law by its number."""
     worker.laws[number] = law
 
 
@@ -222,15 +249,15 @@ def _join(worker: Worker, after: int, numbers: Index, rows: Index) -> None:
     first, *others = np.unique(numbers).tolist()
     state = worker.states[first].take(np.where(numbers == first, rows, 0))
     for number in others:
-        at = np.flatnonzero(numbers == number)
-        state = state.put(at, worker.states[number].take(rows[at]))
+        of_number = np.flatnonzero(numbers == number)
+        state = state.put(of_number, worker.states[number].take(rows[of_number]))
     worker.states[after] = state
 
 
 def _respond(
     worker: Worker, law: int, before: int | None, tangents: bool, after: int, *at: Any
 ) -> StressResponse:
-    """The answer, whose state stays here; it carries (k,) `left_points` instead."""
+    """Return the response, whose state stays here; it carries (k,) `left_points` instead."""
     state = None if before is None else worker.states[before]
     answer = worker.laws[law].respond(at[0], at[1], state, tangents=tangents)
     worker.states[after] = answer.state
@@ -238,7 +265,9 @@ def _respond(
 
 
 def _accept(worker: Worker, law: int, before: int, after: int, *answered: Any) -> StressResponse:
-    """As `_respond`."""
+    """Return the accepted response, whose state stays here; it carries (k,) `left_points`
+    instead.
+    """
     F, F_dot, stress, status = answered
     answer = StressResponse(stress, status, worker.states[before])
     accepted = worker.laws[law].accept(F, F_dot, answer)
@@ -249,20 +278,22 @@ def _accept(worker: Worker, law: int, before: int, after: int, *answered: Any) -
 def _to_arrays(
     worker: Worker, law: int, number: int, begin: int, points: int
 ) -> dict[str, NDArray]:
+    """Return the arrays of some points of a state."""
     part = worker.states[number].take(np.arange(begin, begin + points))
     return worker.laws[law].state_to_arrays(part)
 
 
 def _from_arrays(worker: Worker, law: int, number: int, arrays: Mapping[str, NDArray]) -> None:
+    """Keep the state that these arrays make."""
     worker.states[number] = worker.laws[law].state_from_arrays(arrays)
 
 
 def shared(law: RveLaw) -> Any:
-    """The law with its RVEs on all ranks where this process drives several; else itself."""
+    """Return the law with its RVEs on all ranks where this process drives several; else itself."""
     driver = driver_at_work()
     return law if driver is None else DistributedLaw(law, driver)
 
 
 def own_part(law: Any) -> Any:
-    """The law of rank 0 behind a distributed one; else itself."""
+    """Return the law of rank 0 behind a distributed one; else itself."""
     return law.law if isinstance(law, DistributedLaw) else law

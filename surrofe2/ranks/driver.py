@@ -1,4 +1,6 @@
-"""How rank 0 scatters tasks to all ranks of MPI, which are the same program or none."""
+"""The driver of all ranks of MPI: rank 0 scatters tasks to ranks, which must be the same
+program.
+"""
 
 from __future__ import annotations
 
@@ -30,20 +32,22 @@ from surrofe2.rve.rve_state import RveState
 
 log = logging.getLogger(__name__)
 
+# Variables by which MPIs tell how many ranks share the machine.
 _LOCAL_SIZES = ("MPI_LOCALNRANKS", "OMPI_COMM_WORLD_LOCAL_SIZE", "MV2_COMM_WORLD_LOCAL_SIZE")
+# A shell command that prints its message where its input ends without a line, that is where the
+# other end of the pipe is lost.
 _WATCH = """read done || printf '%s\\n' "$0" >&2"""
-"""Prints its message where its input ends without a line, whoever had the other end."""
+# A task of one rank: a function that is called as work(worker, *arguments), the arguments, None
+# where it has nothing to do, and the states to forget before.
 _Task = tuple[Callable[..., Any], tuple[Any, ...] | None, list[int]]
-"""work(worker, *arguments) of one rank, no arguments where it has nothing to do, and the states to
-forget before."""
+# The result of a task on a rank, its seconds, its error message, and the signal that it got or 0.
 _Result = tuple[Any, float, str | None, int]
-"""What the task of a rank returned, its seconds, its error message, and the signal it got or 0."""
-_drivers = list["Driver"]()
+_drivers = list["Driver"]()  # the driver of this process, if it has one
 _PACKAGE = Path(__file__).parents[1]
 
 
 def world() -> Any:
-    """The communicator of all ranks; None where this process is alone.
+    """Return the communicator of all ranks; None where this process is alone.
 
     Raises:
         InputError: MPI sees another number of ranks than the launcher started.
@@ -72,7 +76,9 @@ def world() -> Any:
 
 
 def own_threads() -> int:
-    """Cores for each rank: those that it is bound to, or its share of the machine's or quota's."""
+    """Return the cores for each rank: those it is bound to, or its part of the machine's or
+    quota's.
+    """
     bound = len(os.sched_getaffinity(0))
     allowed = cores()
     local = [os.environ[name] for name in _LOCAL_SIZES if name in os.environ]
@@ -113,8 +119,8 @@ def leave(code: int = 0) -> None:
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
             stream.flush()
-    everybody = MPI.COMM_WORLD.Ibarrier()
-    while not everybody.Test():  # a barrier that waits keeps a core busy, and rank 0 may still work
+    barrier = MPI.COMM_WORLD.Ibarrier()
+    while not barrier.Test():  # a barrier that waits keeps a core busy, and rank 0 may still work
         time.sleep(0.01)
     if MPI.COMM_WORLD.rank and code:
         time.sleep(HEARD)
@@ -123,7 +129,9 @@ def leave(code: int = 0) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Worker:
-    """What one rank holds, by the numbers that the driver gave: laws, and states of its points."""
+    """The objects of one rank, by the numbers that the driver gave: laws, and states of its
+    points.
+    """
 
     laws: dict[int, RveLaw] = field(default_factory=dict)
     states: dict[int, RveState] = field(default_factory=dict)
@@ -143,11 +151,11 @@ class Driver(AbstractContextManager["Driver"]):
         InputError: ranks are not of the same sources, versions or arguments; all of them end.
 
     Attributes:
-        ranks: how many there are.
-        numbers: of laws and states, each used once.
-        dropped: states that all ranks forget with the next task.
+        ranks: number of ranks.
+        numbers: iterator of numbers for laws and states, each used once.
+        dropped: numbers of states that all ranks forget with the next task.
         seconds: spent on tasks: "computing" by the slowest rank of each, "messages" the rest.
-        tasks: how many there were.
+        tasks: number of tasks so far.
     """
 
     def __init__(self, comm: Any, arguments: Sequence[str] = ()) -> None:
@@ -179,7 +187,12 @@ class Driver(AbstractContextManager["Driver"]):
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         """End the workers, all with one exit code: launchers take that of any rank."""
-        code = 0 if kind is None else 1 if issubclass(kind, Surrofe2Error) else exit_code()
+        if kind is None:
+            code = 0
+        elif issubclass(kind, Surrofe2Error):
+            code = 1
+        else:  # an interruption
+            code = exit_code()
         _drivers.remove(self)
         with held():
             self._comm.scatter([code] * self.ranks)
@@ -187,7 +200,10 @@ class Driver(AbstractContextManager["Driver"]):
     def do(
         self, work: Callable[..., Any], arguments: Sequence[tuple[Any, ...] | None]
     ) -> list[Any]:
-        """The results of `work(worker, *arguments[rank])` of all ranks; None without arguments.
+        """Let each rank do `work(worker, *arguments[rank])`; nothing where it has no arguments.
+
+        Returns:
+            The results of all ranks, None without arguments.
 
         Raises:
             SimulationError: it failed on a rank, which the message names.
@@ -196,8 +212,9 @@ class Driver(AbstractContextManager["Driver"]):
             dropped = self.dropped
             self.dropped = []
             began = clock()
-            mine = self._comm.scatter([(work, each, dropped) for each in arguments])
-            results: list[_Result] = self._comm.gather(_done(self._worker, mine))
+            tasks = [(work, arguments_of_rank, dropped) for arguments_of_rank in arguments]
+            own_task = self._comm.scatter(tasks)
+            results: list[_Result] = self._comm.gather(_done(self._worker, own_task))
             elapsed = clock() - began
         slowest = max(seconds for _, seconds, _, _ in results)
         self.tasks += 1
@@ -212,18 +229,21 @@ class Driver(AbstractContextManager["Driver"]):
         return [value for value, _, _, _ in results]
 
     def report(self) -> dict[str, Any]:
-        """Plain values for run.json."""
+        """Return number of ranks and threads, tasks and seconds, as plain values for run.json."""
         threads = numba.get_num_threads()
         return {"ranks": self.ranks, "threads": threads, "tasks": self.tasks, **self.seconds}
 
 
 def serve(comm: Any, arguments: Sequence[str] = ()) -> int:
-    """Work on all ranks but 0: task after task, until the driver ends it with this exit code.
+    """Work on a rank other than 0: task after task, until the driver ends it.
 
     Where this rank fails outside a task, all ranks end, since they would wait for it.
 
     Args:
         arguments: as of `Driver`.
+
+    Returns:
+        The exit code that the driver gave.
     """
     worker = Worker()
     end_by(comm.Abort)
@@ -248,7 +268,7 @@ def serve(comm: Any, arguments: Sequence[str] = ()) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _Identity:
-    """What must be the same on all ranks, and where this one is.
+    """The program of a rank, which must be the same on all of them, and where it is.
 
     Attributes:
         arguments: of the command.
@@ -264,6 +284,7 @@ class _Identity:
 
 
 def _identity(arguments: Sequence[str]) -> _Identity:
+    """Return the identity of this rank."""
     versions = {name: version(name) for name in ("surrofe2", "numpy", "numba", "scipy")}
     versions["python"] = platform.python_version()
     place = f"{platform.node()}:{_PACKAGE}"
@@ -272,7 +293,7 @@ def _identity(arguments: Sequence[str]) -> _Identity:
 
 @cache
 def _sources() -> str:
-    """Digest of names and contents of all that the package computes by."""
+    """Return a digest of names and contents of all that the package computes by."""
     sources = hashlib.sha256()
     for path in sorted(_PACKAGE.rglob("*")):
         if path.suffix in (".py", ".json"):
@@ -282,16 +303,16 @@ def _sources() -> str:
 
 
 def _disagreement(identities: Sequence[_Identity]) -> str:
-    """Return what is not the same on all ranks; empty where everything is."""
+    """Say what is not the same on all ranks; empty where everything is."""
     first = identities[0]
     for number, other in enumerate(identities):
         if other.arguments != first.arguments:
             pairs = zip((*first.arguments, ""), (*other.arguments, ""), strict=False)
-            mine, theirs = next(pair for pair in pairs if pair[0] != pair[1])
+            of_first, of_other = next(pair for pair in pairs if pair[0] != pair[1])
             return (
-                f"rank {number} was called with {quoted(theirs)}, rank 0 with {quoted(mine)}; "
-                f"ranks share one run: give all the same arguments, or set {ALONE}=1, by which "
-                "each rank makes a run of its own"
+                f"rank {number} was called with {quoted(of_other)}, rank 0 with "
+                f"{quoted(of_first)}; ranks share one run: give all the same arguments, or set "
+                f"{ALONE}=1, by which each rank makes a run of its own"
             )
         for name, mine in first.versions.items():
             if other.versions[name] != mine:
@@ -308,11 +329,12 @@ def _disagreement(identities: Sequence[_Identity]) -> str:
 
 
 def driver_at_work() -> Driver | None:
-    """The driver of this process, if it is rank 0 of several."""
+    """Return the driver of this process, if it is rank 0 of several."""
     return _drivers[-1] if _drivers else None
 
 
 def _done(worker: Worker, task: _Task) -> _Result:
+    """Do a task on this rank; its error is returned, since the other ranks wait for an answer."""
     work, arguments, dropped = task
     for number in dropped:
         worker.states.pop(number, None)

@@ -63,6 +63,7 @@ def _without(kind: type[T], key: str) -> Callable[[str, Any], T]:
     """Make a reader of settings whose table has one more key, which is read elsewhere."""
 
     def read(where: str, entry: Any) -> T:
+        """Read the settings at this place, without the further key."""
         check_table(where, entry)
         others = {name: value for name, value in entry.items() if name != key}
         return build(kind, others, where, (key,))  # the key counts as known in messages
@@ -530,7 +531,7 @@ _LONGEST_NAME = 200
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe:
-    """All that a study needs, as a recipe states it.
+    """The content of a recipe: everything that a study needs.
 
     Fields that are not listed here are sections, described at their settings.
 

@@ -1,4 +1,4 @@
-"""Numbers that a study asks of each of its runs: a column, and what of it."""
+"""Numbers that a parameter study shows of each of its runs: a column, and a statistic of it."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from surrofe2.base.errors import InputError, quoted
 from surrofe2.base.settings import unknown
 from surrofe2.store.run_folder import StoredRun
 
+# Statistics of a column: the value that is largest in size, the last one, the slope at the start
+# and the work of a force over its displacement, and the period of an oscillation.
 STATISTICS = ("maximum", "end", "slope", "work", "period")
-"""The value of a column that is largest in size, the last one, the slope at the start and the work
-of a force over its displacement, and the period of an oscillation."""
+_FEWEST_CROSSINGS = 3  # of the mean, by which a period is known
 
 
 class Chosen(NamedTuple):
@@ -24,7 +25,7 @@ class Chosen(NamedTuple):
 
     @classmethod
     def read(cls, text: str) -> Chosen:
-        """From COLUMN or COLUMN:STATISTIC; of a column alone the maximum.
+        """Read COLUMN or COLUMN:STATISTIC; of a column alone the maximum.
 
         Raises:
             InputError: there is no such statistic.
@@ -38,11 +39,11 @@ class Chosen(NamedTuple):
 
     @property
     def name(self) -> str:
-        """What a table calls it."""
+        """The name of the number in a table."""
         return f"{self.statistic} of {self.column}"
 
     def of(self, run: StoredRun) -> tuple[float | None, str]:
-        """The number, None where the run has none, and its unit.
+        """Compute the number of a run, None where it has none, and its unit.
 
         Raises:
             InputError: the run has no such column; it names those that it has.
@@ -53,10 +54,12 @@ class Chosen(NamedTuple):
             raise InputError(f"--quantity: {quoted(self.column)}: {run.name} has only {known}")
         values, unit, _ = series[self.column]
         if self.statistic in ("slope", "work"):
-            for each in run.responses:
-                if self.column == f"force {each.name} {each.axis}":
-                    is_slope = self.statistic == "slope"
-                    return (each.slope, "µN/µm") if is_slope else (each.work, "pJ")
+            for response in run.responses:
+                if self.column != f"force {response.name} {response.axis}":
+                    continue
+                if self.statistic == "slope":
+                    return response.slope, "µN/µm"
+                return response.work, "pJ"
             return None, ""
         if self.statistic == "period":
             return _period(run.curve.t, values), "" if run.is_rest else "µs"
@@ -65,16 +68,22 @@ class Chosen(NamedTuple):
 
 
 def _period(t: Array, values: Array) -> float | None:
-    """Twice the mean time between crossings of the mean; None where there are fewer than three."""
+    """Compute twice the mean time between crossings of the mean; None of fewer than three
+    crossings.
+    """
     apart = values - values.mean()
     above = apart > 0.0  # a value at the mean itself is below: each crossing counts once
-    at = np.flatnonzero(above[:-1] != above[1:])
-    if at.size < 3:
+    k = np.flatnonzero(above[:-1] != above[1:])  # the value before each crossing
+    if k.size < _FEWEST_CROSSINGS:
         return None
-    crossings = t[at] - apart[at] * (t[at + 1] - t[at]) / (apart[at + 1] - apart[at])
+    # the time of a crossing by interpolation
+    crossings = t[k] - apart[k] * (t[k + 1] - t[k]) / (apart[k + 1] - apart[k])
     return float(2.0 * np.diff(crossings).mean())
 
 
 def peaks_of(run: StoredRun) -> list[Chosen]:
-    """What is asked of a run where nobody chose: the peak of each force over its displacement."""
-    return [Chosen(f"force {each.name} {each.axis}", STATISTICS[0]) for each in run.responses]
+    """Return the numbers of a run by default: the peak of each force over its displacement."""
+    return [
+        Chosen(f"force {response.name} {response.axis}", STATISTICS[0])
+        for response in run.responses
+    ]

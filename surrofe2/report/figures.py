@@ -23,8 +23,8 @@ from surrofe2.run.charts import VERMILION, in_words
 from surrofe2.rve.particles import Particles
 from surrofe2.store.fields import StoredFields
 
+# Room about a tissue with bodies, as a fraction of its size.
 MARGIN = 0.08
-"""Room about a tissue with bodies, as a fraction of its size."""
 # Colours span at least this fraction of the largest value: smaller differences are noise, and are
 # to look like it.
 _LEAST_SPAN = 0.02
@@ -181,6 +181,7 @@ def drawn_bodies(
         t: (n,) times of the history, µs.
         history: columns of a run's history by name.
     """
+    # planes are cut off this far away, four times the tissue's extent
     far = 4.0 * float(np.ptp(fields.points, axis=0).max())
     drawn = []
     for body in bodies:
@@ -227,12 +228,12 @@ def rim(fields: StoredFields) -> list[int]:
     return [*range(nodes)]
 
 
-def box(at: Array, bodies: Sequence[DrawnBody]) -> tuple[Array, Array]:
+def box(position: Array, bodies: Sequence[DrawnBody]) -> tuple[Array, Array]:
     """Return the lower left and upper right corner of what is shown of positions (…, 2).
 
     Bodies need room about the tissue.
     """
-    points = at.reshape(-1, 2)
+    points = position.reshape(-1, 2)
     low = points.min(axis=0)
     high = points.max(axis=0)
     room = MARGIN * float((high - low).max()) if bodies else 0.0
@@ -278,6 +279,7 @@ def draw_tissue(
         if fields.cells.shape[1] == 2:  # the springs of a full tissue
             drawn = LineCollection(corners, linewidths=0.8)
         axes.add_collection(colours.paint(drawn, values))
+    # of the hatched band of a support, as a fraction of the tissue's extent
     depth = 0.035 * float(max(high - low))
     for side in sides:
         for copy in copies:
@@ -296,13 +298,13 @@ def draw_tissue(
                 axes.plot(*ends.T, color="0.15", linewidth=2.5, solid_capstyle="butt")
             else:  # a line of symmetry
                 axes.plot(*ends.T, color="0.15", linewidth=0.8, dashes=(8, 2, 2, 2))
-    for each in nodes:
-        _draw_node(axes, each, position[each.node], 3.0 * depth)
+    for node in nodes:
+        _draw_node(axes, node, position[node.node], 3.0 * depth)
     draw_scale_bar(axes, low, high)
     return drawn
 
 
-def _draw_node(axes: Axes, node: DrawnNode, at: Array, size: float) -> None:
+def _draw_node(axes: Axes, node: DrawnNode, position: Array, size: float) -> None:
     """Draw what acts on a node at (2,): a wedge before each held component, an arrow for a pull.
 
     Args:
@@ -311,11 +313,13 @@ def _draw_node(axes: Axes, node: DrawnNode, at: Array, size: float) -> None:
     for component in node.components:
         # carets, whose tip is at the node
         marker = CARETRIGHT if component == "x" else CARETUP
-        axes.plot(*at, marker=marker, color="0.15", markersize=9.0)
+        axes.plot(*position, marker=marker, color="0.15", markersize=9.0)
     length = float(np.linalg.norm(node.pull))
     if length:
-        x, y = at + size * node.pull / length
-        axes.annotate("", (x, y), (at[0], at[1]), arrowprops={"arrowstyle": "-|>", "color": "0.15"})
+        x, y = position
+        tip_x, tip_y = position + size * node.pull / length
+        arrow = {"arrowstyle": "-|>", "color": "0.15"}
+        axes.annotate("", (tip_x, tip_y), (x, y), arrowprops=arrow)
 
 
 # How a side on the boundary moves; 0 and 1: along a line of symmetry, with this component held.
@@ -456,10 +460,13 @@ def cell_figure(
     thickness: float,
     is_rest: bool = False,
 ) -> Figure:
-    """Draw the plant cells at a point: where it is, wall stretch over time, six times.
+    """Draw the plant cells at a point: where it is, wall stretch over time, and the cells at six
+    times.
 
     Args:
+        title: heading of the figure.
         seen: the RVE of the element at the times of the fields.
+        fields: of the run.
         element: number of the element.
         point: position in the undeformed tissue, µm.
         thickness: thickness of the tissue, µm.
@@ -469,7 +476,7 @@ def cell_figure(
     clock = "load factor {:.4g}" if is_rest else "t = {:.4g} µs"
     chosen = np.unique(np.linspace(0, len(t) - 1, min(_PANELS, len(t))).round().astype(int))
     columns = min(3, len(chosen))
-    rows = -(-len(chosen) // columns)
+    rows = int(np.ceil(len(chosen) / columns))
     figure = Figure(figsize=(3.0 * columns + 1.8, 3.0 * rows + 2.6), layout="constrained")
     figure.suptitle(in_words(title), fontsize=11)
     parts: Any = figure.subfigures(2, 1, height_ratios=(2.2, 3.0 * rows))

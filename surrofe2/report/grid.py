@@ -31,11 +31,13 @@ Facts = Mapping[str, Any]
 
 
 class GridRow(NamedTuple):
-    """A run of a grid, None where it failed, and what is known of it.
+    """A run of a grid.
 
-    `facts` are the values of the entries that change and that it depends on, by dotted name, what
-    the columns of `QUANTITIES` show, the "law", and the "tolerance" of its cache over the spread of
-    stress.
+    Attributes:
+        facts: values of the entries that change and that the run depends on, by dotted name; the
+            values of the columns of `QUANTITIES`; the "law"; and the "tolerance" of its cache over
+            the spread of stress.
+        run: the run; None where it failed.
     """
 
     facts: Facts
@@ -84,13 +86,13 @@ def grid_row(
         facts |= {
             "displacement error": compared.difference.largest,
             "speed-up": compared.speed_up["wall_time"],
-            "all counted": compared.balance and compared.balance.gain,
+            "all counted": compared.balance.gain if compared.balance else None,
         }
     return GridRow(facts, run)
 
 
 def _facts_of_caches(caches: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return what the columns show of the caches of a run; of several, the worst."""
+    """Return the facts on the caches of a run; of several caches the worst."""
     errors = []
     for cache in caches:
         quantiles = cache["audit"]["quantiles"]
@@ -108,6 +110,8 @@ def _facts_of_caches(caches: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return facts
 
 
+# The columns. The stress error is what 99 % of the audited answers keep, relative to the spread of
+# stress.
 QUANTITIES: tuple[Quantity[Facts], ...] = (
     Quantity("largest displacement", "µm", ".5g"),
     Quantity("displacement error", "", percent(2)),
@@ -123,7 +127,6 @@ QUANTITIES: tuple[Quantity[Facts], ...] = (
     Quantity("run", "", None),
     Quantity("error", "", lambda message: "failed"),
 )
-"""The stress error is what 99 % of the audited answers keep, relative to the spread of stress."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +136,7 @@ class Grid:
     Attributes:
         recipe: name of the recipe.
         values: values of each entry that the grid changes, by dotted name.
+        rows: the runs.
     """
 
     recipe: str
@@ -208,12 +212,14 @@ def _of_entry(name: str, among: Iterable[str]) -> Quantity[Facts]:
             unit = item.metadata["unit"]
 
     def get(facts: Facts) -> Any:
+        """Return the value of a row: a number, a text, or None."""
         value = facts.get(name)
         if value is None or _is_number(value):
             return value
         return text_of(value)
 
     def shown(value: Any) -> str:
+        """Write a value."""
         return value if isinstance(value, str) else f"{value:g}"
 
     return Quantity(_short(name, among), unit, shown, get)
@@ -224,6 +230,7 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
+# Quantities that are drawn over the values: name, label of the axis, whether that is logarithmic.
 _PANELS = (
     ("largest displacement", "largest displacement (µm)", False),
     ("displacement error", "displacement error\n/ largest displacement", True),
@@ -232,7 +239,6 @@ _PANELS = (
     ("speed-up", "times faster than full FE²", False),
     ("wall time", "wall time (s)", False),
 )
-"""Quantities that are drawn over the values: name, label of the axis, whether it is logarithmic."""
 
 
 def write_grid_plot(path: Path, grid: Grid) -> None:
@@ -347,7 +353,8 @@ def write_grid_map(path: Path, grid: Grid) -> bool:
             colour = "white" if is_dark else "black"
             axes.text(j, i, f"{value:.3g}", ha="center", va="center", fontsize=8, color=colour)
     for axis, name in ((axes.yaxis, first), (axes.xaxis, second)):
-        axis.set_ticks(range(len(grid.values[name])), [text_of(each) for each in grid.values[name]])
+        texts = [text_of(value) for value in grid.values[name]]
+        axis.set_ticks(range(len(texts)), texts)
         axis.set_label_text(in_words(_of_entry(name, grid.values).heading))
     figure.colorbar(image, label=in_words(label))
     write_bytes(path, encoded(figure, path.suffix[1:]))

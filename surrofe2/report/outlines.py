@@ -14,14 +14,15 @@ from surrofe2.base.arrays import Array, Index
 from surrofe2.report.figures import draw_scale_bar
 from surrofe2.run.charts import BLUE, VERMILION
 
+# Colours of cells that count, cells that are left out, and holes.
 _LEAF = (0.80, 0.90, 0.74)
 _CUT = (0.88, 0.88, 0.88)
 _HOLE = (1.0, 1.0, 1.0)
-_SHADES = 0.12
-"""By how much the colours of neighbours differ."""
+_SHADES = 0.12  # the largest difference of the colours of neighbours
+# Fraction of a long axis that is drawn, so that it stays within its cell.
 _OF_AXIS = 0.7
-"""Part of a long axis that is drawn, so that it stays within its cell."""
-_HEIGHT = 4.6
+_HEIGHT = 4.6  # inches
+# Shifts by which an RVE is drawn four times.
 _PERIODS = [(a, b) for a in range(2) for b in range(2)]
 
 
@@ -32,10 +33,11 @@ def outlines_figure(
     axes: Array,
     rve: tuple[Sequence[Array], Array] | None = None,
 ) -> Figure:
-    """The image with the outlines of its cells, beside it four periods of an RVE at its scale.
+    """Draw the image with the outlines of its cells, beside it four periods of an RVE at its scale.
 
     Args:
-        labels: (rows, columns), 0 in holes. pixel: side of a pixel, µm.
+        labels: (rows, columns) labels of the pixels, 0 in holes.
+        pixel: side of a pixel, µm.
         counted: labels of the cells that count; the others are grey.
         axes: (n, 2, 2) ends of the long axes of cells, x and y, µm.
         rve: polygons (k, 2) of an RVE and its (2, 2) periods, columns, µm.
@@ -52,10 +54,10 @@ def outlines_figure(
     _finish(place, np.zeros(2), np.array([width, height]))
     if rve is not None:
         polygons, lattice = rve
-        every = [polygon + lattice @ period for period in _PERIODS for polygon in polygons]
-        drawn = PolyCollection(every, facecolors=[_LEAF], edgecolors="black", linewidths=0.6)
+        repeated = [polygon + lattice @ period for period in _PERIODS for polygon in polygons]
+        drawn = PolyCollection(repeated, facecolors=[_LEAF], edgecolors="black", linewidths=0.6)
         places[1].add_collection(drawn)
-        corners = np.concatenate(every)
+        corners = np.concatenate(repeated)
         polygons_of_cells = PolyCollection(
             list(polygons), facecolors="none", edgecolors=BLUE, linewidths=1.2
         )
@@ -66,7 +68,7 @@ def outlines_figure(
         size = np.maximum(high - low, [width, height])
         middle = (low + high) / 2.0
         _finish(places[1], middle - size / 2.0, middle + size / 2.0)
-    # with the scale bar
+    # the shape of the figure is that of the axes, which have room for the scale bar now
     across = np.ptp(place.get_xlim())
     up = np.ptp(place.get_ylim())
     figure.set_size_inches(len(places) * _HEIGHT * min(max(across / up, 0.6), 1.8), _HEIGHT)
@@ -74,9 +76,10 @@ def outlines_figure(
 
 
 def _coloured(labels: NDArray[np.int64], counted: Index) -> NDArray[np.float64]:
-    """(rows, columns, 3) colours of the pixels."""
+    """Return the colours (rows, columns, 3) of the pixels."""
     colour = np.full((labels.max() + 1, 3), _CUT)
-    # neighbours have labels that are near each other: of such, shades differ
+    # neighbours mostly have labels near each other; of labels that differ by less than 5, shades
+    # differ
     shade = 1.0 - _SHADES * ((counted * 7) % 5) / 4.0
     colour[counted] = np.array(_LEAF) * shade[:, None]
     colour[0] = _HOLE
@@ -84,7 +87,7 @@ def _coloured(labels: NDArray[np.int64], counted: Index) -> NDArray[np.float64]:
 
 
 def _outlines(labels: NDArray[np.int64], pixel: float) -> list[Array]:
-    """Sides of pixels between different labels, each two points, µm."""
+    """Return the sides of pixels between different labels, two points (2, 2) each, µm."""
     rows = labels.shape[0]
     y, x = np.nonzero(labels[:, :-1] != labels[:, 1:])
     upright = np.stack([np.stack([x + 1, rows - y], 1), np.stack([x + 1, rows - y - 1], 1)], 1)
@@ -94,6 +97,7 @@ def _outlines(labels: NDArray[np.int64], pixel: float) -> list[Array]:
 
 
 def _finish(place: Axes, low: Array, high: Array) -> None:
+    """Show the window between two corners (2,), with a scale bar and no axes."""
     place.set_xlim(low[0], high[0])
     place.set_ylim(low[1], high[1])
     place.set_aspect("equal")
@@ -102,7 +106,7 @@ def _finish(place: Axes, low: Array, high: Array) -> None:
 
 
 def long_axes(centre: Array, area: Array, aspect: Array, direction: Array) -> Array:
-    """(n, 2, 2) ends of most of the long axes of ellipses of these areas, µm."""
+    """Compute the ends (n, 2, 2) of most of the long axes of ellipses of these areas, µm."""
     half = _OF_AXIS * np.sqrt(area * aspect / np.pi)
     angle = np.deg2rad(direction)
     way = half[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)

@@ -1,4 +1,4 @@
-"""Runs on one HTML page that needs nothing else: `page.html`, and what its sections say.
+"""Runs on one HTML page that needs nothing else: `page.html`, and the content of its sections.
 
 The tissue in motion is arrays for the script `page.js`, and a picture for paper.
 """
@@ -66,8 +66,7 @@ from surrofe2.store.fields import (
 from surrofe2.store.run_folder import EVENTS, StoredRun, read_run
 from surrofe2.store.store import check_replaceable, flat, read_bytes, write_text
 
-RunFields = tuple[StoredRun, StoredFields | None]
-"""A run and its fields, None where its folder has none."""
+RunFields = tuple[StoredRun, StoredFields | None]  # a run and its fields, None without any
 
 VON_MISES = "von_mises_in_plane_uN_per_um"
 WALL_STRETCH = "largest_wall_stretch"
@@ -84,6 +83,7 @@ class Section(NamedTuple):
     Attributes:
         key: its anchor.
         link: its name in the list of sections.
+        heading: its heading in HTML.
         parts: its elements in HTML.
         missing: sentence that is shown where there are no parts.
     """
@@ -178,7 +178,7 @@ def _packaged(name: str) -> str:
 
 
 def fields_of(run: StoredRun) -> StoredFields | None:
-    """Read what the page shows of the elements of a run; None where its folder has no fields."""
+    """Read the fields of a run that the page shows; None where its folder has no fields."""
     if not (run.folder / f"{FIELDS}.h5").exists():
         return None
     shown = VON_MISES, SOURCE_NAME, WALL_STRETCH, BEYOND_NAME
@@ -186,6 +186,7 @@ def fields_of(run: StoredRun) -> StoredFields | None:
 
 
 def _base64(content: bytes) -> str:
+    """Write bytes in base64, as HTML takes them."""
     return base64.b64encode(content).decode()
 
 
@@ -193,25 +194,28 @@ def _headlines(runs: Sequence[StoredRun], compared: Sequence[ComparedRun]) -> It
     """Yield sentences on what was run, and with which result."""
     yield _paragraph("; ".join(comparison_title(runs).split("\n")))
     for run in compared:
-        faster = run.speed_up["wall_time"]
-        yield _paragraph(
+        text = (
             f"{run.name} differs from {runs[0].name} by at most "
             f"{percent(2)(run.difference.largest)} of the largest displacement"
-            + (f" and is {number(faster)} times faster by itself." if faster else "."),
-            "headline",
         )
-    for each in runs:
-        buckling = buckling_sentence(each.record)
+        faster = run.speed_up["wall_time"]
+        if faster:
+            text += f" and is {number(faster)} times faster by itself"
+        yield _paragraph(f"{text}.", "headline")
+    for stored in runs:
+        buckling = buckling_sentence(stored.record)
         if buckling:
-            yield _paragraph(f"{each.name}: {buckling}.", "headline")
-        if each.record.status != "finished":
-            why = each.record.error or "it is not whole"
-            yield _missing(f"{each.name}: {each.record.status}; {why}")
+            yield _paragraph(f"{stored.name}: {buckling}.", "headline")
+        if stored.record.status != "finished":
+            why = stored.record.error or "it is not whole"
+            yield _missing(f"{stored.name}: {stored.record.status}; {why}")
 
 
 def _displacement(runs: Sequence[StoredRun], comparison: Comparison | str) -> Iterator[str]:
     """Yield curves of all runs, their differences and the forces on the tissue."""
-    caption = "Displacement of the watched point" + (" by all runs" if len(runs) > 1 else "")
+    caption = "Displacement of the watched point"
+    if len(runs) > 1:
+        caption += " by all runs"
     figures = [_chart(panel, caption) for panel in displacement_panels(runs)]
     if isinstance(comparison, str):
         yield _missing(comparison)
@@ -256,11 +260,11 @@ def _cost(runs: Sequence[StoredRun], compared: Sequence[ComparedRun]) -> Iterato
     if not balances:
         yield _missing("No run through a cache beside one by RVEs, so there is no speed-up.")
     seconds = [_seconds(run) for run in runs]
-    names = list(dict.fromkeys(name for each in seconds for name in each))
-    rows = [
-        [run.name, *(number(each[name]) if name in each else "–" for name in names)]
-        for run, each in zip(runs, seconds, strict=True)
-    ]
+    names = list(dict.fromkeys(name for of_run in seconds for name in of_run))
+    rows = []
+    for run, of_run in zip(runs, seconds, strict=True):
+        texts = [number(of_run[name]) if name in of_run else "–" for name in names]
+        rows.append([run.name, *texts])
     yield _table(["run", *(f"{name} (s)" for name in names)], rows)
 
 
@@ -304,7 +308,7 @@ def _fallback(shown: Sequence[RunFields]) -> Iterator[str]:
 def _over_time_and_mesh(run: StoredRun, fields: StoredFields) -> str:
     """Draw the sources of stress over the stored times, and where RVEs were needed."""
     source = fields.values[SOURCE_NAME]
-    by_rve = ~np.isin(source, _CACHE)
+    by_rve = ~np.isin(source, _CACHE)  # (m, e) at each time and element
     if not by_rve.any():
         return _missing(
             f"{run.name}: at none of the {len(fields.t)} stored times did an element fall back."
@@ -365,12 +369,15 @@ def _energies(runs: Sequence[StoredRun]) -> list[str]:
     figures = []
     lacking = []
     for run in runs:
-        named = {name: e for name, e in run.energies.items() if np.isfinite(e).any()}
+        # energies that were not recorded are NaN
+        named = {name: values for name, values in run.energies.items() if np.isfinite(values).any()}
         if not named:
             lacking.append(_missing(f"{run.name}: no energies.csv in its folder."))
             continue
         balance = named.pop("balance", None)
-        curves = tuple(Curve("", run.curve.t, each, name, False) for name, each in named.items())
+        curves = tuple(
+            Curve("", run.curve.t, values, name, False) for name, values in named.items()
+        )
         caption = f"{run.name}: energies and works"
         largest = max((float(np.nanmax(abs(values))) for values in named.values()), default=0.0)
         if balance is not None and largest:
@@ -409,6 +416,7 @@ def _events(runs: Sequence[StoredRun]) -> Iterator[str]:
 
 
 def _short(value: Any) -> str:
+    """Write a value of a log or record in few characters."""
     if isinstance(value, float):
         return f"{value:.6g}"
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
@@ -429,12 +437,15 @@ def _origin(runs: Sequence[StoredRun]) -> Iterator[str]:
 
 
 def _side_by_side(columns: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """Make rows of a table from columns: a key, and its value in each column."""
     keys = dict.fromkeys(key for column in columns for key in column)
     return [[key, *(_short(column.get(key, "–")) for column in columns)] for key in keys]
 
 
 def _provenance(run: StoredRun) -> dict[str, Any]:
-    record, problem = run.record, run.record.problem
+    """Return what made a run and what it took, by the words of a table."""
+    record = run.record
+    problem = record.problem
     return {
         "status": record.status,
         **({"error": record.error} if record.error else {}),
@@ -458,12 +469,12 @@ def _provenance(run: StoredRun) -> dict[str, Any]:
 
 # The tissue in motion.
 
+# Colours of viridis, evenly from lowest to highest.
 STOPS = [to_hex(colormaps["viridis"](k / 9)) for k in range(10)]
-"""Viridis, evenly from lowest to highest."""
+# Values are stored as bytes: whole numbers from 0 to `LEVELS`, and one for an unknown value.
 LEVELS = 254
-"""Values are stored as whole numbers from 0 to this."""
 UNKNOWN = 255
-"""The number that stands for an unknown value."""
+# Words and colour of each source of stress, by the codes of `stress_law.Sources`.
 SOURCES: dict[int, tuple[str, str]] = {
     SURROGATE: ("network", "#3b82c4"),
     TABLE: ("table", "#3aa37f"),
@@ -471,7 +482,6 @@ SOURCES: dict[int, tuple[str, str]] = {
     Status.NOT_FINITE: ("RVE: not finite", "#8c5bb0"),
     Status.NOT_TRUSTED: ("RVE: risk above the limit", "#c2413b"),
 }
-"""Words and colour of each source of stress, by the codes of `stress_law.Sources`."""
 # Bytes of all animations together, before base64.
 _BUDGET = 1_200_000
 # The largest displacement is drawn with about this fraction of the tissue's size at first, by one
@@ -523,10 +533,11 @@ def _arrays(run: StoredRun, fields: StoredFields, budget: int) -> dict[str, Any]
     8-bit levels.
     """
     quantities = _quantities(fields)
+    # two components of two bytes for each node, and a byte for each element and quantity
     bytes_of_a_time = 4 * len(fields.points) + len(quantities) * len(fields.cells)
     times = max(2, min(len(fields.t), budget // max(bytes_of_a_time, 1)))
-    at = np.unique(np.linspace(0, len(fields.t) - 1, times).round().astype(int))
-    u = fields.displacement[at]
+    chosen = np.unique(np.linspace(0, len(fields.t) - 1, times).round().astype(int))
+    u = fields.displacement[chosen]
     largest = float(abs(u).max()) or 1.0
     order = rim(fields)
     bodies = bodies_of(run, fields)
@@ -538,7 +549,7 @@ def _arrays(run: StoredRun, fields: StoredFields, budget: int) -> dict[str, Any]
     low, high = box(fields.points + factor * u, bodies)
     return {
         "name": run.name,
-        "t": fields.t[at].tolist(),
+        "t": fields.t[chosen].tolist(),
         "clock": ["load factor ", ""] if run.is_rest else ["t = ", " µs"],
         "corners": len(order),
         "cells": _base64(fields.cells[:, order].astype("<u4").tobytes()),
@@ -549,18 +560,25 @@ def _arrays(run: StoredRun, fields: StoredFields, budget: int) -> dict[str, Any]
         "factor": factor,
         "factors": list(_FACTORS),
         "bodies": [
-            {"outline": each.outline.round(3).tolist(), "moved": each.moved[at].round(3).tolist()}
-            for each in bodies
+            {
+                "outline": body.outline.round(3).tolist(),
+                "moved": body.moved[chosen].round(3).tolist(),
+            }
+            for body in bodies
         ],
         "levels": LEVELS,
-        "colours": [_colour(name, unit, values[at]) for name, (unit, values) in quantities.items()],
+        "colours": [
+            _colour(name, unit, values[chosen]) for name, (unit, values) in quantities.items()
+        ],
     }
 
 
 def _colour(name: str, unit: str, values: Array) -> dict[str, Any]:
+    """Return a quantity for the script: its name, its colours, and the bytes of its values."""
     if name == "stress source":
         codes = np.nan_to_num(values, nan=UNKNOWN).astype(np.int16).astype(np.uint8)
-        shown = {int(code) % 256: list(each) for code, each in SOURCES.items()}  # one byte each
+        # codes are one byte each, so negative ones are counted from 256
+        shown = {int(code) % 256: list(look) for code, look in SOURCES.items()}
         words = {code: shown[code] for code in shown if (codes == code).any()}
         return {"name": name, "sources": words, "data": _base64(codes.tobytes())}
     colours = Colours.of(unit, values)
@@ -670,13 +688,11 @@ def _folded(summary: str, headings: Sequence[str], rows: Sequence[Sequence[str]]
 
 def _table(headings: Sequence[str], rows: Sequence[Sequence[str]], *, words: bool = False) -> str:
     """Return a table that scrolls where it is wider than the page; `words` of text are wrapped."""
-    head = "".join(f'<th scope="col">{escape(each)}</th>' for each in headings)
-    body = "".join(
-        f'<tr><th scope="row">{escape(name)}</th>'
-        + "".join(f"<td>{escape(value)}</td>" for value in values)
-        + "</tr>"
-        for name, *values in rows
-    )
+    head = "".join(f'<th scope="col">{escape(heading)}</th>' for heading in headings)
+    body = ""
+    for name, *values in rows:
+        cells = "".join(f"<td>{escape(value)}</td>" for value in values)
+        body += f'<tr><th scope="row">{escape(name)}</th>{cells}</tr>'
     kind = "wide words" if words else "wide"
     return (
         f'<div class="{kind}" tabindex="0"><table><thead><tr>'

@@ -23,7 +23,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class NamedCell:
-    """A plant cell by the name of its source, which is a "preset" or a "recipe"."""
+    """A plant cell by the name of its source.
+
+    Attributes:
+        cell: its parameters.
+        name: name of the source.
+        source: "preset" or "recipe".
+    """
 
     cell: CellParameters
     name: str
@@ -40,7 +46,8 @@ class NamedCell:
     def identity(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """Return all on which numbers about the cell depend.
 
-        asked: settings of the study besides the cell.
+        Args:
+            asked: settings of the study besides the cell.
         """
         return {
             "version": version("surrofe2"),
@@ -58,6 +65,7 @@ class Study:
     """A finished study.
 
     Attributes:
+        title: of the figure.
         panels: charts of the figure, row by row.
         columns: number of panels in a row.
         drawing: a figure that is no chart and takes the place of panels.
@@ -96,8 +104,14 @@ def keep_study(
 ) -> tuple[Study | None, list[Path]]:
     """Make a study and write figure, points, table and at last its numbers, unless they are there.
 
-    Its files are NAME-CELL.png, .csv, .md and .json in `out`. Returns the study, or None where it
-    was there, and its files.
+    Its files are NAME-CELL.png, .csv, .md and .json in `out`.
+
+    Args:
+        asked: settings of the study besides the cell.
+        make: makes the study.
+
+    Returns:
+        The study, or None where it was there; and its files.
 
     Raises:
         MismatchError: it is there by other settings, and not `fresh`.

@@ -16,7 +16,7 @@ from surrofe2.base.settings import unknown
 from surrofe2.base.units import number
 
 Row = TypeVar("Row")
-NONE = "–"
+NONE = "–"  # in the place of a value that is not there
 # A format of so many significant digits.
 _ROUNDED = re.compile(r"\.(\d)g")
 # Sizes from and up to which such a number is written without an exponent: 1470 and not 1.47e+03.
@@ -135,9 +135,10 @@ def is_missing(value: Any) -> bool:
 
 
 def percent(digits: int) -> Callable[[float], str]:
-    """Return a format of fractions: percent(2)(0.123) is "12 %"; rounding errors are "0 %"."""
+    """Make a format of fractions: percent(2)(0.123) is "12 %"; rounding errors are "0 %"."""
 
     def text(fraction: float) -> str:
+        """Write a fraction as a percentage."""
         if 1e-12 < abs(fraction) < 1e-7:
             return "< 0.00001 %"
         percents = 100.0 * fraction if abs(fraction) > 1e-12 else 0.0  # below, it is rounding
@@ -146,8 +147,8 @@ def percent(digits: int) -> Callable[[float], str]:
     return text
 
 
+# Formats of pictures, by the ends of their names.
 PICTURE_FORMATS = ("png", "pdf", "svg")
-"""Formats of pictures, by the ends of their names."""
 
 
 def check_form(form: str) -> None:

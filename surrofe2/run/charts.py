@@ -27,8 +27,8 @@ GREEN = "#009E73"
 VERMILION = "#D55E00"
 ORANGE = "#E69F00"
 PURPLE = "#CC79A7"
+# Colours of curves without a style of their own, in turn.
 PALETTE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
-"""Colours of curves without a style of their own, in turn."""
 _REFERENCE: dict[str, Any] = {"color": "black", "linewidth": 2.8, "alpha": 0.4, "zorder": 1}
 # A grid of 41 x 41 points fills a panel of _PANEL_SIZE without gaps.
 _TILE = ((-1.0, -0.62), (1.0, -0.62), (1.0, 0.62), (-1.0, 0.62))
@@ -49,18 +49,18 @@ _STYLES: dict[str, dict[str, Any]] = {
     "no stable state found": _AREA | {"color": ORANGE},
     "solve failed": _AREA | {"color": "black"},
 }
+# Marker and dash of curves in turn; the next pair where the colours begin again.
 _TURNS = (("o", "-"), ("s", "--"), ("^", ":"))
-"""Marker and dash; the next ones where the colours begin again."""
+# Dashes of lines without markers, in turn.
 _DASHES = ("-", "--", "-.", ":")
-"""Of lines without markers, in turn."""
 _PANEL_SIZE = (4.6, 3.1)  # inches
 _LEGEND_ROW = 0.2
 _LEGEND_ROOM = 0.15
 _TITLE_ROW = 0.2
+# Lines that a legend inside a panel names at most; a longer one stands below.
 _MOST_INSIDE = 2
-"""Lines that a legend inside a panel names."""
+# Letters of a label from which on a legend has one label in a row.
 _LONG = 30
-"""Letters of labels of which there is one in a row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +71,11 @@ class Curve:
         name: decides colour, dash and marker, so that a name looks alike in all figures.
         x, y: (m,) values in the units of the panel's axes; NaN leaves a gap, as does a value that a
             logarithm does not show.
-        label: for the legend; empty: the name. markers: whether single points are marked.
-        colour: which one of those for curves without a style; None: the next one.
-        dash: of matplotlib; empty: as the name or the turn has it."""
+        label: for the legend; empty: the name.
+        markers: whether single points are marked.
+        colour: number of the colour of a curve without a style; None: the next one.
+        dash: of matplotlib; empty: that of the name or of the colour.
+    """
 
     name: str
     x: Array
@@ -89,8 +91,12 @@ class Panel:
     """One pair of axes; labels carry units.
 
     Attributes:
-        x_ticks: where x is marked, by these numbers; empty: wherever it suits.
-        x_names: what stands there instead of the numbers.
+        x_label, y_label: of the axes.
+        curves: its lines.
+        title: above it.
+        log_x, log_y: whether an axis is logarithmic.
+        x_ticks: numbers at which x is marked; empty: wherever it suits.
+        x_names: texts there instead of the numbers.
         zero: whether the line y = 0 is drawn and in sight.
         height: of the panel, relative to the usual.
     """
@@ -110,9 +116,11 @@ class Panel:
 def draw_panels(
     panels: Sequence[Panel], columns: int = 1, *, title: str = "", figure: Figure | None = None
 ) -> Figure:
-    """A figure of panels, so many in a row, with one legend where they have the same lines.
+    """Draw a figure of panels, so many in a row, with one legend where they have the same lines.
 
-    figure: where to draw; None: a new one, which no window shows.
+    Args:
+        title: heading of the figure, of one line or several.
+        figure: where to draw; None: a new one, which no window shows.
     """
     from matplotlib.figure import Figure
 
@@ -125,11 +133,12 @@ def draw_panels(
     axes = figure.subplots(len(heights), columns, squeeze=False, height_ratios=heights)
     for place in axes.flat[len(panels) :]:
         place.axis("off")
-    width = max(_PANEL_SIZE[0] * columns, 6.4 if title else 0.0)
+    width = max(_PANEL_SIZE[0] * columns, 6.4 if title else 0.0)  # a title needs some room
     for place, panel in zip(axes.flat, panels, strict=False):
         _draw_panel(place, panel, int(11 * width / columns))
     legend = _draw_legends(figure, width, columns)
-    lines = [part for line in title.split("\n") for part in wrap(in_words(line), int(11 * width))]
+    letters = int(11 * width)  # about eleven of them take an inch
+    lines = [part for line in title.split("\n") for part in wrap(in_words(line), letters)]
     figure.set_size_inches(width, sum(heights) + legend + _TITLE_ROW * len(lines))
     figure.align_ylabels()
     if lines:
@@ -138,7 +147,7 @@ def draw_panels(
 
 
 def in_words(text: str) -> str:
-    """A text that may hold names of folders, as matplotlib draws it literally.
+    """Return a text that may hold names of folders, as matplotlib draws it literally.
 
     Dollar signs begin no formula, and a sign that its font lacks is drawn as an escape. Titles of
     panels may have formulas, so that names in them need this; labels and titles of figures get it.
@@ -157,7 +166,7 @@ def in_words(text: str) -> str:
 
 
 def encoded(figure: Figure, form: str = "svg") -> bytes:
-    """A figure as "png" of 300 dpi, "pdf", or "svg", whose words stay words."""
+    """Return a figure as "png" of 300 dpi, "pdf", or "svg", whose words stay words."""
     from matplotlib import rc_context
 
     picture = BytesIO()
@@ -170,6 +179,7 @@ def encoded(figure: Figure, form: str = "svg") -> bytes:
 
 
 def _draw_panel(axes: Axes, panel: Panel, letters: int) -> None:
+    """Draw the curves of a panel; its title has lines of so many letters."""
     from matplotlib.ticker import MaxNLocator
 
     others = 0
@@ -210,30 +220,37 @@ def _draw_panel(axes: Axes, panel: Panel, letters: int) -> None:
 
 
 def _draw_legends(figure: Figure, width: float, columns: int) -> float:
-    """Legends where there is more than one line; the height in inches of the one below all axes."""
+    """Draw legends where there is more than one line.
+
+    Where most panels have the same lines there is one legend below all axes, else one for each.
+
+    Returns:
+        The height in inches of the legend below all axes; 0 without one.
+    """
     handles: dict[str, Any] = {}
     labels = []
     for place in figure.axes:
-        here = place.get_legend_handles_labels()
-        handles = dict(zip(here[1], here[0], strict=True)) | handles
-        labels.append({*here[1]})
+        handles_of_place, labels_of_place = place.get_legend_handles_labels()
+        handles = dict(zip(labels_of_place, handles_of_place, strict=True)) | handles
+        labels.append({*labels_of_place})
     if len(handles) < 2:
         return 0.0
-    if all(2 * len(each) > len(handles) for each in labels if len(each) > 1):
+    if all(2 * len(names) > len(handles) for names in labels if len(names) > 1):
         longest = max(map(len, handles))
+        # inches of a line with its gaps, and of a letter
         in_a_row = max(1, min(3, int(width / (0.6 + 0.075 * longest))))
         figure.legend(
             [*handles.values()], [*handles], loc="outside lower center", ncols=in_a_row,
             frameon=False, fontsize=9, handlelength=2.4,
         )  # fmt: skip
         return _LEGEND_ROOM + _LEGEND_ROW * -(-len(handles) // in_a_row)
-    for place, each in zip(figure.axes, labels, strict=True):
+    for place, names in zip(figure.axes, labels, strict=True):
         where: dict[str, Any] = {"loc": "best", "framealpha": 0.8}
         if columns > 1:
-            in_a_row = 1 if max(map(len, each), default=0) > _LONG else 2
+            in_a_row = 1 if max(map(len, names), default=0) > _LONG else 2
             where = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2), "ncols": in_a_row}
-        elif len(each) > _MOST_INSIDE:
+        elif len(names) > _MOST_INSIDE:
             where = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
-        if len(each) > 1:
+        if len(names) > 1:
             place.legend(fontsize=8, **{"frameon": "framealpha" in where, **where})
     return 0.0

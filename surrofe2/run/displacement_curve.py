@@ -12,7 +12,12 @@ from surrofe2.base.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class DisplacementCurve:
-    """t: (m,) µs, increasing; displacement: (m, 2) µm."""
+    """A displacement over time.
+
+    Attributes:
+        t: (m,) µs, increasing.
+        displacement: (m, 2) µm.
+    """
 
     t: Array
     displacement: Array
@@ -34,11 +39,16 @@ class DisplacementCurve:
 
 @dataclass(frozen=True, slots=True)
 class CurveDifference:
-    """Difference of two curves, relative to the largest of the reference; as it is where that is 0.
+    """The difference of two curves.
+
+    Numbers are relative to the largest vector of the reference, or as they are where that is 0.
 
     Attributes:
+        largest: largest distance at one time.
+        rms: root mean square of the distance.
+        at_time: time of the largest distance, µs.
         of_largest: largest vector less that of the reference, whenever they are reached.
-        scale: largest of the reference, µm, or µN of forces.
+        scale: largest vector of the reference, µm, or µN of forces.
     """
 
     largest: float
@@ -49,7 +59,7 @@ class CurveDifference:
 
 
 def difference(curve: DisplacementCurve, reference: DisplacementCurve) -> CurveDifference:
-    """Return how far `curve` is from `reference` at the reference's times they both cover.
+    """Compute how far `curve` is from `reference`, at the reference's times that both cover.
 
     Vectors are compared by their Euclidean distance; `curve` is interpolated linearly where its
     times differ.
@@ -73,10 +83,12 @@ def difference(curve: DisplacementCurve, reference: DisplacementCurve) -> CurveD
     if not within.any():
         raise InputError("displacement curves: no common time; they must overlap")
     t = reference.t[within]
-    there = reference.displacement[within]
-    here = np.stack([np.interp(t, curve.t, curve.displacement[:, k]) for k in range(2)], axis=1)
-    distance = np.linalg.norm(here - there, axis=1)
-    scale, largest = (float(np.linalg.norm(values, axis=1).max()) for values in (there, here))
+    of_reference = reference.displacement[within]
+    components = [np.interp(t, curve.t, curve.displacement[:, k]) for k in range(2)]
+    of_curve = np.stack(components, axis=1)
+    distance = np.linalg.norm(of_curve - of_reference, axis=1)
+    scale = float(np.linalg.norm(of_reference, axis=1).max())
+    largest = float(np.linalg.norm(of_curve, axis=1).max())
     unit = scale or 1.0
     return CurveDifference(
         largest=float(distance.max() / unit),

@@ -1,4 +1,4 @@
-"""What a run records: rows, samples and whole fields, and the state that carries it on."""
+"""The journal of a run: rows, samples and whole fields, and the state that carries the run on."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.run.displacement_curve import DisplacementCurve
 
+# Column of how many points of the law are beyond a bifurcation.
 BEYOND = "beyond bifurcation"
-"""Column of how many points of the law are beyond a bifurcation."""
+# Column of how many pairs of outer sides of the tissue cross each other.
 CROSSINGS = "crossings of outer sides"
-"""Column of how many pairs of outer sides of the tissue cross each other."""
 _HISTORY = (
     "mean displacement", "node displacement", "force", "impulse", "position", "penetration", BEYOND,
     CROSSINGS,
@@ -28,12 +28,12 @@ class Journal:
     """Rows by the name of their series, behind one another in memory with room for more.
 
     A journal is never changed: `written` makes a longer one in the same memory, so no interrupt
-    tears it, and an older one is a mark to go back to. What follows a mark is then written over:
-    whoever keeps a journal while its run continues takes a `copy`.
+    tears it, and an older one is a mark to go back to. Rows behind a mark are then written over, so
+    a caller that keeps a journal while its run continues takes a `copy`.
 
     Attributes:
-        room: by name, (most, …) rows, the first of which are written.
-        lengths: by name, how many are.
+        room: (most, …) rows by name of the series, the first of which are written.
+        lengths: number of the written rows by name.
     """
 
     room: Mapping[str, Array]
@@ -41,11 +41,14 @@ class Journal:
 
     @classmethod
     def of(cls, rows: Mapping[str, Array]) -> Journal:
-        """A journal with (m, …) first rows of each series, in memory of its own."""
+        """Make a journal with the first rows (m, …) of each series, in memory of its own."""
         return cls({}, {}).written(rows)
 
     def written(self, rows: Mapping[str, Array]) -> Journal:
-        """With (m, …) rows of some series behind those that are there."""
+        """Return the journal with rows (m, …) of some series behind those that are there.
+
+        Room is doubled where it is full, so that many short writings take little time.
+        """
         room = dict(self.room)
         lengths = dict(self.lengths)
         for name, values in rows.items():
@@ -64,31 +67,34 @@ class Journal:
         return Journal(room, lengths)
 
     def __getitem__(self, name: str) -> Array:
+        """Return the written rows of a series."""
         return self.room[name][: self.lengths[name]]
 
     def part(self, name: str) -> dict[str, Array]:
-        """The series ``name.…`` by what follows the dot."""
+        """Return the series ``name.…`` by what follows the dot."""
         return {key: self[f"{name}.{key}"] for key in part_of(self.room, name)}
 
     def copy(self) -> Journal:
-        """The same in memory of its own."""
+        """Return the same journal in memory of its own."""
         return Journal.of({name: self[name] for name in self.room})
 
 
 class RunState:
-    """Base of dataclasses of all that carries a run on: arrays, numbers, dicts of numbers and a
-    `journal` of the series `SERIES`, and perhaps a `mark`, a state to go back to.
+    """Base of dataclasses of all that carries a run on.
 
-    `law_state` is whatever a law makes it: who writes a file adds it by the law's own means.
+    Fields are arrays, numbers, dicts of numbers, a `journal` of the series `SERIES`, and perhaps a
+    `mark`, a state to go back to. `law_state` is whatever a law makes it: the caller that writes a
+    file adds it by the law's own means.
     """
 
     __slots__ = ()
     SERIES: ClassVar[tuple[str, ...]]
 
     def to_arrays(self) -> dict[str, NDArray]:
-        """One array for each entry; those of dicts are ``"counts.steps"`` and so on."""
+        """Return one array for each entry; those of dicts are ``"counts.steps"`` and so on."""
         arrays: dict[str, NDArray] = {}
-        kind = next(each for each in type(self).__mro__ if "SERIES" in vars(each))
+        # a subclass may add results, which are no part of the state
+        kind = next(base for base in type(self).__mro__ if "SERIES" in vars(base))
         for item in fields(kind):
             value = getattr(self, item.name)
             if isinstance(value, Journal):
@@ -103,8 +109,10 @@ class RunState:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray]) -> Self:
-        """The state whose `to_arrays` gave `arrays`. Raises `InputError` where one of them is
-        missing.
+        """Return the state whose `to_arrays` gave `arrays`.
+
+        Raises:
+            InputError: one of them is missing.
         """
         values: dict[str, Any] = {}
         for item in fields(cls):  # type: ignore[arg-type]
@@ -124,33 +132,37 @@ class RunState:
 
 
 def within(name: str, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
-    """The arrays by names that begin with another and a dot."""
+    """Return the arrays by names that begin with another and a dot."""
     return {f"{name}.{key}": values for key, values in arrays.items()}
 
 
 def part_of(arrays: Mapping[str, NDArray], name: str) -> dict[str, NDArray]:
-    """What `within` was given by this name."""
+    """Return the arrays whose names `within` began with this one, by the rest of their names."""
     begin = f"{name}."
     return {k.removeprefix(begin): values for k, values in arrays.items() if k.startswith(begin)}
 
 
 def _entry(arrays: Mapping[str, NDArray], name: str) -> NDArray:
+    """Return an array by name; an `InputError` where it is missing."""
     if name not in arrays:
         raise InputError(f"state of a run: no {name!r}; the checkpoint is incomplete")
     return arrays[name]
 
 
 def _value(array: NDArray) -> Any:
+    """Return a number of an array without axes, else the array in memory of its own."""
     return array.item() if np.ndim(array) == 0 else np.array(array, dtype=np.float64)
 
 
+# Series that a journal has of whole fields in any case.
 FRAME_TIMES = ("frames.t", "frames.point_t")
-"""Series that a journal has of whole fields in any case."""
 
 
 def check_frames(journal: Journal, *, are_taken: bool) -> None:
-    """Refuse to continue a journal that lacks the whole fields at the times of its frames, where
-    nobody takes those that follow: they would stand beside the times of others.
+    """Refuse to continue a journal that lacks whole fields of its frames, if new frames are kept in
+    it.
+
+    Fields of the frames that follow would stand beside the times of others.
 
     Args:
         are_taken: whether the continued run gives its fields away, too.
@@ -164,8 +176,10 @@ def check_frames(journal: Journal, *, are_taken: bool) -> None:
 
 
 def frame_series(frames: Any, *, times_alone: bool = False) -> dict[str, Array]:
-    """The rows that a dataclass of whole fields at some times adds to a journal; of all but the
-    times none where somebody else keeps them."""
+    """Return the rows that a dataclass of whole fields at some times adds to a journal.
+
+    With `times_alone`, since the fields are kept elsewhere, only the times have rows.
+    """
     rows = {f"frames.{item.name}": getattr(frames, item.name) for item in fields(frames)}
     if not times_alone:
         return rows
@@ -173,12 +187,14 @@ def frame_series(frames: Any, *, times_alone: bool = False) -> dict[str, Array]:
 
 
 def named_columns(names: Iterable[str], rows: Array) -> dict[str, Array]:
-    """(m,) columns by name."""
+    """Return the columns (m,) by name."""
     return dict(zip(names, rows.T, strict=True))
 
 
 def curves_of(t: Array, columns: Mapping[str, Array]) -> dict[str, DisplacementCurve]:
-    """Displacement of each watched point, from the columns ``displacement NAME x`` and ``y``."""
+    """Return the displacement of each watched point, of the columns ``displacement NAME x`` and
+    ``y``.
+    """
     begin = "displacement "
     names = [key[len(begin) : -2] for key in columns if key.startswith(begin) and key[-1] == "x"]
     return {

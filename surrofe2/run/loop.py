@@ -1,4 +1,4 @@
-"""The loop of every run: steps with progress, checkpoints and interrupts; how work reports."""
+"""The loop of every run: steps with progress, checkpoints and interrupts; and how work reports."""
 
 from __future__ import annotations
 
@@ -12,19 +12,20 @@ from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.base.interruption import interruptible
 
 Run = TypeVar("Run")
+# A function that is called with how much is done, and a remark.
 Report = Callable[[float, str], None]
-"""Called with how much is done and a remark."""
+# A function that begins to display a stage: what is done, how much of it, in which unit.
 Stage = Callable[[str, float, str], AbstractContextManager[Report]]
-"""Begins to display a stage: what is done, how much of it, in which unit."""
 
+# Largest fraction of the time of a run that its checkpoints may take.
 SHARE = 0.05
-"""Of the time of a run, what its checkpoints may take."""
 
 
+# A function that is called with (t, duration) after every step; True: a line of the standard error
+# shows it.
 Progress = Callable[[float, float], None] | bool | None
-"""Called with (t, duration) after every step; True: a line of the standard error shows it."""
+# Seconds between two lines of progress.
 _EVERY = 0.5
-"""Seconds between two lines of progress."""
 
 
 class ShownProgress:
@@ -57,7 +58,7 @@ class ShownProgress:
 
 
 class CheckpointClock:
-    """Says after a step whether a checkpoint is due; results do not depend on it.
+    """Decides after a step whether a checkpoint is due; results do not depend on it.
 
     A checkpoint is due `interval` seconds after the last one, or later where that took long.
     """
@@ -69,11 +70,13 @@ class CheckpointClock:
         self._due = monotonic() + interval
 
     def is_due(self) -> bool:
+        """Return whether a checkpoint is due."""
         return monotonic() >= self._due
 
     def write(self, checkpoint: Callable[[], None]) -> None:
-        """Let a checkpoint be taken and written, both by the call; how long that takes decides
-        when the next one is due."""
+        """Let a call take and write a checkpoint; how long that takes decides when the next one
+        is due.
+        """
         began = monotonic()
         checkpoint()
         now = monotonic()
@@ -89,7 +92,7 @@ class Recorder(Protocol):
         """Whether a checkpoint may be taken upon an interrupt now."""
 
     def checkpoint(self) -> Any:
-        """Return what carries the run on, in memory of its own."""
+        """Return a state that carries the run on, in memory of its own."""
 
 
 def carry_out(
@@ -102,24 +105,29 @@ def carry_out(
     checkpoint: Callable[[Any], None] | None,
     interval: float,
 ) -> Run:
-    """Take all `steps`, each of which records itself and gives the time reached in µs.
+    """Take all `steps` of a run, and return its results.
 
     Args:
-        results: gives those so far, and learns whether the run is finished.
+        steps: each of them records itself and yields the time reached, µs.
+        recorder: has the state of the run.
+        results: makes the results so far, called with whether the run is finished.
+        duration: of the run, for the progress.
         progress: called with (t, duration) in µs after every step; True: a line of the standard
             error shows it.
         checkpoint: called with `recorder.checkpoint()` every `interval` seconds, as of
-            `CheckpointClock`, and upon an interrupt, which then goes its way.
+            `CheckpointClock`, and upon an interrupt, which then continues.
 
     Raises:
-        SimulationError: of a step; `partial` is the run up to there."""
+        SimulationError: of a step; `partial` is the run up to there.
+    """
     import numpy as np  # late: help needs none of it
 
     due = CheckpointClock(interval)
     shown = ShownProgress() if progress is True else None
     show = shown if isinstance(progress, bool) else progress
     try:
-        # What vanishes against the rest may underflow, whatever the caller has set numpy to do.
+        # A number that vanishes beside others may underflow, whatever the caller has set numpy to
+        # do.
         with interruptible(), np.errstate(under="ignore"):
             for t in steps:
                 if show is not None:
@@ -140,9 +148,9 @@ def carry_out(
 
 
 def no_report(done: float, note: str = "") -> None:
-    """A report that displays nothing."""
+    """Display nothing of the work."""
 
 
 def no_stage(what: str, total: float, unit: str) -> AbstractContextManager[Report]:
-    """A stage that displays nothing."""
+    """Display nothing of a stage."""
     return nullcontext(no_report)

@@ -1,4 +1,6 @@
-"""What a mechanical test measures: the force of a support, load or body over its displacement."""
+"""The responses of a mechanical test: the force of a support, load or body over its
+displacement.
+"""
 
 from __future__ import annotations
 

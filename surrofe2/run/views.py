@@ -1,4 +1,4 @@
-"""What people ask of results in a notebook: facts as HTML, pictures, tables of other libraries."""
+"""Views of results in a notebook: facts as HTML, pictures, tables of other libraries."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ Facts = Mapping[str, object]
 
 
 class Viewed(ABC):
-    """What a notebook shows as HTML."""
+    """The base of results that a notebook shows as HTML, by their facts."""
 
     __slots__ = ()
 
     @abstractmethod
     def facts(self) -> Facts:
-        """Return what matters of it, by name."""
+        """Return the facts that a notebook shows, by name."""
 
     def __repr__(self) -> str:
         facts = ", ".join(f"{name} {value}" for name, value in self.facts().items())
@@ -46,7 +46,13 @@ class Viewed(ABC):
 
 
 class Series(NamedTuple):
-    """A quantity over time: (m,) values with its group, displacement, force, place or energy."""
+    """A quantity over time.
+
+    Attributes:
+        values: (m,).
+        unit: their unit.
+        group: "displacement", "force", "place", "energy" or another kind; one axis shows one group.
+    """
 
     values: Array
     unit: str
@@ -58,8 +64,10 @@ class ViewedRun(Viewed):
     """A run, which is looked at over its time, or a rest over the factor of its load.
 
     Attributes:
-        curve: displacement of the first watched point; `curves`: of all by name.
-        energies, history: (m,) by name; energies in pJ, forces in µN, places in µm.
+        curve: displacement of the first watched point.
+        curves: those of all watched points by name.
+        energies: (m,) by name, pJ.
+        history: (m,) by name; forces in µN, places in µm.
     """
 
     curve: DisplacementCurve
@@ -68,11 +76,11 @@ class ViewedRun(Viewed):
     history: Mapping[str, Array] = field(default_factory=dict)
 
     def fields_over_time(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Whole fields and their coordinates, as `xarray.Dataset` takes them; here none."""
+        """Return whole fields and their coordinates, as `xarray.Dataset` takes them; here none."""
         return {}, {}
 
     def series(self) -> dict[str, Series]:
-        """All quantities over the output times, by name."""
+        """Return all quantities over the output times, by name."""
         series = {
             f"u_{axis} {name}": Series(values, LENGTH, "displacement")
             for name, curve in self.curves.items()
@@ -94,7 +102,7 @@ class ViewedRun(Viewed):
         return series
 
     def plot(self) -> Any:
-        """Displacements, forces and energies over time, by matplotlib.
+        """Draw displacements, forces and energies over time, by matplotlib.
 
         Returns:
             The axes, from top to bottom; their `figure` can be saved.
@@ -104,13 +112,15 @@ class ViewedRun(Viewed):
         return np.array(draw_panels(self.panels(), figure=plt.figure()).axes)
 
     def panels(self) -> list[Panel]:
-        """Displacements, forces and energies over time, where there are any."""
+        """Make panels of displacements, forces and energies over time, where there are any."""
         panels = []
         for group, unit in (("displacement", LENGTH), ("force", FORCE), ("energy", ENERGY)):
             curves = tuple(
-                Curve("", self.curve.t, each.values, name.removeprefix(f"{group} "), markers=False)
-                for name, each in self.series().items()
-                if each.group == group
+                Curve(
+                    "", self.curve.t, series.values, name.removeprefix(f"{group} "), markers=False
+                )
+                for name, series in self.series().items()
+                if series.group == group
             )
             if curves:
                 panels.append(Panel(self.clock, f"{group} ({unit})", curves, height=0.8))
@@ -123,11 +133,11 @@ class ViewedRun(Viewed):
 
     @property
     def clock(self) -> str:
-        """What its curves are over, as an axis of a picture says."""
+        """Label of the axis over which its curves are drawn."""
         return "load factor" if self.is_rest else "time (µs)"
 
     def relation(self, name: str, against: str) -> Array:
-        """(m, 2) one column over another: a force–displacement or a stress–strain curve.
+        """Return one column over another, (m, 2): a force–displacement or a stress–strain curve.
 
         Args:
             name, against: of `history`.
@@ -159,24 +169,24 @@ class ViewedRun(Viewed):
         return related(self.history, name, against)
 
     def to_pandas(self) -> Any:
-        """A `pandas.DataFrame` over t in µs, or the load factor, of displacements, forces and
-        energies.
+        """Make a `pandas.DataFrame` of displacements, forces and energies.
 
-        Its `attrs["units"]` has the unit of each column.
+        Its index is t in µs, or the load factor. Its `attrs["units"]` has the unit of each column.
 
         Raises:
             InputError: pandas is not installed.
         """
         pandas = _library("pandas", "to_pandas")
-        series = self.series()
-        columns = {name: each.values for name, each in series.items()}
+        all_series = self.series()
+        columns = {name: series.values for name, series in all_series.items()}
         index, unit = ("factor", NONE) if self.is_rest else ("t_us", TIME)
         frame = pandas.DataFrame(columns, index=pandas.Index(self.curve.t, name=index))
-        frame.attrs["units"] = {index: unit, **{name: each.unit for name, each in series.items()}}
+        units = {name: series.unit for name, series in all_series.items()}
+        frame.attrs["units"] = {index: unit, **units}
         return frame
 
     def to_xarray(self) -> Any:
-        """An `xarray.Dataset` of the same, each variable with its unit, and of whole fields.
+        """Make an `xarray.Dataset` of the same, each variable with its unit, and of whole fields.
 
         Fields are those of a run from Python, over `frame` (t in µs), `node` and `element`.
 
@@ -186,9 +196,9 @@ class ViewedRun(Viewed):
         xarray = _library("xarray", "to_xarray")
         fields, coordinates = self.fields_over_time()
         over, unit = ("factor", NONE) if self.is_rest else ("t", TIME)
-        for name, each in self.series().items():
-            fields[name] = over, each.values, {"units": each.unit}
-        coordinates[over] = over, self.curve.t, {"units": unit}
+        for name, series in self.series().items():
+            fields[name] = (over, series.values, {"units": series.unit})
+        coordinates[over] = (over, self.curve.t, {"units": unit})
         return xarray.Dataset(fields, coordinates, {"source": repr(self)})
 
     def _repr_html_(self) -> str:
@@ -202,10 +212,12 @@ class ViewedRun(Viewed):
 
 
 def related(history: Mapping[str, Array], name: str, against: str) -> Array:
-    """(m, 2) two columns of a history side by side, `against` first; see `ViewedRun.relation`."""
-    for each in (against, name):
-        if each not in history:
-            raise InputError(f"{each}: no such column; there are {', '.join(history)}")
+    """Return two columns (m, 2) of a history side by side, `against` first; see
+    `ViewedRun.relation`.
+    """
+    for column in (against, name):
+        if column not in history:
+            raise InputError(f"{column}: no such column; there are {', '.join(history)}")
     return np.stack([history[against], history[name]], axis=1)
 
 
@@ -216,7 +228,7 @@ def course(
     *,
     is_rest: bool = False,
 ) -> Facts:
-    """Facts of all runs and rests: how long or under which load, how fast, how far."""
+    """Return the facts of all runs and rests: how long or under which load, how fast, how far."""
     end = curve.t[-1] if curve.t.size else 0.0
     way = {"time": f"{end:g} µs in {counts.get('steps', 0):,} steps"}
     if is_rest:
@@ -230,7 +242,11 @@ def course(
 
 
 def _library(name: str, method: str) -> Any:
-    """A library that surrofe2 does not need for anything else, if it is installed."""
+    """Import a library that surrofe2 does not need for anything else.
+
+    Raises:
+        InputError: it is not installed; `method` is the function that needs it.
+    """
     try:
         return import_module(name)
     except ModuleNotFoundError:

@@ -1,4 +1,4 @@
-"""What is kept on disk: files that are whole or absent and prove themselves, one writer at a time.
+"""Files on disk that are whole or absent and prove themselves, with one writer at a time.
 
 In reading order:
 

@@ -152,8 +152,12 @@ def _number(word: str) -> float:
 
 
 def _read_nodes(contents: _Contents, options: dict[str, str], lines: list[list[str]]) -> None:
+    """Read the lines of *NODE: tag and two or three coordinates each, and the set that they
+    make.
+    """
     if not lines:
         return
+    # a tag and three coordinates; those that are left out are 0
     rows = np.array([[_number(word) for word in [*line, "", "", ""][:4]] for line in lines])
     contents.tags.append(rows[:, 0].astype(np.int64))
     contents.points.append(rows[:, 1:])
@@ -162,6 +166,7 @@ def _read_nodes(contents: _Contents, options: dict[str, str], lines: list[list[s
 
 
 def _read_elements(contents: _Contents, options: dict[str, str], lines: list[list[str]]) -> None:
+    """Read the lines of *ELEMENT: tag and nodes each, which may continue on further lines."""
     stated = options.get("TYPE", "").upper()
     numbers = [int(word) for line in lines for word in line if word]
     plane = _PLANE.match(stated)
@@ -229,6 +234,23 @@ def _stored(contents: _Contents) -> StoredMesh:
     for name, members in contents.node_sets.items():
         places = [_place(node_at, tag, f"set {name}: node") for tag in members]
         node_sets[name] = np.unique(np.array(places, dtype=np.int64))
+    groups = _groups_of_sets(contents, element_at, cells, node_sets)
+    groups += _groups_of_surfaces(contents, element_at, cells)
+    return StoredMesh(np.concatenate(contents.points), cells, groups, node_sets)
+
+
+def _groups_of_sets(
+    contents: _Contents,
+    element_at: Mapping[int, tuple[str, int]],
+    cells: dict[str, Index],
+    node_sets: dict[str, Index],
+) -> list[Group]:
+    """Make the groups of lines and of plane elements that the element sets state.
+
+    Args:
+        element_at: kind of each element, and its place in `cells` of that kind, by its tag.
+        node_sets: nodes of each set; one that an element set makes needless is removed.
+    """
     groups = []
     for name, members in contents.element_sets.items():
         if name in contents.internal:
@@ -248,19 +270,30 @@ def _stored(contents: _Contents) -> StoredMesh:
                 group.cells[kind] = np.append(before, k)
         if group.cells and not _is_of_an_edge(group, cells, node_sets):
             groups.append(group)
+    return groups
+
+
+def _groups_of_surfaces(
+    contents: _Contents, element_at: Mapping[int, tuple[str, int]], cells: dict[str, Index]
+) -> list[Group]:
+    """Make a group of lines for each surface, and add its lines to `cells`."""
+    groups = []
     lines: list[list[int]] = cells.get("line", np.zeros((0, 2), np.int64)).tolist()
     for name, sides in contents.surfaces.items():
         begin = len(lines)
-        for where, side in sides:
-            known = contents.element_sets.named(where)
-            members = [int(where)] if where.isdigit() else contents.element_sets.get(known, [])
+        for members_of, side in sides:  # an element's number, or the name of a set
+            if members_of.isdigit():
+                members = [int(members_of)]
+            else:
+                set_name = contents.element_sets.named(members_of)
+                members = contents.element_sets.get(set_name, [])
             for tag in members:
                 kind, k = _place(element_at, tag, f"surface {name}: element")
                 lines.append(_ends(cells[kind][k], side, name))
         groups.append(Group(name, 1, {"line": np.arange(begin, len(lines))}))
     if lines:
         cells["line"] = np.array(lines, dtype=np.int64)
-    return StoredMesh(np.concatenate(contents.points), cells, groups, node_sets)
+    return groups
 
 
 def _is_of_an_edge(group: Group, cells: dict[str, Index], node_sets: dict[str, Index]) -> bool:
@@ -290,6 +323,7 @@ def _ends(nodes: Index, side: str, name: str) -> list[int]:
 
 
 def _place(places: Mapping[int, _T], tag: int, what: str) -> _T:
+    """Return the place of a tag; a `ValueError` where it is not there."""
     if tag not in places:
         raise ValueError(f"{what} {tag} is not there")
     return places[tag]

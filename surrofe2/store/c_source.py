@@ -23,8 +23,8 @@ from surrofe2.surrogate.features import BEND, BENT, COMPONENTS, NETWORK_INPUTS
 from surrofe2.surrogate.lookup import BoundArrays, NetworkArrays
 from surrofe2.surrogate.products import ONE, STRETCH
 
+# Pattern of the prefix of all functions.
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
-"""Pattern of the prefix of all functions."""
 _STATUSES = (Status.OK, Status.OUT_OF_RANGE, Status.NOT_FINITE, Status.NOT_TRUSTED)
 # Points in a loop: 1 in a call for one point, 8 in a block of a batch.
 _WIDTHS = (1, 8)
@@ -298,11 +298,11 @@ def _network(law: SurrogateLaw, width: int) -> Iterator[str]:
     yield f"static void network_of_{width}(const double *RESTRICT x, double *RESTRICT y,"
     yield "                         int with_slopes, double *RESTRICT slopes)"
     yield "{"
-    for name in ("u", "v"):
-        each = ", ".join(f"{name}{k}[{size * width}]" for k, size in enumerate(sizes))
-        yield f"    double {each};"
+    for name in ("u", "v"):  # units of each layer, and their slopes
+        arrays = ", ".join(f"{name}{k}[{size * width}]" for k, size in enumerate(sizes))
+        yield f"    double {arrays};"
     inputs = {f"r{k}": f"x[{k * width} + l]" for k in range(INPUTS)}
-    for k in range(STRETCH):
+    for k in range(STRETCH):  # the inputs bent, r/√(B² + r²), and their slopes B²/(B² + r²)^(3/2)
         inputs |= {
             f"n{k}": f"inverse_root({BEND * BEND!r} + r{k} * r{k})",
             f"r{BENT + k}": f"r{k} * n{k}",
@@ -314,15 +314,16 @@ def _network(law: SurrogateLaw, width: int) -> Iterator[str]:
             by[BENT + along] = f"d{BENT + along}"
         formulas = _Formulas(law.arrays, inputs, NETWORK_INPUTS, along, by)
         if along is None:
-            y = "y"
+            result = "y"
             units = "u"
             first = 0
         else:
-            y = "slopes"
+            result = "slopes"
             units = "v"
             first = along * COMPONENTS
         lines = [
-            f"{y}[{(first + k) * width} + l] = {formulas.polynomial(k)};" for k in range(COMPONENTS)
+            f"{result}[{(first + k) * width} + l] = {formulas.polynomial(k)};"
+            for k in range(COMPONENTS)
         ]
         read = [formulas.wanted.get(row, "0.0") for row in invariants]
         used = [k for k, value in enumerate(read) if value != "0.0"]

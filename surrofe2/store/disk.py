@@ -16,12 +16,12 @@ from surrofe2.base import locks
 
 log = logging.getLogger(__name__)
 
+# Errors of opening or synchronising a folder on CIFS, vboxsf, WSL and some FUSE, or one that may be
+# written and not read. The files in it are on the disk all the same.
 _NOT_SYNCED = (
     errno.EINVAL, errno.EIO, errno.EOPNOTSUPP, errno.ENOSYS, errno.EACCES, errno.EPERM,
     errno.EBADF, errno.EISDIR,
 )  # fmt: skip
-"""Errors of opening or synchronising a folder on CIFS, vboxsf, WSL and some FUSE, or one that may
-be written and not read. The files in it are on the disk all the same."""
 
 
 def create(path: Path) -> FileIO:

@@ -29,10 +29,11 @@ if TYPE_CHECKING:
     from surrofe2.rve.particles import Particles
     from surrofe2.tissue.simulation import ParticleFrames
 
+# Values at one time by name: numbers (n,), vectors (n, 2) or tensors (n, 2, 2).
 Values = Mapping[str, NDArray[Any]]
-"""Values at one time by name: numbers (n,), vectors (n, 2) or tensors (n, 2, 2)."""
+# Values over time by name: numbers (m, n), vectors (m, n, 2) or tensors (m, n, 2, 2).
 Series = Mapping[str, NDArray[Any]]
-"""Values over time by name: numbers (m, n), vectors (m, n, 2) or tensors (m, n, 2, 2)."""
+# Names of the values in the files; their ends tell the unit.
 F_NAME = "deformation_gradient"
 F_DOT_NAME = "deformation_rate_1_per_us"
 STRESS_NAME = "cauchy_stress_uN_per_um"
@@ -43,29 +44,31 @@ DISPLACEMENT_NAME = "displacement_um"
 VELOCITY_NAME = "velocity_um_per_us"
 PRESSURE_NAME = "fluid_pressure_MPa"
 CELL = "plant_cell"
+# Fields of nodes; all others are of elements.
 MOTION = (DISPLACEMENT_NAME, VELOCITY_NAME)
-"""Fields of nodes; all others are of elements."""
+# Units by the end of a name; the first end that fits counts.
 _UNITS = {
     "_um_per_us": VELOCITY,
     "_uN_per_um": STRESS,
     "_1_per_us": RATE,
     "_pJ_per_um2": f"{ENERGY}/µm²",
     "_MPa": "MPa",
-    "_um": LENGTH,  # last: others end so, too
+    "_um": LENGTH,  # last, since names of stresses and energies end so, too
 }
 # Names that fields of runs have in Python.
 _SHORT = {"cauchy_stress": "stress", "deformation_gradient": "F", "deformation_rate": "F_dot"}
 _TENSORS = (STRESS_NAME, F_NAME, F_DOT_NAME)
+# Files of HDF5: the mesh with what does not change, and one frame with "Node" or "Cell" by name.
 FIELDS_FILE = Kind("fields", 2)
 FRAME_FILE = Kind("frame", 1, {"centres": dict})
+# Name of the files of elements or particles.
 FIELDS = "fields"
-"""Name of the files of elements or particles."""
+# Name of the files of points of the law.
 POINTS = "points"
-"""Name of the files of points of the law."""
+# Name of the files of plant cells.
 PLANT_CELLS = "plant-cells"
-"""Name of the files of plant cells."""
+# The folder of the frames of all of them.
 FRAMES = "frames"
-"""The folder of the frames of all of them."""
 # Bytes and seconds of frames that wait to be written together: small ones come quickly.
 _MOST_WAITING = 4e6
 _LONGEST_WAIT = 2.0
@@ -160,11 +163,14 @@ def fields_of_particles(frames: ParticleFrames) -> tuple[Values, Values]:
 def point_writer(folder: Path, position: Array, per_element: int) -> FrameWriter:
     """Return the writer of points.xdmf: deformation and stress at points of the law.
 
-    position: (n, 2) µm, the points of an element one after the other.
+    Args:
+        position: (n, 2) µm, the points of an element one after the other.
+        per_element: number of points of an element.
     """
-    each = np.arange(len(position))
-    element = {"element": (each // per_element).astype(np.float64)}
-    return FrameWriter(folder, position, each[:, None], POINTS, at_points=element)
+    number = np.arange(len(position))
+    element = {"element": (number // per_element).astype(np.float64)}
+    # each point is a cell of its own
+    return FrameWriter(folder, position, number[:, None], POINTS, at_points=element)
 
 
 def write_point_fields(
@@ -189,8 +195,9 @@ def write_series(
     """Write values of points (n, 2), µm, and cells (e, k) at times t (m,), all in memory."""
     with FrameWriter(folder, points, cells, name) as writer:
         for k, time in enumerate(t):
-            both = ({what: of[k] for what, of in data.items()} for data in (at_points, in_cells))
-            writer.write(k, float(time), *both)
+            points_now = {what: values[k] for what, values in at_points.items()}
+            cells_now = {what: values[k] for what, values in in_cells.items()}
+            writer.write(k, float(time), points_now, cells_now)
 
 
 class Entry(NamedTuple):
@@ -269,6 +276,7 @@ class FrameWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Complete the files, unless an error ended the block."""
         if kind is None:
             self.close()
 
@@ -348,6 +356,7 @@ class FrameWriter:
         self._write_names()
 
     def _has_mesh(self) -> bool:
+        """Return whether the file of the mesh has been written for these frames."""
         return self.count > len(self._waiting) and (self._folder / f"{self._name}.h5").exists()
 
     def _go_back(self, number: int) -> None:
@@ -360,6 +369,7 @@ class FrameWriter:
             self._has_surplus = True
 
     def _path(self, number: int) -> Path:
+        """Return the path of a frame's file."""
         return self._folder / _frame_file(self._name, number)
 
     def _write_names(self) -> None:
@@ -417,10 +427,11 @@ class Names:
         return _document(f'<Grid Name="{number}" GridType="Uniform">\n{content}</Grid>\n')
 
     def _content(self, number: int) -> str:
+        """Return the XDMF of one frame: cells, points and values."""
         cells, points = self.mesh
         count, corners = cells.shape
         file = _frame_file(self.name, number)
-        values = [each._replace(place=f"{file}:/{each.place}") for each in self.values]
+        values = [entry._replace(place=f"{file}:/{entry.place}") for entry in self.values]
         return "".join(
             (
                 f'<Topology TopologyType="{_KINDS[corners]}" NumberOfElements="{count}" '
@@ -432,16 +443,19 @@ class Names:
 
 
 def _document(grid: str) -> str:
+    """Return an XDMF document with this grid."""
     return f'<?xml version="1.0"?>\n<Xdmf Version="3.0"><Domain>\n{grid}</Domain></Xdmf>\n'
 
 
 def _attribute(values: Entry) -> str:
+    """Return the XDMF of values of nodes or cells."""
     kind = {1: "Scalar", 2: "Vector", 3: "Tensor"}[len(values.shape)]
     head = f'<Attribute Name="{values.name}" AttributeType="{kind}" Center="{values.centre}">'
     return f"{head}{_data_item(values)}</Attribute>\n"
 
 
 def _data_item(array: Entry) -> str:
+    """Return the XDMF that names an array in a file of HDF5."""
     number = "Int" if array.dtype.kind == "i" else "Float"
     shape = " ".join(map(str, array.shape))
     head = f'<DataItem DataType="{number}" Precision="8" Dimensions="{shape}" Format="HDF">'
@@ -549,12 +563,12 @@ class SeriesOfFrames:
         path = self.folder / _frame_file(self.name, k)
         frame_values: dict[str, Array] = {}
         with reading(path, FRAME_FILE) as frame:
-            there = set(frame.header()["centres"]) | self.constants.keys()
+            names = set(frame.header()["centres"]) | self.constants.keys()
             for what in needed:
-                if what not in there:
+                if what not in names:
                     raise FileError(f"{path}: no {what} in it; run it again with --fresh")
-            for what in sorted(there) if others is None else (*needed, *others):
-                if what not in there:
+            for what in sorted(names) if others is None else (*needed, *others):
+                if what not in names:
                     continue
                 if what in self.constants:
                     frame_values[what] = self.constants[what]
@@ -652,7 +666,7 @@ def read_fields(
     for k in range(series.count):
         for what, values in series.frame(k, wanted, more).items():
             rows.setdefault(what, []).append(np.array(values if what in MOTION else values[only]))
-    over_time = {what: np.stack(each) for what, each in rows.items()}
+    over_time = {what: np.stack(values) for what, values in rows.items()}
     return StoredFields(series.points, series.cells, series.t, over_time)
 
 
@@ -727,9 +741,9 @@ def _write_plant_cells(folder: Path, seen: Particles, t: Array, thickness: float
         offset = (seen.F @ seen.lattice) @ rim[:, 1:].T
         around = seen.position[:, rim[:, 0]] + offset.swapaxes(1, 2)
         points.append(np.concatenate([around, around.mean(axis=1, keepdims=True)], axis=1))
-        here = first + np.arange(len(rim))
+        corners = first + np.arange(len(rim))
         middle = np.full(len(rim), first + len(rim))
-        triangles.append(np.stack([here, np.roll(here, -1), middle], axis=1))
+        triangles.append(np.stack([corners, np.roll(corners, -1), middle], axis=1))
         cell_of.append(np.full(len(rim), k))
         first += len(rim) + 1
     now = np.concatenate(points, axis=1)

@@ -28,6 +28,7 @@ from surrofe2.store.plane_mesh import (
     numbered_groups,
 )
 
+# Name and number of nodes of Gmsh's kinds of elements, by their number.
 _KINDS = {
     1: ("line", 2), 2: ("triangle", 3), 3: ("quad", 4), 4: ("tetra", 4), 5: ("hexahedron", 8),
     6: ("wedge", 6), 7: ("pyramid", 5), 8: ("line3", 3), 9: ("triangle6", 6), 10: ("quad9", 9),
@@ -38,9 +39,8 @@ _KINDS = {
     27: ("line5", 5), 28: ("line6", 6), 36: ("quad16", 16), 37: ("quad25", 25), 38: ("quad36", 36),
     39: ("quad12", 12), 40: ("quad16", 16), 41: ("quad20", 20),
 }  # fmt: skip
-"""Name and number of nodes of Gmsh's kinds of elements, by their number."""
+# Gmsh writes format 4.0 as "4".
 _VERSIONS = {"2": 2, "2.0": 2, "2.1": 2, "2.2": 2, "4": 40, "4.0": 40, "4.1": 41}
-"""Gmsh writes format 4.0 as "4"."""
 _NO_SURFACE = (
     "Gmsh leaves out surfaces that are in no physical group as soon as there is one: add Physical "
     'Surface("tissue") = {…}, or set Mesh.SaveAll = 1 and write format 4.1; mesh by gmsh -2'
@@ -150,10 +150,10 @@ def read_gmsh(path: str) -> StoredMesh:
     contents = _Contents()
     version = 0
     order = ""
-    at = 0
+    place = 0
     heading = re.compile(rb"^\$(\w+)[ \t\r]*\n", re.MULTILINE)
     while True:
-        match = heading.search(content, at)
+        match = heading.search(content, place)
         if match is None:
             break
         name = match[1].decode()
@@ -163,22 +163,22 @@ def read_gmsh(path: str) -> StoredMesh:
         read = _readers(version).get(name)
         closing = b"$End" + match[1]
         if read is None:
-            at = content.find(closing, begin)
+            place = content.find(closing, begin)
         elif name == "PhysicalNames":
-            at = content.find(closing, begin)
-            contents.names = _names(content[begin:at])
+            place = content.find(closing, begin)
+            contents.names = _names(content[begin:place])
         elif order:
             # bytes of numbers may look like a heading, so the end is looked for behind them
             numbers = _Numbers(content, begin, len(content), order)
             read(numbers, contents)
-            at = content.find(closing, numbers.at)
+            place = content.find(closing, numbers.at)
         else:
-            at = content.find(closing, begin)
-            if at >= 0:
-                read(_Numbers(content, begin, at, order), contents)
-        if at < 0:
+            place = content.find(closing, begin)
+            if place >= 0:
+                read(_Numbers(content, begin, place, order), contents)
+        if place < 0:
             raise ValueError(f"its section ${name} has no end")
-        at += len(closing)
+        place += len(closing)
     if not version:
         raise ValueError("it has no $MeshFormat")
     if b"$ParametricNodes" in content:
@@ -198,9 +198,11 @@ def _readers(version: int) -> dict[str, Any]:
         readers |= {"Nodes": _nodes_41, "Elements": _elements_41}
 
     def entities(numbers: _Numbers, contents: _Contents) -> None:
+        """Read $Entities."""
         _entities(numbers, contents, version, is_partitioned=False)
 
     def partitioned(numbers: _Numbers, contents: _Contents) -> None:
+        """Read $PartitionedEntities."""
         _entities(numbers, contents, version, is_partitioned=True)
 
     return readers | {"Entities": entities, "PartitionedEntities": partitioned}
@@ -353,11 +355,11 @@ def _alike(numbers: _Numbers, most: int) -> tuple[Index, int, int]:
         tags each has.
     """
     tokens = numbers.tokens
-    at = numbers.at
-    if at + 3 > len(tokens):
+    first = numbers.at
+    if first + 3 > len(tokens):
         raise ValueError("it ends too early")
-    number = int(tokens[at + 1])
-    n_tags = int(tokens[at + 2])
+    number = int(tokens[first + 1])
+    n_tags = int(tokens[first + 2])
     if not 0 <= n_tags < 1000:
         raise ValueError(f"an element of {n_tags} tags")
     _, n_nodes = _kind(number)
@@ -366,18 +368,18 @@ def _alike(numbers: _Numbers, most: int) -> tuple[Index, int, int]:
     tried = 16
     while rows < most:
         # Some more at a time: rows of another kind may follow, which are of another width.
-        tried = min(2 * tried, most - rows, (len(tokens) - at) // width - rows)
+        tried = min(2 * tried, most - rows, (len(tokens) - first) // width - rows)
         if tried <= 0:
             break
-        begin = at + rows * width
+        begin = first + rows * width
         more = tokens[begin : begin + tried * width].reshape(tried, width)
         is_alike = (more[:, 1] == number) & (more[:, 2] == n_tags)
         alike = tried if is_alike.all() else int(is_alike.argmin())
         rows += alike
         if alike < tried:
             break
-    numbers.at = at + rows * width
-    table = tokens[at : numbers.at].reshape(rows, width)
+    numbers.at = first + rows * width
+    table = tokens[first : numbers.at].reshape(rows, width)
     return table[:, 3:].astype(np.int64), number, n_tags
 
 
@@ -402,13 +404,13 @@ def _dimension(kind: str) -> int:
 
 def _check_partitions(contents: _Contents) -> None:
     """Reject one of several files that each hold a part of a partitioned mesh."""
-    there = [
+    partitions = [
         contents.partitions[dimension, entity]
         for dimension, entity, _, nodes in contents.blocks
         if dimension == 2 and len(nodes) and (dimension, entity) in contents.partitions
     ]
-    parts = set().union(*there)
-    if there and len(parts) < contents.n_partitions:
+    parts = set().union(*partitions)
+    if partitions and len(parts) < contents.n_partitions:
         raise MeshError(
             f"it holds {len(parts)} of the {contents.n_partitions} parts of a partitioned mesh; "
             "write all of it into one file: Mesh.PartitionSplitMeshFiles = 0"

@@ -104,10 +104,10 @@ class Kind:
         return f"surrofe2 {self.name}"
 
 
+# A file of whichever schema, of which only the seconds are read.
 ANY = Kind("file", 0, {"seconds": float | None})
-"""A file of whichever schema, of which only the seconds are read."""
+# The entries of `origin` that are read.
 ORIGIN = {"cell": CellParameters, "initialisation": WORD}
-"""The entries of `origin` that are read."""
 
 
 def origin(cell: CellParameters, initialisation: str, **more: Any) -> dict[str, Any]:
@@ -342,6 +342,7 @@ class Stored:
         arrays: dict[str, NDArray[Any]] = {}
 
         def collect(name: str, item: object) -> None:
+            """Read an array of the file, and keep it by its name."""
             if isinstance(item, h5py.Dataset):
                 if item.dtype.kind not in "biuf":
                     raise ValueError(f"{name}: {item.dtype}; it must be numbers")

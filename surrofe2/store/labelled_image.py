@@ -17,9 +17,9 @@ from surrofe2.base.errors import FileError, InputError, shortened
 from surrofe2.store.store import read_bytes
 
 Labels = NDArray[np.int64]
+# Pixels between cells, in the narrowest direction, up to which they are a line and no hole, where
+# it is not stated.
 LINE = 3
-"""Pixels between cells, in the narrowest direction, up to which they are a line and no hole, where
-it is not stated."""
 
 # Above this number labels in an image of floats could not be told apart.
 _MOST_LABEL = 2**53
@@ -48,17 +48,19 @@ def read_labels(path: Path) -> Labels:
         raise InputError(
             f"{path}: {error.name} is not installed; it comes with pip install 'surrofe2[image]'"
         ) from None
-    except Exception as error:  # readers raise what they like
+    except Exception as error:  # the readers raise errors of any kind
         reason = shortened(" ".join(str(error).split()), 150)
         raise FileError(f"{path}: cannot be read as an image of its kind: {reason}") from None
     return _checked(path, image)
 
 
 def _read_npy(content: bytes) -> Any:
+    """Read an array of numpy."""
     return np.load(io.BytesIO(content), allow_pickle=False)
 
 
 def _read_png(content: bytes) -> Any:
+    """Read a PNG."""
     from PIL.PngImagePlugin import PngImageFile
 
     # of a PNG with a palette its pixels are the numbers, not the colours
@@ -66,6 +68,7 @@ def _read_png(content: bytes) -> Any:
 
 
 def _read_tiff(content: bytes) -> Any:
+    """Read a TIFF."""
     from tifffile import imread
 
     return imread(io.BytesIO(content))

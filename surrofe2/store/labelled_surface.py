@@ -18,14 +18,14 @@ from surrofe2.base.errors import FileError, InputError, shortened
 from surrofe2.store.labelled_image import Labels, check_count
 from surrofe2.store.store import read_bytes
 
+# Pixels on the side of a square with a cell's mean area.
 _ACROSS = 40
-"""Pixels on the side of a square with a cell's mean area."""
+# Projected over true area below which a surface is noted as curved.
 _FLAT = 0.98
-"""Projected over true area below which a surface is noted as curved."""
+# Projected over true area below which it is refused: cells seen from aside have wrong shapes.
 _TOO_CURVED = 0.8
-"""The same below which it is refused: cells seen from aside have wrong shapes."""
+# Pixels above which a surface is refused: small cells that lie far apart ask for so many.
 _MOST_PIXELS = 5e7
-"""Pixels above which a surface is refused: small cells that lie far apart ask for so many."""
 _END_OF_HEADER = re.compile(rb"^\s*end_header\s*$", re.MULTILINE)
 
 
@@ -92,7 +92,10 @@ def read_surface(path: Path) -> LabelledSurface:
 
 
 def _axes(across: Array) -> Array:
-    """(2, 3) unit vectors x and y of the plane across a vector: x as the file's, or else its y."""
+    """Return (2, 3) unit vectors x and y of the plane across a vector: x as the file's, or else its
+    y.
+    """
+    # the file's axis must not be nearly across the plane
     along = np.eye(3)[0 if abs(across[0]) < 0.9 else 1]
     x = along - (along @ across) * across
     x /= np.linalg.norm(x)
@@ -100,10 +103,10 @@ def _axes(across: Array) -> Array:
 
 
 def _read(path: Path) -> tuple[Array, Index, Index]:
-    """Points (n, 3), triangles (k, 3) and labels (n,) of the points."""
+    """Read points (n, 3), triangles (k, 3) and labels (n,) of the points."""
     content = read_bytes(path)
     if content.startswith(b"ply") and not _END_OF_HEADER.search(content):
-        # meshio would look for it forever
+        # meshio would search for the end of the header without an end
         raise FileError(f"{path}: its header has no end_header; the file is cut off: save it again")
     import meshio
 
@@ -111,7 +114,7 @@ def _read(path: Path) -> tuple[Array, Index, Index]:
         mesh = meshio.ply.read(path)
     except IndexError:
         raise FileError(f"{path}: it ends before what its header states; save it again") from None
-    except (Exception, SystemExit) as error:  # readers raise what they like
+    except (Exception, SystemExit) as error:  # meshio raises errors of any kind, and may exit
         reason = shortened(" ".join(str(error).split()), 150)
         raise FileError(f"{path}: cannot be read as PLY: {reason}") from None
     triangles = mesh.get_cells_type("triangle")
@@ -134,7 +137,7 @@ def _read(path: Path) -> tuple[Array, Index, Index]:
 
 
 def _drawn(path: Path, corners: Array, labels: Index, pixel: float) -> Labels:
-    """Image of triangles (k, 3, 2), with a pixel of 0 around it."""
+    """Draw an image of triangles (k, 3, 2), with a pixel of 0 around it."""
     low = corners.min(axis=(0, 1)) - pixel
     columns, rows = np.ceil((corners.max(axis=(0, 1)) - low) / pixel + 1.0).astype(int)
     if rows * columns > _MOST_PIXELS:
@@ -145,6 +148,7 @@ def _drawn(path: Path, corners: Array, labels: Index, pixel: float) -> Labels:
         last = np.ceil(np.max([a, b, c], axis=0)).astype(int)
         x = np.arange(first[0], last[0] + 1) + 0.5
         y = np.arange(first[1], last[1] + 1)[:, None] + 0.5
+        # signs tell on which side of each side of the triangle the middle of a pixel is
         sides = [
             (q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0])
             for p, q in ((a, b), (b, c), (c, a))

@@ -24,14 +24,14 @@ from surrofe2.problem.mesh import check_mesh
 from surrofe2.store.mesh_reader import UNFIT, UNREADABLE
 from surrofe2.store.store import check_not_wide, read_bytes, reported
 
+# Length in µm of each unit that a file may have.
 UNITS = {"µm": 1.0, "um": 1.0, "mm": 1e3, "m": 1e6}
-"""Length in µm of each unit that a file may have."""
 
+# Formats by the end of a file's name: gmsh and abaqus have our own parsers, others meshio's.
 FORMATS = {
     ".msh": "gmsh", ".vtk": "vtk", ".vtu": "vtu", ".xdmf": "xdmf", ".xmf": "xdmf",
     ".inp": "abaqus", ".mesh": "medit", ".meshb": "medit",
 }  # fmt: skip
-"""Formats by the end of a file's name: gmsh and abaqus have our own parsers, others meshio's."""
 
 # Formats that say themselves how their letters are encoded.
 _XML = ("vtu", "xdmf")

@@ -17,11 +17,11 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 LINES = {"line": 2, "line3": 3}
+# Nodes of each kind that is read: corners, then middles of sides in their order, then a centre.
 SURFACES = {"triangle": 3, "quad": 4, "triangle6": 6, "quad8": 8, "quad9": 9}
-"""Nodes of each kind that is read: corners, then middles of sides in their order, then a centre."""
 _CORNERS = {"triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4, "quad9": 4}
+# Fraction of the mesh's extent by which z may vary: files of single precision or few digits.
 IN_PLANE = 1e-6
-"""Fraction of the mesh's extent by which z may vary: files of single precision or few digits."""
 
 
 class MeshError(Exception):
@@ -288,19 +288,20 @@ def _check_middles(points: Array, elements: Index) -> None:
     middles = elements[:, 3:].ravel()
     corner = np.isin(middles, elements[:, :3])
     if corner.any():
-        at = points[middles[corner.argmax()]]
+        point = points[middles[corner.argmax()]]
         raise MeshError(
-            f"the node at {_at(at)} hangs: it is a corner of one element and the middle of a side "
-            "of another; make the mesh conforming"
+            f"the node at {_at(point)} hangs: it is a corner of one element and the middle of a "
+            "side of another; make the mesh conforming"
         )
     by_side = np.lexsort([middles, keys])
     same_side = np.diff(keys[by_side]) == 0
     other_middle = np.diff(middles[by_side]) != 0
     apart = np.flatnonzero(same_side & other_middle)
     if apart.size:
-        at = points[middles[by_side[apart[0]]]]
+        point = points[middles[by_side[apart[0]]]]
         raise MeshError(
-            f"two nodes in the middle of the side at {_at(at)}; glue them (in Gmsh: Coherence Mesh)"
+            f"two nodes in the middle of the side at {_at(point)}; glue them (in Gmsh: Coherence "
+            "Mesh)"
         )
 
 
@@ -336,4 +337,5 @@ def _joined(parts: list[Index]) -> Index:
 
 
 def _at(point: Array) -> str:
+    """Write a point (2,) for a message."""
     return f"({point[0]:.6g}, {point[1]:.6g})"

@@ -66,27 +66,31 @@ from surrofe2.store.store import (
 
 log = logging.getLogger(__name__)
 
+# Name and version of the format of run.json.
 SCHEMA = "surrofe2-run"
 SCHEMA_VERSION = 3
 CHECKPOINT = "checkpoint.h5"
+# The log of what happened in a run, one JSON object a line.
 EVENTS = "events.jsonl"
+# A state from which a run resumes: any arrays; `of` names the law of the run.
 STATE = Kind("checkpoint", 2, {"of": str})
-"""A state from which a run resumes: any arrays; `of` names the law of the run."""
+# Seconds between two checkpoints, at least.
 CHECKPOINT_INTERVAL = 5.0
-"""Seconds between two checkpoints, at least."""
+# All files that a run folder may have, but for those of `_SERIES`.
 FILES = (
     "run.json", "curve.csv", "history.csv", "energies.csv", "path.csv", "fields.xdmf", "fields.h5",
     "fields-last.xdmf", "points.xdmf", "points.h5", "points-last.xdmf", CHECKPOINT, "table.h5",
     "harvest.h5", EVENTS,
 )  # fmt: skip
+# The folder, in that of a run, of the files from which the run can be repeated.
 INPUT = "input"
-"""The folder, in that of a run, of the files from which the run can be repeated."""
+# The recipe among them, as the run took it, with defaults filled in.
 RECIPE = "recipe.toml"
-"""The recipe among them, as the run took it, with defaults filled in."""
+# The file of stresses that RVEs computed in a cached run; of several cells see `of_cell`.
 HARVEST = "harvest.h5"
-"""The file of stresses that RVEs computed in a cached run; of several cells see `of_cell`."""
+# The file of the table that a run by one has learnt; of several cells see `of_cell`.
 TABLE = "table.h5"
-"""The file of the table that a run by one has learnt; of several cells see `of_cell`."""
+# Patterns of names: a file in `INPUT`, and one of what the cache of a run has computed or learnt.
 _OF_INPUT = re.compile(rf"{INPUT}/[^/]+")
 _LEARNT = re.compile(r"(harvest|table)(-[^/]+)?\.h5")
 _FRAMES = (frame_files(FIELDS), frame_files(POINTS))
@@ -100,6 +104,7 @@ _SECTIONS = (
 )  # fmt: skip
 # Sections of a cell on which a run depends by its surrogate alone.
 _OF_TRAINING = ("range", "samples", "training")
+# Laws on which the section [cache] has no effect.
 _WITHOUT_CACHE = ("rve", "surrogate", "tissue")
 UNITS = {
     "time": TIME, "length": LENGTH, "energy": ENERGY, "stress": STRESS, "force": FORCE,
@@ -168,6 +173,7 @@ class RunRecord:
 
     @property
     def duration(self) -> float:
+        """Duration that the recipe states, µs."""
         return float(self.recipe["time"]["duration"])
 
     @property
@@ -178,16 +184,22 @@ class RunRecord:
     def compared(self) -> dict[str, Any]:
         """Return everything that the numbers depend on, by the names that a recipe uses."""
         recipe = self.recipe
-        rest = recipe.get("rest", {})
-        sections = (*_SECTIONS, *(() if self.law in _WITHOUT_CACHE else ("cache",)))
+        compared: dict[str, Any] = {}
+        sections = [*_SECTIONS]
+        if self.law not in _WITHOUT_CACHE:
+            sections.append("cache")
+        for section in sections:
+            for key, value in recipe.get(section, {}).items():
+                compared[f"{section}.{key}"] = value
+        for name, cell in recipe.get("cells", {}).items():
+            compared[f"cells.{name}"] = {k: v for k, v in cell.items() if k not in _OF_TRAINING}
+        for section in _NAMED_ENTRIES:
+            if section in recipe:
+                compared[section] = list(recipe[section])  # the names in their order
+        rest = recipe.get("rest", {})  # of a run in time there is none
         return {
-            **{f"{name}.{key}": v for name in sections for key, v in recipe.get(name, {}).items()},
-            **{
-                f"cells.{name}": {k: v for k, v in cell.items() if k not in _OF_TRAINING}
-                for name, cell in recipe.get("cells", {}).items()
-            },
-            **{name: list(recipe[name]) for name in _NAMED_ENTRIES if name in recipe},
-            "rest.factor": rest.get("factor"),  # of other runs, whose law may be the same, nothing
+            **compared,
+            "rest.factor": rest.get("factor"),
             "rest.load_steps": rest.get("load_steps"),
             "rest.correct": rest.get("correct", False),
             "law": self.law,
@@ -241,9 +253,9 @@ class StoredRun(ViewedRun):
         for column, array in stored.values.items():
             name, unit = split_unit(column)
             of_points = is_of_points(column, array.shape[1], len(stored.cells))
-            at = "node" if of_points else "element"
+            where = "node" if of_points else "element"
             axes = {2: (), 3: ("axis",), 4: ("row", "column")}[array.ndim]
-            values[f"field {name}"] = ("frame", at, *axes), array, {"units": unit}
+            values[f"field {name}"] = ("frame", where, *axes), array, {"units": unit}
         unit = NONE if self.is_rest else TIME
         return values, {
             "frame": ("frame", stored.t, {"units": unit}),
@@ -290,6 +302,7 @@ class StoredRun(ViewedRun):
         return grid
 
     def facts(self) -> Facts:
+        """Return what a notebook shows of the run."""
         record = self.record
         named = []
         for name, cell in cells_of(record.recipe).items():
@@ -316,7 +329,8 @@ def is_rest(record: RunRecord) -> bool:
 
 
 def earlier_run(folder: Path, record: RunRecord) -> RunRecord | None:
-    """Return the record of an earlier call of this very run in a folder, None where there is none.
+    """Return the record of an earlier call of this very run in a folder, None where there is
+    none.
 
     Raises:
         FileError: the folder has files but no run.
@@ -325,8 +339,8 @@ def earlier_run(folder: Path, record: RunRecord) -> RunRecord | None:
     path = folder / "run.json"
     if not path.exists():
         with reported(folder, "read"):
-            there = set(folder.iterdir() if folder.is_dir() else ())
-        if there - {folder_lock(folder), *leftovers(path)}:
+            entries = set(folder.iterdir() if folder.is_dir() else ())
+        if entries - {folder_lock(folder), *leftovers(path)}:
             raise FileError(f"{folder}: has files but no run; write elsewhere or say --fresh")
         return None
     earlier = read_record(folder)
@@ -336,8 +350,8 @@ def earlier_run(folder: Path, record: RunRecord) -> RunRecord | None:
 
 State = TypeVar("State")
 Result = TypeVar("Result")
+# Writes the files of a result, whole or partial, and returns the record with its cost.
 Store = Callable[[RunRecord, Any], RunRecord]
-"""Writes the files of a result, whole or partial, and returns the record with its cost."""
 
 
 class Job(Protocol[State, Result]):
@@ -445,9 +459,9 @@ class RunFolder:
         if fresh:  # which replaces nothing that may be of something else than a run
             check_replaceable(folder / "run.json", "surrofe2 run", SCHEMA)
             patterns = (*FILES, *_SERIES)
-            there = [path for pattern in patterns for path in sorted(folder.glob(pattern))]
-            if there and not (folder / "run.json").exists():
-                name = there[0].relative_to(folder)
+            files = [path for pattern in patterns for path in sorted(folder.glob(pattern))]
+            if files and not (folder / "run.json").exists():
+                name = files[0].relative_to(folder)
                 raise FileError(
                     f"{folder}: has {name} but no run, so --fresh does not replace it; write "
                     "elsewhere"
@@ -520,8 +534,8 @@ class RunFolder:
         path = self.folder / CHECKPOINT
         header, arrays = read(path, STATE)
         if header["of"] != self._kind:
-            there = shortened(header["of"], 60)
-            raise FileError(f"{path}: a checkpoint of {there}, not of {self._kind}")
+            stored = shortened(header["of"], 60)
+            raise FileError(f"{path}: a checkpoint of {stored}, not of {self._kind}")
         try:
             return restore(arrays)
         except (SimulationError, FileError, MismatchError):
@@ -586,6 +600,7 @@ class RunFolder:
 
     @property
     def _kind(self) -> str:
+        """Words for the run, by which a checkpoint of another law is recognised."""
         return f"a {self.record.law} run"
 
 
@@ -843,5 +858,5 @@ def _without_units(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 def write_events(folder: Path, decisions: Iterable[Mapping[str, Any]]) -> None:
     """Write events.jsonl whole, a decision of a cached law a line; run.json has its SHA-256."""
-    lines = [json.dumps(plain(each), ensure_ascii=False) for each in decisions]
+    lines = [json.dumps(plain(decision), ensure_ascii=False) for decision in decisions]
     write_text(folder / EVENTS, "".join(f"{line}\n" for line in lines))

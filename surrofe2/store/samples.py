@@ -45,17 +45,17 @@ from surrofe2.store.store import check_replaceable, check_same, file_lock, flat,
 
 Arrays = dict[str, NDArray[Any]]
 
+# Seconds between two writings of a data set, at least.
 INTERVAL = 5.0
-"""Seconds between two writings of a data set, at least."""
+# Name of the column that says whether a state is beyond a bifurcation.
 LEFT = "left_bifurcation"
-"""Name of the column that says whether a state is beyond a bifurcation."""
+# Reasons for which a state of a harvest was computed, by the code in its column `why`.
 WHY = {
     0: "asked of the RVE because the cache might not answer",
     1: "audit of the cache's answer",
     2: "neighbour of such a state",
     3: "sample of the range widened to hold such states",
 }
-"""Reasons for which a state of a harvest was computed, by the code in its column `why`."""
 _CODES = json.dumps({int(code): describe(code) for code in Status})
 _COLUMNS = {
     "F": Column((None, 2, 2)),
@@ -413,5 +413,5 @@ def kept_reference(cell: CellParameters) -> ReferenceState:
     return settled
 
 
+# Reject a harvest of another RVE; arguments: path, harvest, cell and initialisation.
 check_harvest = partial(check_same_rve, "harvested", "leave it out")
-"""Reject a harvest of another RVE; arguments: path, harvest, cell and initialisation."""

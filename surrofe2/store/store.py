@@ -40,16 +40,16 @@ from surrofe2.store import disk
 log = logging.getLogger(__name__)
 
 SEAL = "sha256_of_this_file"
+# The digits that stand in a file until it is sealed.
 NO_DIGEST = "0" * 64
-"""The digits that stand in a file until it is sealed."""
 _WORD = SEAL.encode()
 # Bytes of a file that are searched at a time.
 _BLOCK = 2**24
 # A digest in JSON ("sha256_of_this_file": "…") or in an attribute of HDF5.
 _DIGEST = re.compile(rb"(?<=[\"\0])" + _WORD + rb"\W{1,12}([0-9a-f]{64})")
 
+# Pattern of texts in files that may go into sources and names of files.
 WORD = re.compile(r"[A-Za-z0-9_.+-]{0,64}")
-"""Pattern of texts in files that may go into sources and names of files."""
 
 # Beginnings of texts in these encodings: a byte order mark, or a letter of ASCII. UTF-32 comes
 # first, for its mark begins with that of UTF-16.
@@ -58,8 +58,8 @@ _WIDE = {
     "UTF-16": re.compile(rb"\xff\xfe|\xfe\xff|[\t-~]\0|\0[\t-~]"),
 }
 
+# The end of error messages that refuse output of other settings.
 START_OVER = "change it back, write elsewhere or start over with --fresh"
-"""The end of error messages that refuse output of other settings."""
 
 
 @contextmanager

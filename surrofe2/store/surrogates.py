@@ -32,8 +32,8 @@ SURROGATE = Kind(
     finite=True,
     advice="train again with: surrofe2 train RECIPE --fresh",
 )
+# An interrupted training; its arrays are those of `surrogate.training.TrainingState`.
 TRAINING = Kind("unfinished training", 6, {"identity": dict, "iterations": int, "seconds": float})
-"""An interrupted training; its arrays are those of `surrogate.training.TrainingState`."""
 # Entries of the header on which no stress depends.
 _OF_MAKING = ("sha256", "created", "package_version", "seconds")
 # Components and figures that the errors of a surrogate have; see `SurrogateLaw.score`.
@@ -116,5 +116,5 @@ def content_fingerprint(path: Path) -> str:
     return content.hexdigest()[:16]
 
 
+# Reject a surrogate of another RVE; arguments: path, surrogate, cell and initialisation.
 check_surrogate = partial(check_same_rve, "trained", "train a surrogate for {}", wall=True)
-"""Reject a surrogate of another RVE; arguments: path, surrogate, cell and initialisation."""

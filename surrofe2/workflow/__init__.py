@@ -1,4 +1,4 @@
-"""What the commands do, without a terminal: laws, macro scale and files wired together.
+"""The work of the commands, without a terminal: laws, macro scale and files wired together.
 
 In reading order:
 

@@ -1,4 +1,4 @@
-"""What a recipe will come to, before it is run: its faults, the range it meets, its cost, its law.
+"""Checks of a recipe before it is run: its faults, the range it meets, its cost, and a law for it.
 
 The dry run takes the quadratic law, the exact tangents of the recipe's RVE at rest. It knows
 neither stiffening nor loss of stability, but its time steps are those of a run by RVEs within a few
@@ -243,7 +243,7 @@ class DryRun:
 
     @property
     def solves(self) -> float:
-        """How many RVEs a run by RVEs solves."""
+        """Number of RVEs that a run by RVEs solves."""
         return self.calls * self.points
 
 
@@ -271,6 +271,7 @@ class _Recorder(WatchedLaw):
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
     ) -> StressResponse:
+        """Compute the stress, and count the call."""
         self.calls = self.calls + 1
         self.points = len(F)
         return super().respond(F, F_dot, state, tangents=tangents)
@@ -365,6 +366,7 @@ def _dry_run(recipe: Recipe, seconds: float, report: Report) -> DryRun:
     displacement = 0.0
 
     def progress(t: float, duration: float) -> None:
+        """Note the calls so far, and end the run where its time is over."""
         report(t, "")
         marks.append((t, max(recorder.calls for recorder in recorders.values())))
         if cpu_clock() > end:
@@ -468,6 +470,7 @@ def _dry_rest(recipe: Recipe, seconds: float, report: Report) -> DryRun:
     displacement = 0.0
 
     def progress(factor: float, last_factor: float) -> None:
+        """Note how far the load has come, and end the rest where its time is over."""
         nonlocal reached
         # without a load the only step is the last one
         reached = factor / last_factor if last_factor else 1.0

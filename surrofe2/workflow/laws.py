@@ -324,7 +324,7 @@ def surface_record(problem: Problem) -> dict[str, Any]:
         "sides": len(sides.nodes),
         "oblique": int((sides.oblique > 0.0).sum()),
         "largest_angle": float(sides.oblique.max()),
-        "laws": {name: _law_record(each) for name, each in laws.items()},
+        "laws": {name: _law_record(surface_law) for name, surface_law in laws.items()},
     }
 
 

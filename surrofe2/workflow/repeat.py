@@ -136,8 +136,9 @@ def compared_runs(stored: StoredRun, again: StoredRun) -> Repetition:
     after = again.series()
     names = [name for name in before if name in after]
     scales: dict[str, float] = {}  # largest value by kind of column
-    for each in before.values():
-        scales[each.group] = max(scales.get(each.group, 0.0), _largest(each.values))
+    for series in before.values():
+        largest = _largest(series.values)
+        scales[series.group] = max(scales.get(series.group, 0.0), largest)
     same = 0
     worst = ("", 0.0, 0.0)  # name, difference, relative difference
     for name in names:

@@ -1,5 +1,5 @@
-"""Rests of a recipe's tissue under its loads, into a run folder, and its small oscillations
-about one.
+"""A recipe's tissue at rest under its loads, written into a run folder, and its small oscillations
+about that rest.
 """
 
 from __future__ import annotations
@@ -279,6 +279,7 @@ def _with_error(
         return part.respond(F, np.zeros_like(F))
 
     def progress(done: int, count: int) -> None:
+        """Report how many RVEs are solved."""
         report(1.0, f"error of the answer: {done} of {count} RVEs")
 
     solved = rest.effort.get("rve_solves", 0)

@@ -377,6 +377,7 @@ def save_run(run: MacroRun, folder: str | Path, *, fresh: bool = False) -> RunRe
     record = _record_of(run)
 
     def store(record: RunRecord, result: MacroRun) -> RunRecord:
+        """Write the results, and return the record with their cost."""
         record = with_results(record, result)
         write_results(folder, result)
         return record
@@ -758,7 +759,7 @@ def _rank_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
         "computing on all ranks": ranks["computing"],
         "messages": ranks["messages"],
     }
-    parts = ", ".join(f"{name} {100.0 * each / total:.0f} %" for name, each in seconds.items())
+    parts = ", ".join(f"{name} {100.0 * s / total:.0f} %" for name, s in seconds.items())
     yield (
         f"ranks: {ranks['ranks']} of {ranks['threads']} threads; {parts} of "
         f"{time_text(total)}; {ranks['tasks']} exchanges",
@@ -821,7 +822,7 @@ def tolerance_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bo
 
 
 def run_summary(record: RunRecord) -> str:
-    """Summarise a finished run and its cost in a sentence."""
+    """Summarise a finished run and its cost."""
     wall = record.wall_time
     counts = record.counts
     back = Counter(record.rolled_back)
@@ -859,10 +860,10 @@ def cache_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
     for name, cache in caches_of(record.cache).items():
         whose = "" if name is None else f"{name}: "
         yield f"{whose}audit: {audit_sentence(cache)}", False
-        left = cache.get("left_range")
-        if left:
-            quantity, most = max(left.items(), key=lambda item: item[1]["points"])
-            points = sum(of_quantity["points"] for of_quantity in left.values())
+        left_range = cache.get("left_range")
+        if left_range:
+            quantity, most = max(left_range.items(), key=lambda item: item[1]["points"])
+            points = sum(of_quantity["points"] for of_quantity in left_range.values())
             far = out_of_range(quantity, most["farthest"], most["bound"])
             yield (
                 f"{whose}out of range: {most['points']} of {points} fallbacks by {far} at worst",

@@ -267,7 +267,7 @@ class _TissueJob:
 
 
 def tissue_summary(record: RunRecord) -> str:
-    """Summarise a finished run and its cost in a sentence."""
+    """Summarise a finished run and its cost."""
     wall = record.wall_time
     counts = record.counts
     rate = counts["particle_steps"] / max(wall["run"], 1e-9) / 1e6

@@ -632,6 +632,7 @@ def _unbounded(surrogate: SurrogateLaw) -> str:
 
 
 def _at_rest(surrogate: SurrogateLaw) -> float:
+    """Return the bound of the error at rest, µN/µm."""
     return float(surrogate.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0])
 
 
@@ -701,16 +702,19 @@ class Varied(Amplitude):
     pace: float
 
     def at(self, t: float, within: float) -> Value:
+        """Compute factor and rates at t, see `Amplitude.at`."""
         factor = self.factor
         pace = self.pace
         value, rate, bend = self.amplitude.at(pace * t, pace * within)
         return factor * value, factor * pace * rate, factor * pace**2 * bend
 
     def corners(self) -> tuple[float, ...]:
+        """Return the corners of the amplitude at this pace, µs."""
         return tuple(t / self.pace for t in self.amplitude.corners())
 
     @property
     def resolved_by(self) -> float:
+        """Longest step that sees the shape of the amplitude, µs."""
         return self.amplitude.resolved_by / self.pace
 
 

@@ -208,6 +208,11 @@ def executor_of(workers: int = 0, scheduler: str | None = None) -> Iterator[Any]
 
 @contextmanager
 def _cluster(address: str) -> Iterator[Any]:
+    """Yield an executor of a Dask cluster.
+
+    Raises:
+        InputError: dask.distributed is not installed, or there is no scheduler with workers.
+    """
     try:
         from distributed import Client
     except ImportError:

@@ -71,6 +71,7 @@ class Zoom(Viewed):
         return in_megapascals(self.seen.extremes(), self.thickness)
 
     def facts(self) -> Facts:
+        """Return what a notebook shows of the plant cells."""
         last = {name: values[-1] for name, values in self.extremes().items()}
         lowest = last["lowest_fluid_pressure_MPa"]
         highest = last["highest_fluid_pressure_MPa"]

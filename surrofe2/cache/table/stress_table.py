@@ -147,6 +147,7 @@ class StressTable:
 
     @property
     def counts(self) -> Counter[str]:
+        """Counts of all that was learnt, shared by tables of the same records."""
         return self._known.counts
 
     def with_tolerance(self, tolerance: float, relative: float) -> StressTable:
@@ -161,6 +162,7 @@ class StressTable:
         return table
 
     def local_tolerance(self, F: Array, F_dot: Array) -> Array:
+        """Return ones (n,): a table has one tolerance everywhere."""
         return np.ones(len(F))
 
     def lookup(
@@ -194,6 +196,7 @@ class StressTable:
     def status_and_risk(
         self, F: Array, F_dot: Array, limit: float = np.inf
     ) -> tuple[NDArray[np.int8], Array]:
+        """Return status and risk of `lookup`, which costs the same."""
         return self.lookup(F, F_dot, limit)[1:]
 
     def tangents(self, F: Array, F_dot: Array) -> Tangents:
