@@ -1,4 +1,4 @@
-"""The foundation of all other rooms.
+"""Arrays, tensors, units, errors, settings and compilation, which all other rooms use.
 
 In reading order:
 

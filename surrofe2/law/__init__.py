@@ -1,4 +1,4 @@
-"""The hinge: what asks for stresses knows this and nothing else of what answers.
+"""The hinge between the scales: code that needs stresses knows nothing of a law but this.
 
 In reading order:
 

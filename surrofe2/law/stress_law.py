@@ -1,4 +1,4 @@
-"""The hinge: (F, Ḟ) in, Cauchy stress out, for all points at once.
+"""The hinge between the scales, `StressLaw`: (F, Ḟ) in, Cauchy stress out, for all points at once.
 
 Representative volume elements, surrogates, caches and analytic laws all implement `StressLaw`;
 the macro scale knows nothing else of them.

@@ -1,4 +1,4 @@
-"""The second hinge: (λ, λ̇) along a free side in, its line tension out, for all points at once.
+"""`SurfaceLaw`: (λ, λ̇) along a free side in, its line tension out, for all points at once.
 
 A free side of a tissue differs from the bulk beside it: outer walls are single, and outer plant
 cells relax into the open. What that adds to a continuum is a line tension (Gurtin, Murdoch 1975);

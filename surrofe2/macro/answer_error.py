@@ -1,4 +1,4 @@
-"""The error of a rest by approximate stresses: of its displacements and forces, not of a stress.
+"""The error of displacements and forces of a rest that was computed by approximate stresses.
 
 With f(u) the internal force by the RVEs' law, f̃(u) that of the law which was used, l(u) all other
 forces and K = ∂(f̃ − l)/∂u at the equilibrium ũ of the latter, Newton's correction is

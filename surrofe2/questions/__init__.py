@@ -1,4 +1,4 @@
-"""Questions about a plant cell, each with its answer.
+"""Questions about a plant cell, such as its moduli; each module computes the answer to one.
 
     moduli           what experiments find at rest: moduli, turgor
     wilting          size and moduli against turgor in a bath

@@ -156,11 +156,13 @@ def _limp_size(law: RveLaw) -> float:
     """
     _, stretch = _walls(law, np.eye(2)[None])
     end = 1.0 / float(stretch[0])  # where all springs would have their rest length
+    # three sizes for the parabola: the turgid one, and two on the way to that end
     sizes = np.array([1.0, 1.0 - 0.5 * (1.0 - end), 1.0 - 0.8 * (1.0 - end)])
     turgor, _ = _walls(law, sizes[:, None, None] * np.eye(2))
     # the turgor falls nearly as a parabola of the size
     roots = np.roots(np.polyfit(sizes, turgor, 2))
     real = roots.real[np.abs(roots.imag) < _SLACK]
+    # a root counts only below the turgid size, and at most twice as far down as that end
     below = real[(real < 1.0) & (real > 2.0 * end - 1.0)]
     limp = float(below.max()) if below.size else end
     return 1.0 - (1.0 - _SLACK) * (1.0 - limp)
@@ -178,6 +180,7 @@ def _shapes(law: RveLaw, size: Array) -> tuple[Array, Flags]:
     pressure = law.cell.fluid_density * law.cell.sound_speed**2
     F = size[:, None, None] * np.eye(2)
     even = np.zeros(len(size), dtype=np.bool_)
+    # Newton's method for F = size · exp(shape): no difference of normal stresses, and no shear
     for _ in range(_TRIALS):
         answer = law.respond(F, np.zeros_like(F), tangents=True)
         assert answer.tangents is not None

@@ -1,4 +1,4 @@
-"""One TOML file to settings.
+"""Recipes: one TOML file is read into settings.
 
 In reading order:
 

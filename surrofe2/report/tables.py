@@ -139,6 +139,7 @@ def percent(digits: int) -> Callable[[float], str]:
 
     def text(fraction: float) -> str:
         """Write a fraction as a percentage."""
+        # digits of anything smaller would be noise: of a solver, or below 1e-12 of rounding
         if 1e-12 < abs(fraction) < 1e-7:
             return "< 0.00001 %"
         percents = 100.0 * fraction if abs(fraction) > 1e-12 else 0.0  # below, it is rounding

@@ -1,4 +1,4 @@
-"""Files on disk that are whole or absent and prove themselves, with one writer at a time.
+"""Files on disk that are whole or absent, carry a checksum, and have one writer at a time.
 
 In reading order:
 

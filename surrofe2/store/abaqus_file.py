@@ -27,6 +27,7 @@ _PLANE = re.compile(r"(?:CPS|CPEG|CPE|S|STRI|M3D|R3D|SFM3D|DS|DC2D|AC2D|F2D)(\d)
 _ALONG = re.compile(r"(?:T2D|T3D|B2|B3|R2D|RB2D|RB3D)(\d)")
 # Families of elements that are no part of a mesh, and are left out.
 _APART = re.compile(r"(?:SPRING|DASHPOT|CONN|MASS|ROTARY|DCOUP|GAP)")
+# Kinds of plane elements by the number of nodes in Abaqus's types.
 _KINDS = {"3": "triangle", "4": "quad", "6": "triangle6", "8": "quad8", "9": "quad9"}
 
 
@@ -179,6 +180,7 @@ def _read_elements(contents: _Contents, options: dict[str, str], lines: list[lis
         count = SURFACES[kind]
     elif along:
         kind = "line"
+        # nodes: trusses and beams of these types have one in the middle
         count = 3 if stated.startswith(("T2D3", "T3D3", "B22", "B32")) else 2
     else:
         raise MeshError(

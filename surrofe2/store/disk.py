@@ -1,4 +1,4 @@
-"""The only place that changes what is on disk; a fault put in here is one of all files.
+"""All changes of what is on disk; a test that puts a fault in here tests every file.
 
 A file is written under a name of its own, brought to the disk and only then moved to its place,
 whose folder is brought to the disk too: after a fault the file is the former or the new one.

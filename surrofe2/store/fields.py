@@ -1,8 +1,9 @@
 """Fields over time as XDMF + HDF5, which ParaView opens: of elements, particles, or law points.
 
 The mesh, and what never changes on it, is in one file; each frame, all values at one time, is in a
-file of its own, written as it comes. A frame is whole or absent and proves itself, and XDMF names
-the frames that are there: a run under way can be looked at, and memory does not grow with them.
+file of its own, written as it comes. A frame is whole or absent and carries a checksum, and XDMF
+names the frames that are there: a run under way can be looked at, and memory does not grow with
+them.
 """
 
 from __future__ import annotations

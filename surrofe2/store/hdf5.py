@@ -1,4 +1,4 @@
-"""HDF5 files with one header that are whole or absent and prove themselves.
+"""HDF5 files with one header that are whole or absent and carry a checksum.
 
 Files are made and read in memory, and an interruption waits meanwhile: HDF5 calls Python, and would
 take the interruption for an error of its own.

@@ -1,11 +1,11 @@
-"""Files that are whole or absent and prove themselves, and the locks of their writers.
+"""Files that are whole or absent and carry a checksum, and the locks of their writers.
 
 In a file, behind the word `SEAL`, stands the SHA-256 of the whole file, computed with zeros where
 the digest stands. Any changed byte is seen.
 
 One process at a time writes an output. It holds a lock file beside or in it by `flock`, which the
-kernel drops when the process ends, however it ends. What stands in the lock is for people: who
-holds it. A process that ends well removes it, so one that is there without a holder says that the
+kernel drops when the process ends, however it ends. The text in the lock tells people who holds
+it. A process that ends well removes it, so one that is there without a holder says that the
 last process was killed. On a file system without locks work continues after one warning.
 """
 

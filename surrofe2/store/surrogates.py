@@ -1,4 +1,4 @@
-"""Surrogates, and interrupted trainings. Nothing in a file is ever executed."""
+"""Files of surrogates and of interrupted trainings. Nothing in a file is ever executed."""
 
 from __future__ import annotations
 
