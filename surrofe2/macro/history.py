@@ -638,8 +638,7 @@ class Recorder:
         return not self._equations.is_committing
 
     def checkpoint(self) -> MacroState:
-        """Return the state after the last step recorded, without what the next one has cost so far.
-        """
+        """Return the state after the last recorded step, without the cost of the next one."""
         return replace(self._state, wall_time=self._seconds()).copy()
 
     def state(self) -> MacroState:
