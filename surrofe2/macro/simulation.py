@@ -123,7 +123,7 @@ class MacroRun(ViewedRun):
         """Return the whole fields and their coordinates, as xarray takes them."""
         frames = self.frames
         entries = dict[str, Any]()
-        for name, at, values, unit in (
+        for name, place, values, unit in (
             ("displacement", "node", frames.displacement, LENGTH),
             ("velocity", "node", frames.velocity, VELOCITY),
             ("stress", "element", frames.stress, STRESS),
@@ -131,7 +131,7 @@ class MacroRun(ViewedRun):
             ("F_dot", "element", frames.F_dot, RATE),
         ):
             axes = ("axis",) if values.ndim == 3 else ("row", "column")
-            entries[f"field {name}"] = ("frame", at, *axes), values, {"units": unit}
+            entries[f"field {name}"] = ("frame", place, *axes), values, {"units": unit}
         entries["elements"] = ("element", "corner"), self.elements
         where = {
             "frame": ("frame", frames.t[: len(frames.displacement)], {"units": TIME}),

@@ -374,7 +374,7 @@ def supports_of(problem: Problem, places_of: Callable[[Condition], Index]) -> li
 
 
 def without_overlap(
-    supports: Sequence[Support], at: Array, what: str = "node"
+    supports: Sequence[Support], positions: Array, what: str = "node"
 ) -> tuple[Support, ...]:
     """Take from supports the unknowns that an earlier one has already.
 
@@ -382,7 +382,7 @@ def without_overlap(
 
     Args:
         supports: supports that may share unknowns.
-        at: (n, 2) positions of the places, µm, for messages.
+        positions: (n, 2) positions of the places, µm, for messages.
         what: name of a place in messages.
 
     Raises:
@@ -400,7 +400,7 @@ def without_overlap(
             moves_apart = largest != 0.0 and owner.amplitude != support.amplitude
             if largest != value or moves_apart:
                 place, component = divmod(unknown, 2)
-                x, y = at[place]
+                x, y = positions[place]
                 raise InputError(
                     f"{support.name}: component {'xy'[component]} of the {what} at "
                     f"({x:.6g}, {y:.6g}) µm; {owner.name} prescribes it otherwise, "

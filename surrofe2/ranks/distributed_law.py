@@ -212,7 +212,7 @@ class DistributedLaw:
         after.left_points = joined_values([(points, part.state) for points, part in parts])
         return joined(parts, after)
 
-    def _dealt(self, at: Array) -> Index:
+    def _dealt(self, values: Array) -> Index:
         """Choose owners (n,) of points without a state, which have these values (n, …).
 
         A cache asks for few points each time, and they must not pile up on rank 0. The rank that
@@ -220,11 +220,11 @@ class DistributedLaw:
         as an uninterrupted one does.
         """
         ranks = self.driver.ranks
-        tiles = tiles_for(len(at))
+        tiles = tiles_for(len(values))
         sharing = min(ranks, max(1, tiles // LEAST))
-        owner = np.repeat(np.arange(tiles) * sharing // tiles, TILE)[: len(at)]
+        owner = np.repeat(np.arange(tiles) * sharing // tiles, TILE)[: len(values)]
         if sharing < ranks:
-            owner = (owner + crc32(at.tobytes())) % ranks
+            owner = (owner + crc32(values.tobytes())) % ranks
         return owner
 
     def _checked(self, state: Any, points: int) -> RankState:
@@ -255,11 +255,17 @@ def _join(worker: Worker, after: int, numbers: Index, rows: Index) -> None:
 
 
 def _respond(
-    worker: Worker, law: int, before: int | None, tangents: bool, after: int, *at: Any
+    worker: Worker,
+    law: int,
+    before: int | None,
+    tangents: bool,
+    after: int,
+    F: Array,
+    F_dot: Array,
 ) -> StressResponse:
     """Return the response, whose state stays here; it carries (k,) `left_points` instead."""
     state = None if before is None else worker.states[before]
-    answer = worker.laws[law].respond(at[0], at[1], state, tangents=tangents)
+    answer = worker.laws[law].respond(F, F_dot, state, tangents=tangents)
     worker.states[after] = answer.state
     return replace(answer, state=answer.state.left_points)
 

@@ -98,9 +98,9 @@ def _table(properties: Schema, required: list[str] | None = None) -> Schema:
     }
 
 
-def _named(each: Schema) -> Schema:
+def _named(entry: Schema) -> Schema:
     """Return the schema of a table in which users name the entries, which are all alike."""
-    return {"type": "object", "additionalProperties": each}
+    return {"type": "object", "additionalProperties": entry}
 
 
 def _with(table: Schema, more: Schema) -> Schema:

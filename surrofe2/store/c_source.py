@@ -206,14 +206,14 @@ class _Formulas:
         self.variables = dict(inputs)
         self.rows = {k: f"r{k}" for k in range(first)} | {ONE: "1.0"}
         self.by = dict(by)
-        for row, (one, other) in enumerate(table.products.tolist(), first):
+        for row, (first_factor, second_factor) in enumerate(table.products.tolist(), first):
             self.rows[row] = f"r{row}"
-            self.variables[f"r{row}"] = f"r{one} * r{other}"
+            self.variables[f"r{row}"] = f"r{first_factor} * r{second_factor}"
             parts = []  # of the slope, by the product rule
-            if one in self.by:
-                parts.append(_times(self.by[one], f"r{other}"))
-            if other == along:
-                parts.append(f"r{one}")
+            if first_factor in self.by:
+                parts.append(_times(self.by[first_factor], f"r{second_factor}"))
+            if second_factor == along:
+                parts.append(f"r{first_factor}")
             if parts:
                 self.by[row] = f"d{row}"
                 self.variables[f"d{row}"] = " + ".join(parts)

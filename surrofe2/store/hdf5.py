@@ -400,10 +400,10 @@ def check_units(name: str, units: Any, wanted: Any) -> None:
 
 
 def check_same_rve(
-    made: str,
+    verb: str,
     advice: str,
     path: Path,
-    there: Any,
+    numbers: Any,
     cell: CellParameters,
     initialisation: str,
     *,
@@ -412,9 +412,9 @@ def check_same_rve(
     """Check that numbers in a file are those of an RVE.
 
     Args:
-        made: verb or noun of the message, between the path and the setting that differs.
+        verb: verb or noun of the message, between the path and the setting that differs.
         advice: end of the message; "{}" stands for "these parameters" or "this initialisation".
-        there: the numbers that were read, with their `cell` and `initialisation`.
+        numbers: the numbers that were read, with their `cell` and `initialisation`.
         cell: plant cell of the RVE.
         initialisation: initialisation of the RVE.
         wall: whether the outer wall, which is no part of an RVE, counts too.
@@ -422,17 +422,17 @@ def check_same_rve(
     Raises:
         MismatchError: naming the first setting that differs.
     """
-    stored = there.cell.to_dict()
+    stored = numbers.cell.to_dict()
     for name, value in cell.to_dict().items():
         if name == "outer_wall" and not wall:
             continue
         if stored.get(name) != value:
             raise MismatchError(
-                f"{path}: {made} for cell.{name} = {stored.get(name)}, not {value}; "
+                f"{path}: {verb} for cell.{name} = {stored.get(name)}, not {value}; "
                 f"{advice.format('these parameters')}"
             )
-    if there.initialisation != initialisation:
+    if numbers.initialisation != initialisation:
         raise MismatchError(
-            f"{path}: {made} for initialisation {there.initialisation}, not {initialisation}; "
+            f"{path}: {verb} for initialisation {numbers.initialisation}, not {initialisation}; "
             f"{advice.format('this initialisation')}"
         )

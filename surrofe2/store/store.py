@@ -340,21 +340,24 @@ def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def check_same(
-    place: Path, here: Mapping[str, Any], there: Mapping[str, Any], advice: str = START_OVER
+    place: Path,
+    settings: Mapping[str, Any],
+    stored_settings: Mapping[str, Any],
+    advice: str = START_OVER,
 ) -> None:
     """Check that output was made by the settings of this call.
 
     Args:
         place: the output.
-        here: settings of this call, nested by section.
-        there: settings by which the output was made; those that only it has are ignored.
+        settings: those of this call, nested by section.
+        stored_settings: those by which the output was made; those that only it has are ignored.
         advice: end of the error message.
 
     Raises:
         MismatchError: naming the first setting that differs.
     """
-    stored = flat(there)
-    for name, value in flat(here).items():
+    stored = flat(stored_settings)
+    for name, value in flat(settings).items():
         before = stored.get(name)
         if before != value:
             mine = "nothing" if value is None else value

@@ -864,9 +864,9 @@ def cache_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
         if left_range:
             quantity, most = max(left_range.items(), key=lambda item: item[1]["points"])
             points = sum(of_quantity["points"] for of_quantity in left_range.values())
-            far = out_of_range(quantity, most["farthest"], most["bound"])
+            excess = out_of_range(quantity, most["farthest"], most["bound"])
             yield (
-                f"{whose}out of range: {most['points']} of {points} fallbacks by {far} at worst",
+                f"{whose}out of range: {most['points']} of {points} fallbacks by {excess} at worst",
                 False,
             )
         for event in cache["trust"]["events"]:
