@@ -154,3 +154,15 @@ def test_the_modulus_of_irregular_tissue_is_that_of_its_slopes_and_depends_on_th
         assert modulus == pytest.approx(0.1 / np.linalg.inv(slopes)[0, 0], rel=0.01)
         moduli.append(modulus)
     assert abs(moduli[0] / moduli[1] - 1.0) > 0.01
+
+
+def test_a_petiole_is_a_layered_beam_and_buckles_sooner_the_less_turgor_it_has():
+    names = script("petiole")
+    mesh = names["petiole_mesh"](16)
+    buckled = []
+    for turgor in (0.05, 0.4):
+        law_of = names["laws"](turgor)
+        rest = names["bent"](law_of, 1400.0, 2, mesh)
+        assert names["rigidity"](rest) == pytest.approx(names["layered_beam"](law_of), rel=0.06)
+        buckled.append(rest.columns["beyond bifurcation"][-1])
+    assert buckled[0] > buckled[1] == 0
