@@ -74,6 +74,12 @@ _LEAST_FRACTION = 1.0 / 64.0
 _DECREASE = 1e-4
 _STALLED = 1e-6
 """A residual this small that no correction reduces is as small as rounding or the law allows."""
+_UNLOADED = 100.0
+"""Without a load, forces are compared with one that moves the stiffest unknown by so many absolute
+tolerances. By the Newton tolerance, 1e-8, the stiffest then rests to 1e-6 of the absolute one and
+the softest, some 1e4 times as soft, to a hundredth. A smaller force would be below the rounding of
+an RVE's stress, which is a difference of turgor and walls.
+"""
 _FREE = 1e-12
 """Stiffness of a rigid motion, relative to the largest, that holds nothing."""
 STEP_ADVICE = "; load in smaller steps or raise the iteration limit"
@@ -772,11 +778,11 @@ class Newton:
 
     def relative_residual(self, now: Evaluation, K: Matrix) -> float:
         """Largest residual relative to the largest of internal force, other forces, those at
-        factor 1, and the force that moves the stiffest unknown by what the tolerance allows.
+        factor 1, and a force that hardly moves anything; see `_UNLOADED`.
         """
         full = [force.at(1.0, now.within, now.u, now.v) for force in self.equations.system.forces]
         forces = (now.internal, now.forces, *full)
-        least = float(abs(K.diagonal()).max()) * self.settings.absolute_tolerance
+        least = _UNLOADED * float(abs(K.diagonal()).max()) * self.settings.absolute_tolerance
         scale = max(least, *(abs(force).max(initial=0.0) for force in forces))
         return float(abs(now.residual).max() / scale)
 

@@ -1,7 +1,7 @@
 """Equilibrium at rest, by steps and as motion comes to it, how it fails, and modes about it."""
 
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -47,6 +47,32 @@ def test_overdamped_motion_comes_to_the_same_rest():
     settings = MacroSettings(integrator="implicit")
     end = simulate(replace(SQUARE, duration=400.0), law, settings).curve.displacement[-1]
     np.testing.assert_allclose(rest.watched, end, rtol=1e-4)
+
+
+@dataclass
+class Drifting(KelvinVoigt):
+    """A law whose stress at rest is off by some rounding, by another one at each call."""
+
+    error: float = 0.0  # µN/µm
+    calls: int = 0
+
+    def stress(self, F, F_dot):
+        self.calls += 1
+        random = np.random.default_rng(self.calls)
+        return super().stress(F, F_dot) + self.error * random.standard_normal(F.shape)
+
+
+def test_an_unloaded_tissue_rests_to_the_rounding_of_its_law():
+    """At factor 0 no force is there to which the rounding could be compared."""
+    pull = PrescribedMotion(name="pull", on="right", displacement=(1.0, None))
+    problem = replace(SQUARE, conditions=(Symmetry(on="left"), Symmetry(on="bottom"), pull))
+    modulus = KelvinVoigt().lame
+    rounding = 1e-8 * modulus * MacroSettings().absolute_tolerance
+    rest = find_rest(problem, Drifting(error=rounding), load_steps=1)
+    exact = find_rest(problem, KelvinVoigt(), load_steps=1)
+    np.testing.assert_allclose(rest.u, exact.u, atol=0.01 * MacroSettings().absolute_tolerance)
+    with pytest.raises(InputError, match=r"macro.newton_tolerance: 1e-08; at load factor 0"):
+        find_rest(problem, Drifting(error=100.0 * rounding), load_steps=1)
 
 
 def test_path_does_not_matter_for_an_elastic_bar():
