@@ -32,6 +32,7 @@ from surrofe2 import (
 )
 from surrofe2.cache import StressTable
 from surrofe2.problem import Problem
+from surrofe2.run.charts import BLUE, VERMILION
 
 BORNE = {"printed": 60.0, "water": 20.0}
 """µs for which the bar bears three times its load; then full FE² loses its RVEs."""
@@ -137,12 +138,13 @@ def picture(figures: Mapping[str, Figure], path: Path) -> None:
         chart = Picture(figsize=(7.0, 3.2), layout="constrained")
         axes = chart.add_subplot()
         words = [case.words for case in cases("printed")]
-        for offset, preset in ((-0.15, "printed"), (0.15, "water")):
+        for offset, preset, colour in ((-0.15, "printed", BLUE), (0.15, "water", VERMILION)):
             here = [
                 values.get(f"trust.{preset}.network.{case.name}.worst", np.nan)
                 for case in cases(preset)
             ]
-            axes.plot(here, np.arange(len(here)) + offset, "o", label=f"preset {preset}")
+            at = np.arange(len(here)) + offset
+            axes.plot(here, at, "o", color=colour, label=f"preset {preset}")
         axes.axvline(1.0, color="0.3", linestyle="--")
         axes.annotate(
             "tolerance", (1.0, 0.0), (-4, 0), textcoords="offset points", ha="right", color="0.3"
