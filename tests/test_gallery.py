@@ -166,3 +166,19 @@ def test_a_petiole_is_a_layered_beam_and_buckles_sooner_the_less_turgor_it_has()
         assert names["rigidity"](rest) == pytest.approx(names["layered_beam"](law_of), rel=0.06)
         buckled.append(rest.columns["beyond bifurcation"][-1])
     assert buckled[0] > buckled[1] == 0
+
+
+def test_a_stiff_skin_resists_a_disc_and_its_cells_are_squeezed():
+    names = script("puncture")
+    mesh = names["half_mesh"]((4, 2), 3)
+    law_of = names["laws"]()
+    flesh_alone = dict.fromkeys(law_of, law_of["flesh"])
+    rest, ending = names["pressed"](law_of, mesh, 200.0, 2)
+    soft, _ = names["pressed"](flesh_alone, mesh, 200.0, 2)
+    depth, force = names["force_over_depth"](rest)
+    assert ending == "its load"
+    assert depth[-1] == pytest.approx(200.0)
+    assert force[-1] > names["force_over_depth"](soft)[1][-1] > 0.0
+    # below the disc sap is squeezed beyond the turgor of 0.4 MPa
+    for cells in names["cells_below"](rest, law_of):
+        assert cells.pressure.min() > 4.0
