@@ -121,9 +121,7 @@ class FelupeMaterial:
         return self._last
 
     def _report(self, is_beyond: Flags | None) -> None:
-        """Warn of points that have left their branch since the last call; None: the law does not
-        know.
-        """
+        """Warn of points that left their branch since the last call; None: not known."""
         if is_beyond is None:
             return
         known = self.left_bifurcation

@@ -67,9 +67,7 @@ def _imported(source: Path) -> frozenset[Path]:
 
 @cache
 def _digest_of_kernels(source: Path) -> str:
-    """Return the digest of all sources on which the machine code of this file's kernels can
-    depend.
-    """
+    """Return the digest of all sources on which the code of this file's kernels can depend."""
     sources: set[Path] = set()
     new = {source}
     while new:
@@ -138,9 +136,7 @@ class CheckedFiles(IndexDataCacheFile):
         self._save_data(overloads[key], data)
 
     def _load_index(self) -> dict[Any, str]:
-        """Return the names of the files of machine code by key; none of other sources or
-        versions.
-        """
+        """Return the names of files of machine code by key; none of other sources or versions."""
         content = self._content(self._index_path)
         if content is None:
             return {}

@@ -1,6 +1,4 @@
-"""The launcher of MPI (mpiexec, srun) that has started this process, if any, seen without
-loading MPI.
-"""
+"""The launcher of MPI (mpiexec, srun) of this process, if any, seen without loading MPI."""
 
 from __future__ import annotations
 

@@ -417,9 +417,7 @@ class Audit:
     def restore(
         self, arrays: Mapping[str, NDArray], values: Mapping[str, Any], record: Mapping[str, Any]
     ) -> None:
-        """Continue where another audit gave these by `to_arrays` and `to_values`, with its
-        record.
-        """
+        """Continue from `to_arrays` and `to_values` of another audit, with its record."""
         waiting = part_of(arrays, "waiting")
         spare = part_of(arrays, "spare")
         self._waiting = Question(**waiting) if waiting else NO_QUESTION

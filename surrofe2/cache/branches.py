@@ -105,9 +105,7 @@ class CachedState:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray], fallback: Fallback) -> CachedState:
-        """Return the state whose `to_arrays` gave `arrays`, with the warm start of this
-        fallback.
-        """
+        """Return the state whose `to_arrays` gave `arrays`, with a warm start of this fallback."""
         state = state_of(fallback, part_of(arrays, "fallback"))
         return cls(
             count=int(arrays["count"]),
@@ -127,8 +125,7 @@ class CachedState:
 def look_up(
     surrogate: Surrogate, F: Array, F_dot: Array, limit: float, reach: Array
 ) -> tuple[Array, NDArray[np.int8], Array]:
-    """Look up stresses of the surrogate; none is trusted where an input is larger than `reach`
-    (7,).
+    """Look up stresses of the surrogate; none is trusted where an input exceeds `reach` (7,).
 
     Returns:
         As `Surrogate.lookup`: stress (n, 2, 2), status (n,) and risk (n,).

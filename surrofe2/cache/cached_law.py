@@ -246,14 +246,11 @@ class CachedLaw(Viewed):
 
     @property
     def decisions(self) -> list[dict[str, Any]]:
-        """The decisions on windows of steps, in order: which stand, which were rolled back, and
-        why.
-        """
+        """The decisions on windows of steps, in order: which stand, which do not, and why."""
         return [dict(decision) for decision in self._decisions]
 
     def mark(self, t: float, state: CachedState | None) -> None:
-        """Let the steps up to t (µs) stand, and begin a window there, to which `roll_back` goes
-        back.
+        """Let the steps up to t (µs) stand, and begin a window, to which `roll_back` goes back.
 
         A window that ends before it has all its audits was not judged. The next one carries on its
         audits and its try, so that the acceptance plan holds for each.
@@ -343,8 +340,7 @@ class CachedLaw(Viewed):
         self._decisions.append(self._window.decision(t, step, limit, decision))
 
     def beyond_bifurcation(self, state: CachedState) -> Flags | None:
-        """Return (n,) which points are beyond a bifurcation, as the fallback knows of those it
-        answers.
+        """Return (n,) which points of the fallback are beyond a bifurcation.
 
         None of the others is, since a surrogate learns the stress of one branch alone. None: the
         fallback does not know.
@@ -380,9 +376,7 @@ class CachedLaw(Viewed):
         }
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> CachedState:
-        """Continue where a law of the same parts and settings gave these arrays; return its
-        state.
-        """
+        """Continue from arrays of a law of the same parts and settings; return its state."""
         values = json.loads(arrays["values"].tobytes())
         self._counts = Counter(values["counts"])
         self._left_range = values["left_range"]
@@ -527,9 +521,7 @@ class CachedLaw(Viewed):
         return self._choose_branches(F, F_dot, checked)
 
     def _note_what_left(self, F: Array, F_dot: Array) -> None:
-        """Count points beyond the range by the quantity that left it, and keep its farthest
-        value.
-        """
+        """Count points beyond the range by the quantity that left it; keep its farthest value."""
         if self.surrogate.range is None:
             return
         for which, value, bound in zip(*farthest_out(self.surrogate.range, F, F_dot), strict=True):
@@ -542,9 +534,7 @@ class CachedLaw(Viewed):
                     beyond["bound"] = float(bound)
 
     def _distribute(self, F: Array, F_dot: Array, stress: Array, known: PointSet) -> None:
-        """Give the fallback's answers at the known points to everything that keeps or learns
-        them.
-        """
+        """Give the fallback's answers at known points to everything that keeps or learns them."""
         points = known.points
         answer = StressResponse(stress[points], np.zeros(len(points), dtype=np.int8), known.state)
         self._keep(F[points], F_dot[points], answer, FALLBACK, np.ones(len(points), dtype=np.bool_))
@@ -604,9 +594,7 @@ class CachedLaw(Viewed):
     def restart_step(
         self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
     ) -> StressResponse:
-        """Return the start of a step with the points `switched` on the fallback; see
-        `SwitchingLaw`.
-        """
+        """Return the start of a step with points `switched` to the fallback; see `SwitchingLaw`."""
         state: CachedState = response.state
         points = (state.free() & (switched != 0)).nonzero()[0]
         new, answer = self._solve_cold(F, F_dot, PointSet(points, switched[points]))

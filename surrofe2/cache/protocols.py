@@ -68,9 +68,7 @@ class Surrogate(Protocol):
         """
 
     def local_tolerance(self, F: Array, F_dot: Array) -> Array:
-        """Return (n,) the error that is allowed at a point, as a fraction of the tolerance, at
-        most 1.
-        """
+        """Return (n,) the error allowed at a point, as a fraction of the tolerance, at most 1."""
 
     def lookup(
         self, F: Array, F_dot: Array, limit: float = np.inf

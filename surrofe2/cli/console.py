@@ -153,9 +153,7 @@ class PrintHandler(logging.Handler):
 
 
 def print_warning(message: str) -> None:
-    """Print a warning or an error: one red line on stderr, never wrapped, its brackets as they
-    are.
-    """
+    """Print a warning or an error: one red line on stderr, never wrapped, brackets as they are."""
     line = re.sub(r"\s*[\r\n]\s*", " ", message.strip())  # messages of libraries have several
     _console("stderr").print(Text(printable(line), style="red"), soft_wrap=True)
 
@@ -167,9 +165,7 @@ def print_line(message: str) -> None:
 
 
 def command_line(words: Iterable[str]) -> str:
-    """Return a call of surrofe2 as a shell takes it, also where a word has what no terminal
-    shows.
-    """
+    """Return a call of surrofe2 as a shell takes it; signs that no terminal shows are escaped."""
     return " ".join(["surrofe2", *map(_shell_word, words)])
 
 
@@ -213,9 +209,7 @@ def done(where: str | Path | None, what: str, *, timed: bool = True) -> None:
 
 
 def show_table(title: str, table: Table[Any]) -> None:
-    """Print a table on stdout; where it is wider than the terminal, in parts with the same
-    names.
-    """
+    """Print a table on stdout; if wider than the terminal, in parts with the same names."""
     if _now["quiet"]:
         return
     console = _console("stdout")
@@ -254,9 +248,7 @@ _CLOSED = OSError(errno.EBADF, "closed before the command began")
 
 
 class _Noting(io.FileIO):
-    """A descriptor that keeps its first error of writing; later writing is lost without an
-    error.
-    """
+    """A descriptor that keeps its first error of writing, and raises none."""
 
     error: OSError | None = None
     is_closed = False
@@ -361,9 +353,7 @@ _SETTLED = 0.5
 
 @contextmanager
 def progress(what: str, total: float, unit: str) -> Iterator[Report]:
-    """Yield a function (done, note) that shows how far work is, at which rate, and the time
-    left.
-    """
+    """Yield a function (done, note) that shows progress, its rate, and the time left."""
     with stages() as stage, stage(what, total, unit) as report:
         yield report
 

@@ -13,9 +13,7 @@ from surrofe2.law.stress_law import StressLaw
 
 @runtime_checkable
 class ForesightLaw(StressLaw, Protocol):
-    """A switching law that can learn at the states where a trial step would have points leave
-    it.
-    """
+    """A switching law that can learn at states where points of a trial step would leave it."""
 
     def learn_ahead(self, F: Array, F_dot: Array, switched: NDArray[np.int8]) -> NDArray[np.int8]:
         """Learn at some of the points that `StressResponse.switched` marks.

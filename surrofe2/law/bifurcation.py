@@ -12,8 +12,7 @@ class BranchingLaw(StressLaw, Protocol):
     """A law that knows which of its points are beyond a bifurcation."""
 
     def beyond_bifurcation(self, state: Any) -> Flags | None:
-        """Return (n,) whether each point left its branch at a bifurcation up to a committed
-        `state`.
+        """Return (n,) whether each point has left its branch at a bifurcation, up to `state`.
 
         Its stress is then that of a stable equilibrium, but other paths may lead to another one.
         None: the law does not know.

@@ -124,8 +124,7 @@ class RegionalLaw(Viewed):
     def restart_step(
         self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
     ) -> StressResponse:
-        """Return the start of a step with the points `switched` on their new branch; see
-        `SwitchingLaw`.
+        """Return the start of a step with points `switched` to a new branch; see `SwitchingLaw`.
 
         A law none of whose points switched is not called.
         """
@@ -182,16 +181,12 @@ class RegionalLaw(Viewed):
         return None if None in verdicts else True
 
     def roll_back(self, t: float) -> Any:
-        """Return the states of all laws at the mark; only those that failed are then more
-        cautious.
-        """
+        """Return the states of all laws at the mark; those that failed are more cautious then."""
         return tuple(law.roll_back(t) for law in self._audited)
 
     @property
     def closing_progress(self) -> tuple[int, int]:
-        """Two numbers, of all laws together: answers of the closing audits solved, and all of
-        them.
-        """
+        """Answers of all closing audits that are solved, and the number of all."""
         parts = [law.closing_progress for law in self._audited]
         return sum(done for done, _ in parts), sum(count for _, count in parts)
 
@@ -231,9 +226,7 @@ class RegionalLaw(Viewed):
         return arrays
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> Any:
-        """Return the states for which `state_to_arrays` gave these arrays; None where no law has
-        one.
-        """
+        """Return the states that `state_to_arrays` stored; None where no law has one."""
         states = [state_of(law, part_of(arrays, name)) for name, law in self.laws.items()]
         return None if all(state is None for state in states) else tuple(states)
 

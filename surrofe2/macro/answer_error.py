@@ -98,8 +98,7 @@ def answer_error(
     seed: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> AnswerError:
-    """Estimate the error of a rest by a law from stresses of the true law at all elements or a
-    sample.
+    """Estimate the error of a rest from stresses of the true law, at all elements or a sample.
 
     Args:
         law: by which the rest was found.

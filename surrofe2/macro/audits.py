@@ -25,8 +25,7 @@ class Report(NamedTuple):
 
 
 class RunAudits:
-    """The audits of a run: calls its law for verdicts if that is an `AuditedLaw`; else does
-    nothing.
+    """The audits of a run: asks its law for verdicts, if that is an `AuditedLaw`.
 
     It must be made before the law is called for the first time, since the law counts from there on.
 

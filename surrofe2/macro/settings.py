@@ -53,8 +53,7 @@ class MacroSettings:
         check_settings(self, "macro")
 
     def remark(self, largest: float) -> str | None:
-        """Advise on the absolute tolerance of a run, by its largest displacement in µm; None: no
-        advice.
+        """Advise on the absolute tolerance by a run's largest displacement, µm; None: no advice.
 
         Where the absolute tolerance exceeds what the relative one allows of the largest
         displacement, steps are as long as stability or that tolerance bears, whatever the motion.

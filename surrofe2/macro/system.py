@@ -158,8 +158,7 @@ class System:
         return replace(self, forces=tuple(forces))
 
     def gripped(self, u: Array, drags: Mapping[str, Array]) -> System:
-        """Return the same system with contacts whose points stick from the displacement u (n, 2)
-        on.
+        """Return the system with contacts whose points stick from the displacement u (n, 2) on.
 
         Args:
             drags: friction of the springs there, µN/µm, by name of the body; contacts of other
@@ -286,9 +285,7 @@ class System:
         return tuple(f"{contact.name} {axis}" for contact in self.contacts for axis in "xy")
 
     def pushes(self, forces: Array) -> Array:
-        """Return (2 b,), the resultants of b bodies on the tissue, µN, from all forces (k, n,
-        2).
-        """
+        """Return the resultants (2 b,) of b bodies on the tissue, µN, from all forces (k, n, 2)."""
         tissue = slice(0, len(self.discretisation.nodes))
         pushes = [
             acting[tissue].sum(axis=0)
@@ -311,8 +308,7 @@ class System:
         return tuple(support for support in self.supports if (support.unknowns < of_nodes).any())
 
     def resultants(self, forces: Array, reaction: Array) -> Array:
-        """Compute the resultants (k, 2) on the tissue of supports and forces, µN; see
-        `force_names`.
+        """Compute the resultants (k, 2) of supports and forces, µN, in the order of `force_names`.
 
         Args:
             forces: (f, n, 2) all forces.
@@ -374,9 +370,7 @@ def _digest(contents: list[Any]) -> Array:
 
 
 def system_of(problem: Problem, law: StressLaw) -> System:
-    """Make the system of a problem with the law's density and, where bodies touch it, its
-    modulus.
-    """
+    """Make the system of a problem with the law's density, and its modulus for contact."""
     modulus = _modulus(law, n_points_of(problem.mesh)) if problem.bodies else 1.0
     return make_system(problem, law.density, modulus=modulus)
 

@@ -408,8 +408,7 @@ class DormandPrince:
     def _energy_error(
         self, start: Evaluation, end: Evaluation, impulses: Array, rates: Array
     ) -> float:
-        """Compute the kinetic energy gained less the work of all forces, relative to what is
-        allowed.
+        """Compute kinetic energy gained less work of all forces, relative to what is allowed.
 
         Args:
             impulses: (stages, m) length of the step times the residuals, µN µs.

@@ -77,9 +77,7 @@ class Shapes:
 
     @classmethod
     def of(cls, area: Array, aspect: Array, direction: Array, neighbours: float) -> Shapes:
-        """Compute the numbers from areas, aspect ratios and directions in degrees of cells, (n,)
-        each.
-        """
+        """Compute the numbers from areas, aspect ratios and directions (°) of cells, (n,) each."""
         alignment, mean_direction = alignment_of(aspect, direction)
         return cls(
             area_variation=float(area.std() / area.mean()),
@@ -293,9 +291,7 @@ def _holes(labels: Labels, numbers: int) -> tuple[int, int, Flags]:
 
 
 def _beside(labels: Labels) -> Iterator[tuple[Index, Index]]:
-    """Yield the labels of pixels that share a side and differ: side by side, then one above the
-    other.
-    """
+    """Yield the labels of pixels that share a side and differ: side by side, then stacked."""
     for first, second in ((labels[:, :-1], labels[:, 1:]), (labels[:-1], labels[1:])):
         differ = first != second
         yield first[differ], second[differ]
@@ -318,9 +314,7 @@ def _corners_of_four(labels: Labels) -> int:
 
 
 def _moments(labels: Labels, number: Index) -> tuple[Array, Array, Array]:
-    """Compute aspect ratios and directions in degrees, (n,), and centres (n, 2) in pixels, of
-    cells.
-    """
+    """Compute aspect ratios, directions (°) (n,) and centres (n, 2), in pixels, of cells."""
     rows, columns = np.nonzero(labels)
     x = columns + 0.5
     y = labels.shape[0] - 0.5 - rows
@@ -343,9 +337,7 @@ def _moments(labels: Labels, number: Index) -> tuple[Array, Array, Array]:
 
 
 def _direction(corners: Array) -> float:
-    """Compute the direction of a polygon's long axis in degrees, by the second moments of its
-    outline.
-    """
+    """Compute the direction of a polygon's long axis, °, by second moments of its outline."""
     # 20 points along each side, which stand for its length
     steps = np.linspace(0.0, 1.0, 20, endpoint=False)[:, None, None]
     sides = np.roll(corners, -1, axis=0) - corners
@@ -367,9 +359,7 @@ def laid_out(cell: CellParameters) -> Shapes:
 
 
 def at_rest(cell: CellParameters) -> Shapes:
-    """Compute the shapes of the plant cells of an RVE at rest, by the wall particles around
-    each.
-    """
+    """Compute the shapes of an RVE's plant cells at rest, by the wall particles around each."""
     polygons, _ = polygons_at_rest(cell)
     return _shapes_of(polygons, cell)
 

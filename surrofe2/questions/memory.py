@@ -1,5 +1,4 @@
-"""The memory of an RVE: the stress after two pasts that end in the same (F, Ḟ), then follow one
-path.
+"""The memory of an RVE: its stress after two pasts that end in the same (F, Ḟ).
 
 A cache on (F, Ḟ) presumes that the stress follows from (F, Ḟ). Two RVEs, integrated in time,
 meet at t = 0 with the same F and Ḟ and move alike from there on. The difference of their stresses
@@ -87,8 +86,7 @@ class Memory:
         return float(self.difference.max())
 
     def fading_time(self, part: float = float(np.exp(-1.0))) -> float | None:
-        """Return the time, µs, after which the difference stays below a fraction of its largest
-        value.
+        """Return the time, µs, from which the difference stays below a fraction of its largest.
 
         None: never, as far as it was watched.
         """

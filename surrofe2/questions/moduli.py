@@ -47,9 +47,7 @@ MODULI: Mapping[str, Callable[[Array], float]] = {
 
 
 def _along(degrees: float) -> tuple[Array, Array, Array]:
-    """Compute v, w and u of the module's formulas: stresses along and across a direction, and
-    shear.
-    """
+    """Compute v, w and u of the module's formulas: stress along and across, and shear."""
     angle = np.deg2rad(degrees)
     n = np.array([np.cos(angle), np.sin(angle)])
     m = np.array([-n[1], n[0]])
@@ -101,9 +99,7 @@ def cell_moduli(cell: CellParameters, initialisation: str) -> CellModuli:
 
 
 def voigt(tangent: Array) -> Array:
-    """Return the matrix (3, 3) of a tangent (2, 2, 2, 2), its minor symmetries taken: xx, yy,
-    xy.
-    """
+    """Return the matrix (3, 3), xx, yy, xy, of a tangent (2, 2, 2, 2) with minor symmetries."""
     symmetric = 0.5 * (tangent + tangent.transpose(1, 0, 2, 3))
     symmetric = 0.5 * (symmetric + symmetric.transpose(0, 1, 3, 2))
     a = np.array([0, 1, 0])
@@ -166,8 +162,7 @@ def with_turgor(cell: CellParameters, pressure: float) -> CellParameters:
 
 
 def experiment_table(cell: CellParameters) -> Table[Any]:
-    """Return what experiments on the tissue at rest would measure: moduli, turgor, walls,
-    stability.
+    """Return what experiments at rest would measure: moduli, turgor, walls, stability.
 
     Moduli are drained or not as the cell's sap is, and of slow tests, whose particles relax.
 

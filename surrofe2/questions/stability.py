@@ -1,5 +1,4 @@
-"""The map of deformations at which a plant cell has a stable equilibrium: it bounds what is
-sampled.
+"""The map of deformations at which a plant cell has a stable equilibrium.
 
 On the reference branch, followed from F = I along a straight line, the elastic Hessian is
 positive definite up to the onset of a bifurcation. Beyond, the RVE leaves the branch for another

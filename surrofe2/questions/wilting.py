@@ -141,9 +141,7 @@ def wilt(cell: CellParameters, points: int = POINTS) -> Wilting:
 
 
 def _walls(law: RveLaw, F: Array) -> tuple[Array, Array]:
-    """Return the turgor (n,) that the walls carry at F, MPa, and the mean stretch of their
-    springs.
-    """
+    """Return the turgor (n,) that walls carry at F, MPa, and the mean stretch of their springs."""
     seen = law.particles(F, np.zeros_like(F))
     carried = np.trace(seen.wall_stress, axis1=1, axis2=2) / 2.0 / law.cell.tissue_thickness
     return carried, seen.stretch.mean(axis=1)

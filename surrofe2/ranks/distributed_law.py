@@ -82,9 +82,7 @@ class RankState:
         return self._joined(owner, left_points, number, row)
 
     def _joined(self, owner: Index, left_points: Flags, number: Index, row: Index) -> RankState:
-        """Make the state whose points are these rows of the states of these numbers, on their
-        ranks.
-        """
+        """Make the state of these rows of the states of these numbers, on their ranks."""
         after = RankState(self.law, owner, left_points)
         tasks: list[tuple[Any, ...] | None] = []
         for points in after.shares():
@@ -228,9 +226,7 @@ class DistributedLaw:
         return owner
 
     def _checked(self, state: Any, points: int) -> RankState:
-        """Return a state if it is one of this law for so many points; else raise an
-        `InputError`.
-        """
+        """Return a state of this law for so many points; another one is an `InputError`."""
         if isinstance(state, RankState) and len(state.owner) == points and state.law is self:
             return state
         raise InputError(f"state: not one of this DistributedLaw for {points} points; pass None")
@@ -271,9 +267,7 @@ def _respond(
 
 
 def _accept(worker: Worker, law: int, before: int, after: int, *answered: Any) -> StressResponse:
-    """Return the accepted response, whose state stays here; it carries (k,) `left_points`
-    instead.
-    """
+    """Return the accepted response; its state stays here, it carries (k,) `left_points`."""
     F, F_dot, stress, status = answered
     answer = StressResponse(stress, status, worker.states[before])
     accepted = worker.laws[law].accept(F, F_dot, answer)

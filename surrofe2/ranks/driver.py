@@ -1,6 +1,4 @@
-"""The driver of all ranks of MPI: rank 0 scatters tasks to ranks, which must be the same
-program.
-"""
+"""The driver of all ranks of MPI: rank 0 scatters tasks to ranks of the same program."""
 
 from __future__ import annotations
 
@@ -76,9 +74,7 @@ def world() -> Any:
 
 
 def own_threads() -> int:
-    """Return the cores for each rank: those it is bound to, or its part of the machine's or
-    quota's.
-    """
+    """Return the cores for each rank: those it is bound to, or its part of all that may be used."""
     bound = len(os.sched_getaffinity(0))
     allowed = cores()
     local = [os.environ[name] for name in _LOCAL_SIZES if name in os.environ]
@@ -129,9 +125,7 @@ def leave(code: int = 0) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Worker:
-    """The objects of one rank, by the numbers that the driver gave: laws, and states of its
-    points.
-    """
+    """The laws of one rank and the states of its points, by the numbers that the driver gave."""
 
     laws: dict[int, RveLaw] = field(default_factory=dict)
     states: dict[int, RveState] = field(default_factory=dict)

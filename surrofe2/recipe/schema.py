@@ -109,9 +109,7 @@ def _with(table: Schema, more: Schema) -> Schema:
 
 
 def _kinds(kinds: Any) -> list[Schema]:
-    """Return the schemas of tables of several kinds; the entry `kind` of a table states which it
-    is.
-    """
+    """Return the schemas of tables of several kinds, of which the entry `kind` states one."""
     tables = []
     for name, kind in kinds.items():
         table = _with(_settings(kind), {"kind": {"enum": [name]}})

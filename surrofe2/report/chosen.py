@@ -68,9 +68,7 @@ class Chosen(NamedTuple):
 
 
 def _period(t: Array, values: Array) -> float | None:
-    """Compute twice the mean time between crossings of the mean; None of fewer than three
-    crossings.
-    """
+    """Compute twice the mean time between crossings of the mean; None of fewer than three."""
     apart = values - values.mean()
     above = apart > 0.0  # a value at the mean itself is below: each crossing counts once
     k = np.flatnonzero(above[:-1] != above[1:])  # the value before each crossing

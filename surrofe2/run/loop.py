@@ -39,6 +39,7 @@ class ShownProgress:
         self._due = self._began
 
     def __call__(self, t: float, duration: float) -> None:
+        """Write the line again, where that is due or the run has ended."""
         now = monotonic()
         if now < self._due and t != duration:
             return
@@ -74,9 +75,7 @@ class CheckpointClock:
         return monotonic() >= self._due
 
     def write(self, checkpoint: Callable[[], None]) -> None:
-        """Let a call take and write a checkpoint; how long that takes decides when the next one
-        is due.
-        """
+        """Let a call write a checkpoint; the time that it takes decides when the next one is due."""
         began = monotonic()
         checkpoint()
         now = monotonic()

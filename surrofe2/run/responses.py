@@ -1,6 +1,4 @@
-"""The responses of a mechanical test: the force of a support, load or body over its
-displacement.
-"""
+"""The responses of a mechanical test: force of a support, load or body over displacement."""
 
 from __future__ import annotations
 

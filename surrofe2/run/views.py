@@ -87,16 +87,18 @@ class ViewedRun(Viewed):
             for axis, values in zip("xy", curve.displacement.T, strict=True)
         }
         for name, values in self.history.items():
-            what = (FORCE, "force") if name.startswith("force") else (LENGTH, "place")
             if name in (BEYOND, CROSSINGS):
-                what = NONE, "count"
+                series[name] = Series(values, NONE, "count")
             elif name.startswith(STRESS_NAME):
-                what = "MPa", "nominal stress"
+                series[name] = Series(values, "MPa", "nominal stress")
             elif name.startswith(STRAIN_NAME):
-                what = NONE, "nominal strain"
+                series[name] = Series(values, NONE, "nominal strain")
             elif name.startswith("impulse "):
-                what = "µN µs", "impulse"
-            series[name] = Series(values, *what)
+                series[name] = Series(values, "µN µs", "impulse")
+            elif name.startswith("force"):
+                series[name] = Series(values, FORCE, "force")
+            else:
+                series[name] = Series(values, LENGTH, "place")
         for name, values in self.energies.items():
             series[f"energy {name}"] = Series(values, ENERGY, "energy")
         return series

@@ -153,9 +153,7 @@ def _number(word: str) -> float:
 
 
 def _read_nodes(contents: _Contents, options: dict[str, str], lines: list[list[str]]) -> None:
-    """Read the lines of *NODE: tag and two or three coordinates each, and the set that they
-    make.
-    """
+    """Read the lines of *NODE: tag and coordinates of each, and the set that they make."""
     if not lines:
         return
     # a tag and three coordinates; those that are left out are 0

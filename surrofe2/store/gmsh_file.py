@@ -251,25 +251,26 @@ def _entities(
     if is_partitioned:
         contents.n_partitions = int(numbers.sizes(1)[0])
         ghosts = int(numbers.sizes(1)[0])
-        numbers.ints(2 * ghosts)
+        numbers.ints(2 * ghosts)  # tag and partition of each
     counts = numbers.sizes(4).tolist()
     for dimension, count in enumerate(counts):
         for _ in range(count):
             tag = int(numbers.ints(1)[0])
             if is_partitioned:
-                numbers.ints(2)  # the entity that it is a part of
+                numbers.ints(2)  # dimension and tag of the entity that it is a part of
                 parts = numbers.ints(int(numbers.sizes(1)[0])).tolist()
                 contents.partitions[dimension, tag] = set(parts)
-            numbers.doubles(3 if dimension == 0 and version == 41 else 6)  # where it is
+            # the position of a point, in format 4.1, or the corners of a bounding box
+            numbers.doubles(3 if dimension == 0 and version == 41 else 6)
             physical = numbers.ints(int(numbers.sizes(1)[0]))
-            contents.physical[dimension, tag] = abs(physical).tolist()  # a sign turns it round
+            contents.physical[dimension, tag] = abs(physical).tolist()  # negative: turned round
             if dimension:
-                numbers.ints(int(numbers.sizes(1)[0]))  # what bounds it
+                numbers.ints(int(numbers.sizes(1)[0]))  # tags of those that bound it
 
 
 def _nodes_41(numbers: _Numbers, contents: _Contents) -> None:
     """Read the nodes of format 4.1."""
-    blocks = int(numbers.sizes(4)[0])
+    blocks = int(numbers.sizes(4)[0])  # then the number of nodes, their lowest and highest tag
     tags = [contents.tags]
     points = [contents.points]
     for _ in range(blocks):
@@ -284,7 +285,7 @@ def _nodes_41(numbers: _Numbers, contents: _Contents) -> None:
 
 def _nodes_40(numbers: _Numbers, contents: _Contents) -> None:
     """Read the nodes of format 4.0."""
-    blocks = int(numbers.sizes(2)[0])
+    blocks = int(numbers.sizes(2)[0])  # then the number of nodes
     tags = [contents.tags]
     points = [contents.points]
     for _ in range(blocks):
@@ -333,7 +334,7 @@ def _elements_2(numbers: _Numbers, contents: _Contents) -> None:
         if numbers.order:
             number, rows, n_tags = numbers.ints(3).tolist()
             kind, width = _kind(number)
-            width += 1 + n_tags  # and its number
+            width += 1 + n_tags  # the number of the element and its tags come first
             table = numbers.ints(rows * width).reshape(rows, width)[:, 1:]
         else:
             table, number, n_tags = _alike(numbers, count)

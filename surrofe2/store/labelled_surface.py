@@ -92,9 +92,7 @@ def read_surface(path: Path) -> LabelledSurface:
 
 
 def _axes(across: Array) -> Array:
-    """Return (2, 3) unit vectors x and y of the plane across a vector: x as the file's, or else its
-    y.
-    """
+    """Return (2, 3) unit vectors x, y of the plane across a vector; x is as the file's x or y."""
     # the file's axis must not be nearly across the plane
     along = np.eye(3)[0 if abs(across[0]) < 0.9 else 1]
     x = along - (along @ across) * across

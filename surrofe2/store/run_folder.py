@@ -329,8 +329,7 @@ def is_rest(record: RunRecord) -> bool:
 
 
 def earlier_run(folder: Path, record: RunRecord) -> RunRecord | None:
-    """Return the record of an earlier call of this very run in a folder, None where there is
-    none.
+    """Return the record of an earlier call of this very run in a folder; None: there is none.
 
     Raises:
         FileError: the folder has files but no run.

@@ -1,6 +1,4 @@
-"""Data sets of stresses over a declared range of (F, Ḟ), and the samples that training takes of
-them.
-"""
+"""Data sets of stresses over a range of (F, Ḟ), and the samples that training takes of them."""
 
 from __future__ import annotations
 

@@ -131,8 +131,7 @@ def refine_surrogate(
     stage: Stage = no_stage,
     tell: Callable[[Round], None] = lambda row: None,
 ) -> list[Round]:
-    """Make rounds of cached run, sampling and training in a folder, until one meets nothing
-    unknown.
+    """Make rounds of run, sampling and training in a folder, until one meets nothing unknown.
 
     The run is in time, or at rest where the recipe has a [rest]. The first round runs on the
     recipe's surrogate, which is made where it is missing. Each later one is trained on the recipe's

@@ -1,6 +1,4 @@
-"""A recipe's tissue at rest under its loads, written into a run folder, and its small oscillations
-about that rest.
-"""
+"""The rest of a recipe's tissue, in a run folder, and small oscillations about it."""
 
 from __future__ import annotations
 
@@ -373,18 +371,14 @@ def notes_of(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
 
 
 def response_lines(folder: Path, record: RunRecord) -> list[str]:
-    """Describe each force over its displacement, of a run or rest: peak, slope at the start,
-    work.
-    """
+    """Describe each force of a run or rest over its displacement: peak, first slope, work."""
     if not record.problem.get("places"):
         return []
     return [response.sentence for response in read_run(folder, finished=False).responses]
 
 
 def rest_summary(record: RunRecord) -> str:
-    """Summarise where the tissue came to rest, what it cost, and whether walls buckled on the
-    way.
-    """
+    """Summarise where the tissue came to rest, the cost, and whether walls have buckled."""
     counts = record.counts
     end = record.recipe["rest"]
     wall = record.wall_time

@@ -261,18 +261,14 @@ class LawOfRun:
             write_table(path, table, self.recipe.to_dict(), total)
 
     def to_arrays(self, law_state: Any) -> dict[str, NDArray]:
-        """Return all that a checkpoint must have of law and harvests, `law_state` being
-        committed.
-        """
+        """Return all that a checkpoint must have of harvests and of the committed `law_state`."""
         arrays = within("law", state_arrays(self.law, law_state))
         for cell, writer in self.harvests.items():
             arrays |= within(f"harvest of {cell or ''}", writer.to_arrays())
         return arrays
 
     def restored(self, arrays: Mapping[str, NDArray]) -> Any:
-        """Return the committed state whose `to_arrays` are among these arrays; continue the
-        harvests.
-        """
+        """Return the state whose `to_arrays` are among these arrays; continue the harvests."""
         law_state = state_of(self.law, part_of(arrays, "law"))
         for cell, writer in self.harvests.items():
             writer.restore(part_of(arrays, f"harvest of {cell or ''}"))
@@ -287,9 +283,7 @@ def law_of_run(
     surrogates: Mapping[CellName, Path],
     tables: Sequence[Path],
 ) -> LawOfRun:
-    """Make the law called `kind` for a run that is written to a folder; arguments as of
-    `run_study`.
-    """
+    """Make the law called `kind` for a run in a folder; arguments as of `run_study`."""
     harvests: dict[CellName, HarvestWriter] = {}
     chosen: dict[CellName, laws.ChosenLaw] = {}
     tables_of = laws.files_by_cell(recipe, tables, "--table")
@@ -523,9 +517,7 @@ def with_costs(
 
 
 def with_rest(record: RunRecord, rest: np.ndarray | None) -> RunRecord:
-    """Return the record with how far free sides moved a tissue before the run, `System.rest`,
-    µm.
-    """
+    """Return the record with how far free sides moved a tissue before the run, µm."""
     surface = record.problem.get("surface")
     if not surface or rest is None:
         return record
@@ -690,9 +682,7 @@ def _law_entries(law: Any) -> dict[str, Any]:
 
 
 def _stated_problem(problem: Problem) -> dict[str, Any]:
-    """Describe a problem as a recipe states it, its mesh by extent, number of elements and
-    digest.
-    """
+    """Describe a problem as a recipe states it, its mesh by extent, elements and digest."""
     low, high = extent(problem.mesh)
     digest = hashlib.sha256()
     for part in (problem.mesh.p.T, element_nodes(problem.mesh)):

@@ -86,8 +86,7 @@ def scale_warnings(recipe: Recipe, halvings: int = 0) -> Iterator[str]:
 
 
 def sap_notes(recipe: Recipe, step: float | None = None) -> Iterator[tuple[str, bool]]:
-    """Iterate over notes on the time steps of an explicit run with undrained sap; none is a
-    warning.
+    """Iterate over notes on time steps of an explicit run with undrained sap; none warns.
 
     There is none on a recipe that states a rest.
 
@@ -126,8 +125,7 @@ def sap_wave_speed(cell: CellParameters) -> float:
 
 
 def all_particles(recipe: Recipe) -> Particles:
-    """Estimate the full particle model of a recipe's tissue, by the area of each kind of plant
-    cell.
+    """Estimate the full particle model of a recipe's tissue, by the area of each kind of cell.
 
     Where an image outlines the tissue, its cells and particles are counted.
     """

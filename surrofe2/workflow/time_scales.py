@@ -85,9 +85,7 @@ class TimeScales:
 
 
 def time_scales(recipe: Recipe, problem: Problem, law: StressLaw) -> TimeScales:
-    """Compute the time scales of a recipe's problem, on a mesh that may be coarser, by the law
-    at rest.
-    """
+    """Compute the time scales of a recipe's problem by the law at rest; the mesh may be coarser."""
     low, high = extent(problem.mesh)
     # The points of a tissue of several cells have a density each, and are computed together.
     still = np.zeros((np.size(law.density), 2, 2))

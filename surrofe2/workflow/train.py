@@ -365,9 +365,7 @@ def _train(
     bounds: dict[str, float] = {}  # by the surrogate's weights
 
     def bound_of(surrogate: SurrogateLaw) -> float:
-        """Return the bound of a surrogate, computed once for the same weights; 0: none is
-        wanted.
-        """
+        """Return the bound of a surrogate, computed once for its weights; 0: none is wanted."""
         weights = surrogate.network.fingerprint(surrogate.range)
         if wanted and weights not in bounds:
             bounds[weights] = shaped_bound(surrogate, samples, shaping)
@@ -637,9 +635,7 @@ def _at_rest(surrogate: SurrogateLaw) -> float:
 
 
 def _edge(surrogate: SurrogateLaw, samples: StressSamples) -> float:
-    """Return the largest bound at any sample that the surrogate answers; infinite where it has
-    none.
-    """
+    """Return the largest bound at any sample that the surrogate answers; infinite without any."""
     everywhere = surrogate.error_bound(samples.valid.F, samples.valid.F_dot)
     return float(everywhere[np.isfinite(everywhere)].max(initial=_at_rest(surrogate)))
 

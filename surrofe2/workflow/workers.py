@@ -73,8 +73,7 @@ class Processes(ThreadPoolExecutor):
         return super().submit(self._send, work, arguments)
 
     def _send(self, work: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-        """Send work to the process of this thread and return its result; send it again if that is
-        lost.
+        """Return the result of work by the process of this thread; if lost, it is sent again.
 
         Raises:
             SimulationError: the executor is closed, or the work lost its process `ATTEMPTS` times.
@@ -255,6 +254,7 @@ def in_pieces(work: Work, items: range, unit: int, executor: Any = None) -> Iter
         seconds = time.perf_counter() - begin
         yield result
         next_item += count
+    # 1e-6: a clock may show no time at all
     size = unit * max(1, round(PIECE / max(seconds, 1e-6)))
     sent = deque[Future[Any]]()
     for first in range(next_item, items.stop, size):

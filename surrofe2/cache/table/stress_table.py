@@ -79,8 +79,7 @@ class _Knowledge:
 
 
 class StressTable:
-    """The stress σ(F, Ḟ) from linear models about RVE answers, each within its ellipsoid of
-    accuracy.
+    """The stress σ(F, Ḟ) from linear models about RVE answers, each within its ellipsoid.
 
     `lookup` is pure; the table changes in `learn` alone. Tables by `with_tolerance` share their
     records, and each has the tolerance of its risks to itself.
@@ -209,8 +208,7 @@ class StressTable:
         return table_tangents(F, F_dot, tolerances, self.images, self._known.records)
 
     def learn(self, F: Array, F_dot: Array, stress: Array, state: Any = None) -> None:
-        """Learn from m RVE answers: grow or shrink ellipsoids, and add records where none holds
-        one.
+        """Learn from m RVE answers: change ellipsoids, and add records where none holds an answer.
 
         Args:
             F, F_dot, stress: (m, 2, 2) what was asked and answered.
