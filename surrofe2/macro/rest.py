@@ -1,11 +1,12 @@
 """Rest under constant loads: the load in steps, a predictor and Newton with line search at each.
 
 A load step begins at the last equilibrium u₀. Where supports move by Δū, the first displacement is
-that of the tangents there, K Δu = l(u₀) − f(u₀) − K̄ Δū with l by the new factor of the loads and K̄
-the columns of what supports move, so that the elements beside a support do not take all of Δū. From
-there Newton's correction is halved until the residual falls and every point has a stress. Points of
-contact with friction stick or slip throughout a correction and are sorted between them. A load step
-that finds no equilibrium is halved."""
+that of the tangents there, K Δu = l(u₀) − f(u₀) − K̄ Δū with l by the new factor of the loads and
+K̄ the columns of what supports move, so that the elements beside a support do not take all of Δū.
+From there Newton's correction is halved until the residual falls and every point has a stress.
+Points of contact with friction stick or slip throughout a correction and are sorted between them. A
+load step that finds no equilibrium is halved.
+"""
 
 from __future__ import annotations
 
@@ -61,31 +62,36 @@ from surrofe2.run.journal import (
 from surrofe2.run.loop import Progress, carry_out
 from surrofe2.run.views import related
 
+# A load step is halved so often, from its first length on, before the way ends.
 MAX_HALVINGS = 10
+# Newton's iterations in a load step; more where points of contact are also sorted into those that
+# stick and those that slip.
 MAX_ITERATIONS = 20
 FRICTION_ITERATIONS = 60
-"""The limit where points of contact are also sorted into those that stick and those that slip."""
+# The first so many corrections sort all points of contact at once. Later ones sort those whose
+# friction is off by at least this fraction of the largest error, since all may swing for ever.
 _SORTED_TOGETHER = 10
-"""So many corrections sort all points at once."""
 _WORST = 0.5
-"""Later ones sort those whose friction is off by this part of the largest error."""
+# Smallest step in which surface tension grows to its whole.
 _SMALLEST_SHARE = 1.0 / 16.0
+# Line search: the smallest fraction of a correction, and the least decrease of the residual,
+# relative to that of a linear one.
 _LEAST_FRACTION = 1.0 / 64.0
 _DECREASE = 1e-4
+# A residual this small that no correction reduces is as small as rounding or the law allows.
 _STALLED = 1e-6
-"""A residual this small that no correction reduces is as small as rounding or the law allows."""
+# Without a load, forces are compared with one that moves the stiffest unknown by so many absolute
+# tolerances. By the Newton tolerance, 1e-8, the stiffest then rests to 1e-6 of the absolute one and
+# the softest, some 1e4 times as soft, to a hundredth. A smaller force would be below the rounding
+# of an RVE's stress, which is a difference of turgor and walls.
 _UNLOADED = 100.0
-"""Without a load, forces are compared with one that moves the stiffest unknown by so many absolute
-tolerances. By the Newton tolerance, 1e-8, the stiffest then rests to 1e-6 of the absolute one and
-the softest, some 1e4 times as soft, to a hundredth. A smaller force would be below the rounding of
-an RVE's stress, which is a difference of turgor and walls.
-"""
+# A rigid motion with less stiffness than this, relative to the largest, is not held.
 _FREE = 1e-12
-"""Stiffness of a rigid motion, relative to the largest, that holds nothing."""
+# What a law advises where an RVE does not converge; a rest has taken smaller steps already.
 STEP_ADVICE = "; load in smaller steps or raise the iteration limit"
-"""What a law advises where an RVE does not converge; a rest has taken smaller steps already."""
+# Near a limit point the watched point moves so many times as fast with the load as at first.
 _LIMIT_RATE = 3.0
-"""So many times as fast as at first the watched point moves with the load near a limit point."""
+# What a rest counts, by name.
 _COUNTS = (
     "load_steps",
     "halvings",
@@ -105,20 +111,20 @@ class RestState(RunState):
         u: (n, 2) displacement of nodes and bodies, µm; from `System.rest` where there is one.
         stress: (n_points, 2, 2) Cauchy stress, µN/µm.
         acts: (k + 2, n, 2) internal force, k other forces and reaction, µN.
-        next_step: factor of the next load step.
+        next_step: factor by which the next load step is larger.
         extremes: (2, 4, 2, 2) as in `MacroState`, of the equilibria on the way.
-        drags: by body, friction at all points of its contact, µN/µm.
+        drags: friction at all points of a body's contact, µN/µm, by name of the body.
         counts: load steps, halvings, factorisations by Newton's method; steps that were repeated
             because points left their branch of the law; stresses asked for.
         effort: sums of what the law's answers cost.
-        rolled_back: the same counts and sums, over what an audited law took back.
-        law_seconds: inside the stress law.
+        rolled_back: the same counts and sums, over load steps that an audited law took back.
+        law_seconds: time inside the stress law, s.
         journal: at each load step, from factor 0 on: ``rows`` (s, c), the columns of `columns_of`
             with the factor instead of the time; ``frames.…`` as of `Frames`, in the same way.
         rest: as `System.rest`; (0, 2) of None.
-        law_state: what the law has committed.
-        mark: where an audited law goes back to if what follows does not stand, without its state,
-            which the law knows; None: it never does.
+        law_state: the state that the law has committed.
+        mark: the state to go back to if the load steps after it do not stand; None: there is none.
+            It is without the law's state, which the law itself keeps.
     """
 
     SERIES: ClassVar[tuple[str, ...]] = (
@@ -152,8 +158,8 @@ class Rest(RestState):
         stiffness, damping: (m, m) of the free unknowns, as of `EquationsOfMotion.tangents`.
         residuals: of Newton's iterations in the last load step, relative to the largest force.
         finished: whether the factor asked for was reached.
-        cache: what an audited law reports of this rest; None of other laws.
-        decisions: of an audited law on windows of load steps; None of other laws.
+        cache: report of an audited law on this rest; None of other laws.
+        decisions: those of an audited law on windows of load steps; None of other laws.
     """
 
     system: System
@@ -179,7 +185,7 @@ class Rest(RestState):
 
     @property
     def basis(self) -> skfem.Basis:
-        """scikit-fem's basis of displacements, made at every call."""
+        """scikit-fem's basis of displacements, made at every access."""
         return displacement_basis(self.system.problem.mesh)
 
     @property
@@ -194,7 +200,9 @@ class Rest(RestState):
 
     @property
     def columns(self) -> dict[str, Array]:
-        """By name, (steps + 1,): what `columns_of` lists, the factor under the name t."""
+        """Columns (steps + 1,) by name, those that `columns_of` lists; the factor has the name
+        t.
+        """
         return named_columns(columns_of(self.system, in_time=False), self.journal["rows"])
 
     @property
@@ -204,9 +212,12 @@ class Rest(RestState):
 
     @property
     def history(self) -> dict[str, Array]:
-        """By name, (steps + 1,) over the factor: mean displacement of boundaries (µm), forces of
-        supports, loads and bodies on the tissue (µN), places and penetration of bodies (µm), and
-        how many points are beyond a bifurcation, where the law can tell."""
+        """Columns (steps + 1,) over the factor, by name.
+
+        They are mean displacements of boundaries (µm), forces of supports, loads and bodies on the
+        tissue (µN), places and penetration of bodies (µm), and the number of points beyond a
+        bifurcation, where the law knows it.
+        """
         return history_of(self.columns)
 
     @property
@@ -215,7 +226,7 @@ class Rest(RestState):
         return self.path[-1, 1:]
 
     def relation(self, name: str, against: str) -> Array:
-        """(steps + 1, 2) one column of `history` over another; see `ViewedRun.relation`.
+        """Return one column of `history` over another, (steps + 1, 2); see `ViewedRun.relation`.
 
         Examples:
             The force on a plate that shears a block, over its displacement:
@@ -236,9 +247,11 @@ class Rest(RestState):
 
     @property
     def energies(self) -> dict[str, Array]:
-        """By name, (steps + 1,) pJ: `internal` and the work of each force and of `motion` along
-        the path, by the trapezoidal rule (second order in the load step), `contact` and `contact
-        dissipated`, and `balance`, the other works − internal, zero to Newton's tolerance.
+        """Energies along the path, (steps + 1,) pJ by name.
+
+        They are `internal` and the work of each force and of `motion`, by the trapezoidal rule
+        (second order in the load step); `contact` and `contact dissipated`; and `balance`, the
+        other works − internal, zero to Newton's tolerance.
         """
         system = self.system
         columns = self.columns
@@ -249,8 +262,9 @@ class Rest(RestState):
             works["motion"] = columns["work motion"]
         energies = {"internal": internal, **works, "balance": sum(works.values()) - internal}
         if system.contacts:
-            done = sum(works[each.name] for each in system.contacts)
-            energies |= {"contact": stored, "contact dissipated": stored[0] - stored - done}
+            work_of_contacts = sum(works[contact.name] for contact in system.contacts)
+            dissipated = stored[0] - stored - work_of_contacts
+            energies |= {"contact": stored, "contact dissipated": dissipated}
         return energies
 
 
@@ -268,7 +282,7 @@ def find_rest(
     closing: Callable[[int, int], None] | None = None,
     keep_frame: KeepFrame | None = None,
 ) -> Rest:
-    """Equilibrium of all forces at v = 0 and `factor` times the loads, reached from factor 0.
+    """Find the equilibrium of all forces at v = 0 and `factor` times the loads, from factor 0 on.
 
     Load steps of an audited law that do not stand are made again, as the steps of a run are.
 
@@ -276,15 +290,16 @@ def find_rest(
     it slip, from equilibrium to equilibrium, so more load steps follow its way more closely.
 
     Args:
-        problem: as of `simulate`. Its amplitudes in time have no say here.
+        problem: as of `simulate`. Its amplitudes in time do not count.
+        law: a law with tangents.
         factor: of all loads and prescribed motions; 0 is the tissue without load.
         load_steps: load steps to begin with.
         progress: called with the factor of each equilibrium on the way, and the last one; True: a
             line of the standard error shows it.
         checkpoint, checkpoint_interval: as of `simulate`; it is called with an equilibrium.
-        closing, keep_frame: as of `simulate`; each load step is a frame.
         resume: such an equilibrium, of the same problem on the way to the same factor; the result
             is that of the uninterrupted way, to the bit.
+        closing, keep_frame: as of `simulate`; each load step is a frame.
 
     Raises:
         InputError: the law has no tangents, nothing holds a part of the tissue, a body begins
@@ -321,8 +336,10 @@ def find_rest(
     equations = EquationsOfMotion(system, law, clock="load factor {:.6g}")
     if problem.surface is not None:
         begin_at_rest(equations, problem, settings, resume)
-    law_state, at = (None, 0.0) if resume is None else (resume.law_state, resume.factor)
-    audits = RunAudits(equations, law_state, at)
+    if resume is None:
+        audits = RunAudits(equations, None, 0.0)
+    else:
+        audits = RunAudits(equations, resume.law_state, resume.factor)
     way = Loading(Newton(equations, settings, keep_frame), audits, factor, factor / load_steps)
     return carry_out(
         way.steps(resume, closing),
@@ -336,7 +353,7 @@ def find_rest(
 
 
 def _spent(tally: Tally) -> dict[str, Any]:
-    """Return what a rest has cost so far, as `RestState` has it."""
+    """Return what a rest has cost so far, as fields of `RestState`."""
     return {
         "counts": {name: tally.counts[name] for name in _COUNTS},
         "effort": dict(tally.effort),
@@ -346,7 +363,15 @@ def _spent(tally: Tally) -> dict[str, Any]:
 
 @dataclass(slots=True)
 class Loading:
-    """The way from no load to a factor of it; `rest` is the last equilibrium, None before."""
+    """The way from no load to a factor of it.
+
+    Attributes:
+        newton: finds an equilibrium.
+        audits: of an audited law.
+        factor: of the last equilibrium.
+        longest: length of the first load step, and the longest of all.
+        rest: the last equilibrium; None before there is one.
+    """
 
     newton: Newton
     audits: RunAudits
@@ -356,11 +381,14 @@ class Loading:
 
     @property
     def may_be_kept(self) -> bool:
-        """Not while there is none, or the law may have taken down more than was recorded."""
+        """Whether the way may be kept: not before an equilibrium, nor while the law commits one.
+
+        While it commits, the law may have recorded more than the way has.
+        """
         return self.rest is not None and not self.newton.equations.is_committing
 
     def checkpoint(self) -> Rest:
-        """The last equilibrium, with memory of its own for what was recorded."""
+        """Return the last equilibrium with arrays of its own for what was recorded."""
         rest: Rest = self.rest
         mark = rest.mark
         if mark is not None:
@@ -368,7 +396,9 @@ class Loading:
         return replace(rest, journal=rest.journal.copy(), mark=mark)
 
     def result(self, finished: bool) -> Any:
-        """The last equilibrium with what an audited law reports; None before there is one."""
+        """Return the last equilibrium with the report of an audited law; None before there is
+        one.
+        """
         if self.rest is None:
             return None
         rest: Rest = self.rest
@@ -385,8 +415,9 @@ class Loading:
     def steps(
         self, resume: RestState | None, closing: Callable[[int, int], None] | None
     ) -> Iterator[float]:
-        """The factor of each equilibrium, the one without load first; then the batches of the
-        closing audit of an audited law.
+        """Iterate over the equilibria: yield the factor of each, the one without load first.
+
+        Then the batches of the closing audit of an audited law follow.
 
         Raises:
             SimulationError: there is none without load, or ten halvings of a load step find none.
@@ -407,16 +438,17 @@ class Loading:
             check_held(equations.system, self.rest.stiffness)
         if self.audits.watch(has_mark=self.rest.mark is not None):
             self._mark()
-        # They are equal at the end, for the last target is the factor itself.
+        # They are equal to the bit at the end, since the last target is the factor itself.
         while self.rest.factor != self.factor:
             failure = None
             try:
                 self.rest = self._step(self.rest)
-            except SimulationError as error:  # wrong answers may have led there
+            except SimulationError as error:  # wrong answers of a surrogate may have led there
                 failure = error
             is_last = failure is not None or self.rest.factor == self.factor
-            at = self.rest.factor
-            back = self.audits.settle(at, self._mark, self._marked_state, final=is_last)
+            back = self.audits.settle(
+                self.rest.factor, self._mark, self._marked_state, final=is_last
+            )
             if back is not None:
                 self.rest = self._again(back)
             elif failure is not None:
@@ -426,15 +458,17 @@ class Loading:
             yield self.rest.factor
 
     def _mark(self) -> None:
-        """Let the load steps so far stand."""
+        """Let the load steps so far stand, and go back to here if what follows does not."""
         rest: Rest = self.rest
         self.audits.mark(rest.factor)
         mark = rest.state(law_state=None, mark=None)
         self.rest = replace(rest, mark=mark)
 
     def _marked_state(self) -> RestState:
-        """The state at the mark, by the law's state as it is now; what was spent since counts as
-        rolled back."""
+        """Return the state at the mark, with the law's state as it is now.
+
+        What was spent since the mark counts as rolled back.
+        """
         rest: Rest = self.rest
         mark = rest.mark
         assert mark is not None
@@ -453,7 +487,7 @@ class Loading:
         )
 
     def _again(self, state: RestState) -> Rest:
-        """The equilibrium of a state to which the law went back."""
+        """Compute the equilibrium of a state to which the law went back."""
         try:
             return self.newton.known(state)
         except NoStress as failure:
@@ -461,12 +495,16 @@ class Loading:
             raise SimulationError(message) from failure
 
     def _step(self, rest: Rest) -> Rest:
-        """The equilibrium after `rest`, by a load step that is halved until there is one."""
+        """Find the equilibrium after `rest`, by a load step that is halved until there is one.
+
+        A step that succeeds at once is followed by one of twice its length, up to the first length.
+        """
         step = rest.next_step
         longest = self.longest
         failed = False
         while True:
             remaining = self.factor - rest.factor
+            # rounding must not leave a last step of nothing
             is_last = abs(step) >= abs(remaining) * (1.0 - 1e-9)
             target = self.factor if is_last else rest.factor + step
             following = min(step if failed else 2.0 * step, longest, key=abs)
@@ -481,13 +519,14 @@ class Loading:
                     raise SimulationError(self._why_stopped(failure)) from failure
 
     def _why_stopped(self, failure: NoStress) -> str:
-        """Say what ends the way here: a limit load or point, or what the last trial failed by."""
+        """Say what ends the way: a limit load, a limit point, or how the last trial failed."""
         reason = str(failure).replace(STEP_ADVICE, ", in load steps however small")
         text = f"no load step succeeds after {MAX_HALVINGS} halvings: {reason}"
         text += self._who_failed(failure)
         rows = self.rest.journal["rows"]
         if len(rows) < 3 or not isinstance(failure, OutOfBalance):
             return text
+        # a row begins with the factor and the displacement of the first watched point
         moved = np.linalg.norm(np.diff(rows[:, 1:3], axis=0), axis=1)
         rates = moved / abs(np.diff(rows[:, 0]))
         # At a limit point du/dfactor is infinite, as the inverse root of the distance to it.
@@ -506,53 +545,65 @@ class Loading:
 
     def _who_failed(self, failure: NoStress) -> str:
         """Say whether plant cells have no equilibrium beyond here or a solver gave up, and what to
-        do; the text begins with a semicolon, and is empty where neither is so."""
-        at = f"load factor {self.rest.factor:.4g}"
+        do.
+
+        The text begins with a semicolon, and is empty where neither is so.
+        """
+        place = f"load factor {self.rest.factor:.4g}"
         if isinstance(failure, OutOfBalance):
             return (
-                f"; Newton's method for the tissue gave up beyond {at}, where the plant cells of "
-                "every point have a stress: a run in time may carry on"
+                f"; Newton's method for the tissue gave up beyond {place}, where the plant cells "
+                "of every point have a stress: a run in time may carry on"
             )
         if failure.status == Status.UNSTABLE:
             return (
-                f"; plant cells have no stable equilibrium beyond {at}, and no solver gave up: use "
-                "the path up to there, or lower the load"
+                f"; plant cells have no stable equilibrium beyond {place}, and no solver gave up: "
+                "use the path up to there, or lower the load"
             )
         if failure.status == Status.NOT_CONVERGED:
             return (
-                f"; the solver of RVEs gave up beyond {at}: whether the plant cells have an "
+                f"; the solver of RVEs gave up beyond {place}: whether the plant cells have an "
                 "equilibrium there is not known; use the path up to there"
             )
         return ""
 
 
 def _is_pushed(problem: Problem) -> bool:
-    """Tell whether a force acts, and not prescribed motions alone."""
-    loads = [
-        each
-        for each in problem.conditions
-        if isinstance(each, DrivenCondition) and not isinstance(each, PrescribedMotion)
-    ]
-    return bool(loads) or any(body.mass is not None for body in problem.bodies)
+    """Return whether a force acts, and not prescribed motions alone."""
+    for condition in problem.conditions:
+        is_driven = isinstance(condition, DrivenCondition)
+        if is_driven and not isinstance(condition, PrescribedMotion):
+            return True
+    # a body with a mass is not moved; loads act on it
+    return any(body.mass is not None for body in problem.bodies)
 
 
 def evaluation_at(equations: EquationsOfMotion, state: RestState) -> Evaluation:
-    """The evaluation at an equilibrium that was found before, with tangents; raises `NoStress`."""
+    """Evaluate the equations, with tangents, at an equilibrium that was found before.
+
+    Raises:
+        NoStress: the law has no stress there any more.
+    """
     free = equations.system.pick(state.u)
     y = np.concatenate([free, np.zeros(free.size)])
     equations.resume(state.factor, y, state.stress, state.law_state)
     while True:
         try:
             return equations.evaluate(state.factor, y, tangents=True)
-        except Switched as switched:  # where the law trusts less than it did there
+        except Switched as switched:  # the law trusts its surrogate less than it did then
             equations.restart_step(switched.points)
 
 
 def check_held(system: System, K: Matrix) -> None:
-    """Refuse a load on a tissue or a rigid body that can move without any resistance; K as of
-    `EquationsOfMotion.tangents`, without load.
+    """Refuse a load on a tissue or a rigid body that can move without any resistance.
 
-    Those are combinations R of rigid motions that move nothing held and have Rᵀ K R = 0.
+    Such motions are combinations R of rigid motions that move nothing held and have Rᵀ K R = 0.
+
+    Args:
+        K: as of `EquationsOfMotion.tangents`, without load.
+
+    Raises:
+        InputError: naming the parts that are free.
     """
     nodes = system.discretisation.nodes
     x, y = (nodes - nodes.mean(axis=0)).T
@@ -577,6 +628,7 @@ def check_held(system: System, K: Matrix) -> None:
     moves = vectors[:, abs(values) < _FREE]
     if moves.size:
         parts = zip(rigid, abs(moves).max(axis=1), strict=True)
+        # rigid motions that have a large part in one that is free
         loose = [name for (name, *_), part in parts if part > 0.1]
         raise InputError(
             f"conditions: nothing holds {', '.join(loose)} ({moves.shape[1]} free rigid motions); "
@@ -590,14 +642,15 @@ def begin_at_rest(
 ) -> None:
     """Let all displacements count from the rest under the surface tension of free sides.
 
-    Before anything moves the tissue: supports hold what they hold and bodies are away. Where
-    Newton's method does not come to it at once, the tension grows in steps.
+    That rest is before anything moves the tissue: supports hold what they hold and bodies are away.
+    Where Newton's method does not come to it at once, the tension grows in steps.
 
     Args:
-        resume: a state with such a rest, which is then not sought again.
+        resume: a state with such a rest, which is then not computed again.
 
     Raises:
-        InputError: the law has no tangents. SimulationError: there is no such rest.
+        InputError: the law has no tangents.
+        SimulationError: there is no such rest.
     """
     if resume is not None:
         equations.system = equations.system.from_rest(resume.rest)
@@ -605,15 +658,17 @@ def begin_at_rest(
     require_tangents(equations.law, "surface")
     system = system_of(replace(problem.proportional(), bodies=()), equations.law)
     alone = EquationsOfMotion(system, equations.law, clock="before the load")
-    alone.tally, newton = equations.tally, Newton(alone, settings)
+    alone.tally = equations.tally
+    newton = Newton(alone, settings)
     u = np.zeros((system.n_rows, 2))
-    share = 0.0
+    share = 0.0  # of the surface tension
     step = 1.0
     while share < 1.0:
         acting = partial(replace, share=share + step)
         alone.system = system.with_forces(SurfaceForce, acting)
         try:
-            u = newton.balanced(0.0, partial(system.pick, u))[0].u
+            now, _, _ = newton.balanced(0.0, partial(system.pick, u))
+            u = now.u
             share += step
         except NoStress as failure:
             step *= 0.5
@@ -626,22 +681,36 @@ def begin_at_rest(
 
 @dataclass(slots=True)
 class Newton:
-    """Newton's method for the equilibrium of a system at a factor of its loads."""
+    """Newton's method for the equilibrium of a system at a factor of its loads.
+
+    Attributes:
+        equations: the system, the law and what it has committed.
+        settings: tolerances of the macro scale.
+        keep_frame: takes the whole fields of each equilibrium, see `history.KeepFrame`.
+    """
 
     equations: EquationsOfMotion
     settings: MacroSettings
     keep_frame: KeepFrame | None = None
 
     def rest_at(self, factor: float, last: Rest | None, next_step: float) -> Rest:
-        """The equilibrium at `factor` after the last one; the law commits it. Raises `NoStress`
-        where there is none.
+        """Find the equilibrium at `factor` after the last one, and let the law commit it.
+
+        Args:
+            last: the equilibrium before; None: there is none, and all begins without displacement.
+            next_step: of the result.
+
+        Raises:
+            NoStress: there is no such equilibrium.
         """
         equations = self.equations
         if last is None:
             start = np.zeros((equations.system.n_rows, 2))
             # At rest points stick by all bodies, those with a slip speed included.
             contacts = equations.system.contacts
-            self._grip(start, {each.name: np.zeros(each.lengths.size) for each in contacts})
+            self._grip(
+                start, {contact.name: np.zeros(contact.lengths.size) for contact in contacts}
+            )
             now, residuals, slopes = self.balanced(factor, partial(equations.system.pick, start))
         else:
             self._grip(last.u, last.drags)
@@ -671,7 +740,8 @@ class Newton:
         sources = None if now.response.sources is None else now.response.sources()
         frame = Frames.of(equations.discretisation, now, sources, beyond=beyond)
         if self.keep_frame is not None:
-            self.keep_frame(frame, *(journal.lengths.get(name, 0) for name in FRAME_TIMES))
+            counts = [journal.lengths.get(name, 0) for name in FRAME_TIMES]
+            self.keep_frame(frame, *counts)
         of_frame = frame_series(frame, times_alone=self.keep_frame is not None)
         rows = {"rows": row[None]}
         return Rest(
@@ -696,7 +766,11 @@ class Newton:
         )
 
     def known(self, state: RestState) -> Rest:
-        """An equilibrium that was found before; raises as `evaluate`."""
+        """Evaluate an equilibrium that was found before, and take over its counts.
+
+        Raises:
+            NoStress, Switched: as `EquationsOfMotion.evaluate`.
+        """
         equations = self.equations
         self._grip(state.u, state.drags)
         now = evaluation_at(equations, state)
@@ -712,13 +786,18 @@ class Newton:
     def balanced(
         self, factor: float, begin: Callable[[], Array]
     ) -> tuple[Evaluation, list[float], Slopes]:
-        """The equilibrium, the residuals on the way to it, and K and C.
+        """Find an equilibrium at a factor of the loads.
 
-        Newton begins with the free displacements (m,) of `begin`, starts again where points leave
-        their branch of the law, and continues where the tissue's equilibrium is none of a point.
+        Newton begins with the free displacements (m,) that `begin` returns. It starts again where
+        points leave their branch of the law, and continues from an equilibrium of the tissue in
+        which the law moved a point to another equilibrium of its plant cells.
+
+        Returns:
+            The equilibrium, the relative residuals on the way to it, and K and C.
 
         Raises:
-            NoStress: there is none."""
+            NoStress: there is none.
+        """
         u: Array | None = None
         residuals: list[float] = []
         while True:
@@ -739,12 +818,18 @@ class Newton:
             u = now.y[: now.y.size // 2]
 
     def predicted(self, factor: float, last: Rest) -> Array:
-        """(m,) free displacements to begin with: the last ones, or where supports move those of
-        the tangents there; raises as `evaluate`, and `NoStress` where the stiffness is singular."""
+        """Predict the free displacements (m,) after a load step.
+
+        They are the last ones, or, where supports move, those that the tangents give.
+
+        Raises:
+            NoStress: the stiffness is singular, or as `EquationsOfMotion.evaluate`.
+        """
         equations = self.equations
         system = self.equations.system
         u = system.pick(last.u)
-        moved = system.spread(self._still(u), factor, equations.within)[0] - last.u
+        target, _ = system.spread(self._still(u), factor, equations.within)
+        moved = target - last.u
         # A body that does not touch yet has no part in the tangents.
         if not moved[: len(system.discretisation.nodes)].any():
             return u
@@ -754,10 +839,13 @@ class Newton:
         return u + self._solved(now, equations.slope(now, 1.0, 0.0), residual)
 
     def corrected(self, now: Evaluation, K: Matrix) -> Evaluation:
-        """Newton's correction by K, halved until the residual falls and every point has a stress.
+        """Make Newton's correction by K, halved until the residual falls and every point has a
+        stress.
 
         Raises:
-            NoStress: no correction does. Switched: points left their branch of the law."""
+            NoStress: no fraction of the correction does.
+            Switched: points left their branch of the law.
+        """
         size = np.linalg.norm(now.residual)
         correction = self._still(self._solved(now, K, now.residual))
         fraction = 1.0
@@ -777,8 +865,10 @@ class Newton:
         raise self._stopped(now, K, "the line search found no smaller residual")
 
     def relative_residual(self, now: Evaluation, K: Matrix) -> float:
-        """Largest residual relative to the largest of internal force, other forces, those at
-        factor 1, and a force that hardly moves anything; see `_UNLOADED`.
+        """Return the largest residual relative to the largest force.
+
+        The forces are the internal one, the others, the others at factor 1, and a force that hardly
+        moves anything, see `_UNLOADED`, without which an unloaded tissue had no scale.
         """
         full = [force.at(1.0, now.within, now.u, now.v) for force in self.equations.system.forces]
         forces = (now.internal, now.forces, *full)
@@ -789,7 +879,16 @@ class Newton:
     def _iterated(
         self, factor: float, u: Array, residuals: list[float]
     ) -> tuple[Evaluation, Slopes]:
-        """Newton's iteration from u to its tolerance; it lists the residuals."""
+        """Iterate Newton's method from u to its tolerance.
+
+        Each iteration appends its relative residual to `residuals`.
+
+        Returns:
+            The equilibrium, and K and C there.
+
+        Raises:
+            NoStress, Switched: as `corrected`.
+        """
         equations = self.equations
         now = equations.evaluate(factor, self._still(u), tangents=True)
         held = equations.system
@@ -811,11 +910,11 @@ class Newton:
                 now = self.corrected(now, K)
 
     def _corrected_by(self, held: System, now: Evaluation) -> Evaluation:
-        """Newton's correction by the forces of a system whose points of contact are held to stick
-        or to slip; raises as `corrected`.
+        """Make Newton's correction with points of contact that `held` keeps sticking or slipping.
 
         Coulomb's law has a corner where a point begins to slip, behind which a correction need not
-        be of any use. Held, forces are smooth."""
+        be of any use. Held, forces are smooth. Raises as `corrected`.
+        """
         equations = self.equations
         free = equations.system
         equations.system = held
@@ -827,7 +926,7 @@ class Newton:
         return equations.with_forces_of_now(now)
 
     def _solved(self, now: Evaluation, K: Matrix, residual: Array) -> Array:
-        """K⁻¹ times a residual (m,)."""
+        """Solve K x = residual (m,); raises `NoStress` where K is singular."""
         self.equations.tally.counts["factorisations"] += 1
         solve = factorised(K)
         if solve is None:
@@ -835,7 +934,12 @@ class Newton:
         return solve(residual)
 
     def _stopped(self, now: Evaluation, K: Matrix, reason: str) -> NoStress:
-        """The failure of Newton's method; a tolerance that nothing could reach is refused."""
+        """Return the failure of Newton's method; refuse a tolerance that rounding keeps out of
+        reach.
+
+        Raises:
+            InputError: the residual is as small as it can be, and above the tolerance.
+        """
         tolerance = self.settings.newton_tolerance
         smallest = self.relative_residual(now, K)
         if smallest > _STALLED:
@@ -847,9 +951,9 @@ class Newton:
         )
 
     def _still(self, u: Array) -> Array:
-        """(2 m,) y of free displacements (m,) without velocity."""
+        """Return y (2 m,) of free displacements (m,) without velocity."""
         return np.concatenate([u, np.zeros(u.size)])
 
     def _grip(self, u: Array, drags: Mapping[str, Array]) -> None:
-        """From here on contacts follow an equilibrium; u and drags as of `Rest`."""
+        """Let contacts stick or slip from an equilibrium on; u and drags as of `Rest`."""
         self.equations.system = self.equations.system.gripped(u, drags)

@@ -393,7 +393,8 @@ class DormandPrince:
     def first_length(self, start: Evaluation, t_end: float) -> float:
         """Choose the first length by two rates.
 
-        Hairer, Nørsett and Wanner 1993, Solving Ordinary Differential Equations I, II.4.
+        Hairer, Nørsett and Wanner 1993, Solving Ordinary Differential Equations I, II.4, which has
+        all numbers here.
         """
         allowed = self._allowed(abs(start.y))
         size = _root_mean_square(start.y / allowed)

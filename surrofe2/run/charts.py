@@ -53,7 +53,8 @@ _STYLES: dict[str, dict[str, Any]] = {
 _TURNS = (("o", "-"), ("s", "--"), ("^", ":"))
 # Dashes of lines without markers, in turn.
 _DASHES = ("-", "--", "-.", ":")
-_PANEL_SIZE = (4.6, 3.1)  # inches
+# Inches: a panel, a row of a legend, the room about a legend, a row of a title.
+_PANEL_SIZE = (4.6, 3.1)
 _LEGEND_ROW = 0.2
 _LEGEND_ROOM = 0.15
 _TITLE_ROW = 0.2

@@ -75,7 +75,7 @@ class CheckpointClock:
         return monotonic() >= self._due
 
     def write(self, checkpoint: Callable[[], None]) -> None:
-        """Let a call write a checkpoint; the time that it takes decides when the next one is due."""
+        """Let a call write a checkpoint; the time that it takes decides when the next is due."""
         began = monotonic()
         checkpoint()
         now = monotonic()
