@@ -87,7 +87,7 @@ class Arrangement:
 
     @property
     def fluid_start(self) -> Ints:
-        """(cells + 1,) first fluid particle of each plant cell, counted from the first of all."""
+        """First fluid particle of each plant cell (cells + 1,), counted from the first of all."""
         return np.concatenate([[0], np.cumsum(self.fluid_counts)]).astype(np.int32)
 
     @property

@@ -32,24 +32,24 @@ from surrofe2.plant_cell.pair_sums import (
 
 
 @pair_law
-def central_law(pair, is_bond, weight, c):
+def central_law(pair, is_bond, weight, constants):
     """Return the weight that acts, and (t, ∂t/∂|r|, γ, ∂γ/∂|r|) of a bond or contact.
 
     The tension is weight · (t + γ n·w), of which t is elastic. Beyond the cut-off the weight is 0,
     so that one selection of lanes switches all four off.
     """
     if is_bond:
-        elastic, stiffness, damping, _ = wall(pair.length, c)
+        elastic, stiffness, damping, _ = wall(pair.length, constants)
         law = elastic, spread(stiffness), spread(damping), spread(0.0)
         acting = spread(weight)
     else:
-        law = contact(pair.length, pair.inverse, c)
-        acting = within(pair.length, weight, c)
+        law = contact(pair.length, pair.inverse, constants)
+        acting = within(pair.length, weight, constants)
     return acting, law
 
 
 @kernel
-def add_central_forces(x, v, f, pairs, weight, is_bond, c):
+def add_central_forces(x, v, f, pairs, weight, is_bond, constants):
     """Add wall tensions (eq. 1) or contact repulsion (eq. 2) to f (2, local, TILE), µN.
 
     x, v: (2, local, TILE) positions, µm, and velocities, µm/µs. pairs: (pairs, 2) local particles.
@@ -60,25 +60,29 @@ def add_central_forces(x, v, f, pairs, weight, is_bond, c):
         i = pairs[k, 0]
         j = pairs[k, 1]
         pair = pair_at(x, v, i, j)
-        acting, law = central_law(pair, is_bond, weight[k], c)
+        acting, law = central_law(pair, is_bond, weight[k], constants)
         tension_over_length = acting * pair.inverse * tension(law, pair.rate)
         add_pair(f, i, j, tension_over_length * pair.rx, tension_over_length * pair.ry)
 
 
 @kernel
-def add_central_energy(x, pairs, weight, is_bond, c, energy):
+def add_central_energy(x, pairs, weight, is_bond, constants, energy):
     """Add the stored energy of bonds or contacts, pJ, to energy (1, TILE); weight as above."""
     total = spread(0.0)
     for k in range(pairs.shape[0]):
         rx, ry = difference(x, pairs[k, 0], pairs[k, 1])
         length, inverse = norm(rx, ry)
-        energy_of = wall_energy(length, c) if is_bond else contact_energy(length, inverse, c)
+        energy_of = (
+            wall_energy(length, constants)
+            if is_bond
+            else contact_energy(length, inverse, constants)
+        )
         total += weight[k] * energy_of
     store(load(energy, 0) + total, energy, 0)
 
 
 @pair_law
-def central_slopes(pair, is_bond, weight, c):
+def central_slopes(pair, is_bond, weight, constants):
     """Return (∂f/∂r, ∂f/∂w) of a bond or contact, each as (xx, xy, yx, yy).
 
     With f = T n and T = t + γ s, s = n·w::
@@ -86,7 +90,7 @@ def central_slopes(pair, is_bond, weight, c):
         ∂f/∂w = γ n ⊗ n
         ∂f/∂r = T/|r| I + n ⊗ [(t′ + γ′ s − T/|r|) n + γ (w − s n)/|r|]
     """
-    acting, law = central_law(pair, is_bond, weight, c)
+    acting, law = central_law(pair, is_bond, weight, constants)
     _, stiffness, damping, damping_slope = law
     nx = pair.nx
     ny = pair.ny
@@ -101,7 +105,9 @@ def central_slopes(pair, is_bond, weight, c):
 
 
 @kernel
-def add_central_jacobian(work, L, pairs, weight, is_bond, topology, c, matrix, columns):
+def add_central_jacobian(
+    workspace, L, pairs, weight, is_bond, topology, constants, matrix, columns
+):
     """Add the slopes of these pairs' forces to matrix and columns; see `force_jacobian`.
 
     pairs: (pairs, 2) local particles. weight: (pairs,) as of `add_central_forces`.
@@ -115,21 +121,21 @@ def add_central_jacobian(work, L, pairs, weight, is_bond, topology, c, matrix, c
         i = pairs[k, 0]
         j = pairs[k, 1]
         j_own = j if j < particles else owner[j - particles]
-        pair = pair_at(work.x, work.v, i, j)
-        rr, rw = central_slopes(pair, is_bond, weight[k], c)
+        pair = pair_at(workspace.x, workspace.v, i, j)
+        rr, rw = central_slopes(pair, is_bond, weight[k], constants)
         add_pair_jacobian(matrix, block, stride, L, i, j_own, rr, rw)
         if columns.shape[0] > 0:
-            add_pair_load(columns, work.z, i, j, j_own, rr, rw)
+            add_pair_load(columns, workspace.z, i, j, j_own, rr, rw)
 
 
 @kernel
-def add_central_gradients(work, weights, by_x, by_v, pairs, weight, is_bond, c):
+def add_central_gradients(workspace, weights, by_x, by_v, pairs, weight, is_bond, constants):
     """Add slopes of Σ φ·f over these pairs to by_x and by_v; see `add_force_gradients`."""
     for k in range(pairs.shape[0]):
         i = pairs[k, 0]
         j = pairs[k, 1]
-        pair = pair_at(work.x, work.v, i, j)
-        rr, rw = central_slopes(pair, is_bond, weight[k], c)
+        pair = pair_at(workspace.x, workspace.v, i, j)
+        rr, rw = central_slopes(pair, is_bond, weight[k], constants)
         for m in range(FIELDS):
             px, py = field_difference(weights, m, i, j)
             add_transposed(by_x, m, i, j, rr, px, py)
@@ -137,26 +143,26 @@ def add_central_gradients(work, weights, by_x, by_v, pairs, weight, is_bond, c):
 
 
 @kernel
-def add_central_rates(work, f_rate, pairs, weight, is_bond, c):
-    """Add elastic forces to work.f and their rates along work.v to f_rate (2, local, TILE).
+def add_central_rates(workspace, f_rate, pairs, weight, is_bond, constants):
+    """Add elastic forces to workspace.f, and their rates along workspace.v to f_rate.
 
-    With a = t/|r| and s = n·w, f = a r and ḟ = (t′ − a) s n + a w.
+    Both are (2, local, TILE). With a = t/|r| and s = n·w, f = a r and ḟ = (t′ − a) s n + a w.
     """
     for k in range(pairs.shape[0]):
         i = pairs[k, 0]
         j = pairs[k, 1]
-        pair = pair_at(work.x, work.v, i, j)
-        acting, (elastic, stiffness, _, _) = central_law(pair, is_bond, weight[k], c)
+        pair = pair_at(workspace.x, workspace.v, i, j)
+        acting, (elastic, stiffness, _, _) = central_law(pair, is_bond, weight[k], constants)
         over = acting * elastic * pair.inverse
         along = (acting * stiffness - over) * pair.rate * pair.inverse
-        add_pair(work.f, i, j, over * pair.rx, over * pair.ry)
+        add_pair(workspace.f, i, j, over * pair.rx, over * pair.ry)
         gx = along * pair.rx + over * pair.wx
         gy = along * pair.ry + over * pair.wy
         add_pair(f_rate, i, j, gx, gy)
 
 
 @kernel
-def add_central_stiffness_rates(work, u, f, pairs, weight, is_bond, c):
+def add_central_stiffness_rates(workspace, u, f, pairs, weight, is_bond, constants):
     """Add K̇ u to f for the FIELDS fields u, f (FIELDS, 2, local, TILE); K̇ is K's rate along v.
 
     With b = t′ − t/|r|, s = n·w, p = u_j − u_i and ṅ = (w − s n)/|r|::
@@ -166,17 +172,17 @@ def add_central_stiffness_rates(work, u, f, pairs, weight, is_bond, c):
     for k in range(pairs.shape[0]):
         i = pairs[k, 0]
         j = pairs[k, 1]
-        pair = pair_at(work.x, work.v, i, j)
+        pair = pair_at(workspace.x, workspace.v, i, j)
         nx = pair.nx
         ny = pair.ny
         inverse = pair.inverse
         rate = pair.rate
-        acting, (elastic, stiffness, _, _) = central_law(pair, is_bond, weight[k], c)
+        acting, (elastic, stiffness, _, _) = central_law(pair, is_bond, weight[k], constants)
         b = acting * (stiffness - elastic * inverse)
         across = b * rate * inverse
         along = -across
         if not is_bond:
-            along += acting * contact_bend(inverse, c) * rate
+            along += acting * contact_bend(inverse, constants) * rate
         turn_x = b * (pair.wx - rate * nx) * inverse
         turn_y = b * (pair.wy - rate * ny) * inverse
         for m in range(FIELDS):

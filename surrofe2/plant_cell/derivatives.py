@@ -15,7 +15,7 @@ f(r, w). Each term of the forces states its slopes once, and three passes contra
 
 `add_stiffness_rates` adds K̇ u, the change of the elastic stiffness K = ∂f/∂x along v, times u.
 
-In all of them `work` is a `Workspace`, `topology` a `Topology`, and c the `Constants`.
+In all of them `workspace` is a `Workspace`, `topology` a `Topology`, `constants` are `Constants`.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ from surrofe2.plant_cell.uniform_fluid import (
 
 
 @kernel
-def force_jacobian(work, L, topology, c, matrix, columns):
-    """Fill matrix (size, TILE) and columns (2n, 8, TILE) at local work.x, work.v, work.z.
+def force_jacobian(workspace, L, topology, constants, matrix, columns):
+    """Fill matrix (size, TILE) and columns (2n, 8, TILE) at x, v and z of the workspace.
 
     L: (2, 2, TILE) velocity gradient that velocities follow. With L and v zero, `matrix` is the
         negative elastic Hessian.
@@ -59,47 +59,59 @@ def force_jacobian(work, L, topology, c, matrix, columns):
         if not is_bond:
             pairs = topology.contacts
             weight = topology.contact_weight
-        add_central_jacobian(work, L, pairs, weight, is_bond, topology, c, matrix, columns)
-    add_sph_jacobian(work, L, topology, c, matrix, columns)
-    add_uniform_jacobian(work, topology, c, matrix, columns)
+        add_central_jacobian(
+            workspace, L, pairs, weight, is_bond, topology, constants, matrix, columns
+        )
+    add_sph_jacobian(workspace, L, topology, constants, matrix, columns)
+    add_uniform_jacobian(workspace, topology, constants, matrix, columns)
 
 
 @kernel
-def add_force_gradients(work, weights, by_x, by_v, topology, c):
+def add_force_gradients(workspace, weights, by_x, by_v, topology, constants):
     """Add the slopes of Σ_k φ_k·f_k with x to by_x and with v to by_v, for four φ in `weights`.
 
-    At work.x and work.v; weights, by_x, by_v: (4, 2, local, TILE).
+    At workspace.x and workspace.v; weights, by_x, by_v: (4, 2, local, TILE).
     """
     bonds = topology.bonds
     contacts = topology.contacts
-    add_central_gradients(work, weights, by_x, by_v, bonds, topology.bond_weight, True, c)
-    add_central_gradients(work, weights, by_x, by_v, contacts, topology.contact_weight, False, c)
-    add_sph_gradients(work, weights, by_x, by_v, topology, c)
-    add_uniform_gradients(work, weights, by_x, by_v, topology, c)
+    add_central_gradients(
+        workspace, weights, by_x, by_v, bonds, topology.bond_weight, True, constants
+    )
+    add_central_gradients(
+        workspace, weights, by_x, by_v, contacts, topology.contact_weight, False, constants
+    )
+    add_sph_gradients(workspace, weights, by_x, by_v, topology, constants)
+    add_uniform_gradients(workspace, weights, by_x, by_v, topology, constants)
 
 
 @kernel
-def elastic_forces_and_rates(work, f_rate, volume_rate, topology, c):
-    """Fill work.f with the elastic forces at work.x, and f_rate with their rates along work.v.
+def elastic_forces_and_rates(workspace, f_rate, volume_rate, topology, constants):
+    """Fill workspace.f with elastic forces, and f_rate with their rates along workspace.v.
 
-    work.f, f_rate: (2, local, TILE), µN and µN/µs; forces on images are not yet folded.
+    workspace.f, f_rate: (2, local, TILE), µN and µN/µs; forces on images are not yet folded.
     volume_rate: (fluid, TILE) scratch.
     """
-    work.f[:] = 0.0
+    workspace.f[:] = 0.0
     f_rate[:] = 0.0
-    add_central_rates(work, f_rate, topology.bonds, topology.bond_weight, True, c)
-    add_central_rates(work, f_rate, topology.contacts, topology.contact_weight, False, c)
-    add_sph_rates(work, f_rate, volume_rate, topology, c)
-    add_uniform_rates(work, f_rate, topology, c)
+    add_central_rates(workspace, f_rate, topology.bonds, topology.bond_weight, True, constants)
+    add_central_rates(
+        workspace, f_rate, topology.contacts, topology.contact_weight, False, constants
+    )
+    add_sph_rates(workspace, f_rate, volume_rate, topology, constants)
+    add_uniform_rates(workspace, f_rate, topology, constants)
 
 
 @kernel
-def add_stiffness_rates(work, u, f, topology, c):
-    """Add K̇ u to f for four fields u, with K̇ the rate of the elastic stiffness along work.v.
+def add_stiffness_rates(workspace, u, f, topology, constants):
+    """Add K̇ u to f for four fields u, with K̇ the rate of the elastic stiffness along workspace.v.
 
-    At work.x; u, f: (4, 2, local, TILE).
+    At workspace.x; u, f: (4, 2, local, TILE).
     """
-    add_central_stiffness_rates(work, u, f, topology.bonds, topology.bond_weight, True, c)
-    add_central_stiffness_rates(work, u, f, topology.contacts, topology.contact_weight, False, c)
-    add_sph_stiffness_rates(work, u, f, topology, c)
-    add_uniform_stiffness_rates(work, u, f, topology, c)
+    add_central_stiffness_rates(
+        workspace, u, f, topology.bonds, topology.bond_weight, True, constants
+    )
+    add_central_stiffness_rates(
+        workspace, u, f, topology.contacts, topology.contact_weight, False, constants
+    )
+    add_sph_stiffness_rates(workspace, u, f, topology, constants)
+    add_uniform_stiffness_rates(workspace, u, f, topology, constants)

@@ -14,19 +14,19 @@ from surrofe2.plant_cell.uniform_fluid import add_uniform_energy, add_uniform_fo
 
 
 @kernel
-def local_forces(work, topology, c):
-    """Fill work.f with the forces at work.x and work.v, µN; those on images are not yet folded.
+def local_forces(workspace, topology, constants):
+    """Fill workspace.f with the forces at x and v of the workspace, µN, not folded yet.
 
-    work: `Workspace`. topology: `Topology`. c: `Constants`.
+    workspace: `Workspace`. topology: `Topology`. constants: `Constants`.
     """
-    work.f[:] = 0.0
-    x = work.x
-    v = work.v
-    f = work.f
-    add_central_forces(x, v, f, topology.bonds, topology.bond_weight, True, c)
-    add_central_forces(x, v, f, topology.contacts, topology.contact_weight, False, c)
-    add_sph_forces(x, v, f, topology, c, work.slope, work.volume)
-    add_uniform_forces(x, v, f, topology, c)
+    workspace.f[:] = 0.0
+    x = workspace.x
+    v = workspace.v
+    f = workspace.f
+    add_central_forces(x, v, f, topology.bonds, topology.bond_weight, True, constants)
+    add_central_forces(x, v, f, topology.contacts, topology.contact_weight, False, constants)
+    add_sph_forces(x, v, f, topology, constants, workspace.slope, workspace.volume)
+    add_uniform_forces(x, v, f, topology, constants)
 
 
 @kernel
@@ -43,11 +43,11 @@ def fold_images(f, topology):
 
 
 @kernel
-def elastic_energy(work, topology, c, energy):
-    """Fill energy (1, TILE) with the stored energy of bonds, contacts and fluid at work.x, pJ."""
-    x = work.x
+def elastic_energy(workspace, topology, constants, energy):
+    """Fill energy (1, TILE) with that of bonds, contacts and fluid at workspace.x, pJ."""
+    x = workspace.x
     store(0.0, energy, 0)
-    add_central_energy(x, topology.bonds, topology.bond_weight, True, c, energy)
-    add_central_energy(x, topology.contacts, topology.contact_weight, False, c, energy)
-    add_sph_energy(x, topology, c, work.slope, work.volume, energy)
-    add_uniform_energy(x, topology, c, energy)
+    add_central_energy(x, topology.bonds, topology.bond_weight, True, constants, energy)
+    add_central_energy(x, topology.contacts, topology.contact_weight, False, constants, energy)
+    add_sph_energy(x, topology, constants, workspace.slope, workspace.volume, energy)
+    add_uniform_energy(x, topology, constants, energy)

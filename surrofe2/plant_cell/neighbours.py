@@ -47,7 +47,7 @@ _SHIFTS = 128
 
 
 class Topology(NamedTuple):
-    """Who interacts, by local indices, and the layout of matrices.
+    """Lists of interacting particles, by local indices, and the layout of matrices.
 
     The fields from `group` on are those of a `Pattern`. They are repeated here, for parallel
     kernels do not accept a tuple within a tuple.

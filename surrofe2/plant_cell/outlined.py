@@ -237,6 +237,7 @@ def _loops(regions: NDArray[np.int64], paths: list[Path]) -> Iterator[tuple[int,
             leaving.setdefault((region, path[0]), []).append(wall)
 
     def cells_first(key: tuple[int, Point]) -> tuple[bool, int, Point]:
+        """Order cells by their numbers, then air."""
         region, begin = key
         return region < 0, abs(region), begin
 
@@ -306,6 +307,7 @@ def _lines(paths: list[Path], shape: tuple[int, ...], near: float) -> list[Line]
             merged[point] = point
 
     def root(point: Point) -> Point:
+        """Return the corner that stays of those that a corner is merged with."""
         while merged[point] != point:
             point = merged[point]
         return point

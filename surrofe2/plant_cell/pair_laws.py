@@ -24,7 +24,7 @@ _SPRING = 2.5
 
 
 class Constants(NamedTuple):
-    """What the pair laws need of `CellParameters`, ready for use in kernels (µm, µs, ng).
+    """Constants of the pair laws by `CellParameters`, ready for use in kernels (µm, µs, ng).
 
     scale: factor of the lengths that bound the steps of solvers. With a uniform fluid, the length
         of a wall spring over the paper's; with SPH fluid 1, for its particles would meet otherwise.
@@ -66,24 +66,24 @@ def make_constants(cell: CellParameters, rest_length: float) -> Constants:
 
 
 @pair_law
-def wall(length, c):
+def wall(length, constants):
     """Return (t, ∂t/∂|r|, γ, ∂γ/∂|r|) of a bond, whose tension is t + γ n·w, µN (eq. 1).
 
-    length: |r|, lanes, µm. c: `Constants`.
+    length: |r|, lanes, µm. constants: `Constants`.
     """
-    tension = c.wall_stiffness * (length - c.rest_length)
-    return tension, c.wall_stiffness, c.wall_damping, 0.0
+    tension = constants.wall_stiffness * (length - constants.rest_length)
+    return tension, constants.wall_stiffness, constants.wall_damping, 0.0
 
 
 @pair_law
-def wall_energy(length, c):
+def wall_energy(length, constants):
     """Return the stored energy of a bond, ½ k (|r| − l₀)², pJ."""
-    stretch = length - c.rest_length
-    return 0.5 * c.wall_stiffness * stretch * stretch
+    stretch = length - constants.rest_length
+    return 0.5 * constants.wall_stiffness * stretch * stretch
 
 
 @pair_law
-def contact(length, inverse, c):
+def contact(length, inverse, constants):
     """Return (t, ∂t/∂|r|, γ, ∂γ/∂|r|) of a contact within the cut-off x₀, as `wall` does (eq. 2).
 
     t = λ (x₀⁻⁶ − |r|⁻⁶), γ = γ₀ |r|^(−7/2) (1 − (|r|/x₀)⁶). What a kernel does not use of the four
@@ -93,12 +93,12 @@ def contact(length, inverse, c):
     """
     inverse_3 = inverse * inverse * inverse
     inverse_6 = inverse_3 * inverse_3
-    beyond = 1.0 / c.cutoff**6
+    beyond = 1.0 / constants.cutoff**6
     cube = length * length * length
     fade = cube * cube * beyond
-    critical = c.contact_damping * inverse_3 * inverse_root(length)
-    tension = c.repulsion * (beyond - inverse_6)
-    stiffness = 6.0 * c.repulsion * inverse_6 * inverse
+    critical = constants.contact_damping * inverse_3 * inverse_root(length)
+    tension = constants.repulsion * (beyond - inverse_6)
+    stiffness = 6.0 * constants.repulsion * inverse_6 * inverse
     damping = critical * (1.0 - fade)
     damping_slope = critical * inverse * (-3.5 * (1.0 - fade) - 6.0 * fade)
     return tension, stiffness, damping, damping_slope
@@ -115,45 +115,49 @@ def tension(law, rate):
 
 
 @pair_law
-def within(length, value, c):
+def within(length, value, constants):
     """Return the value where a contact acts, and 0 beyond the cut-off."""
-    return where_less(length, c.cutoff, value, 0.0)
+    return where_less(length, constants.cutoff, value, 0.0)
 
 
 @pair_law
-def contact_bend(inverse, c):
+def contact_bend(inverse, constants):
     """Return ∂²t/∂|r|² = −42 λ |r|⁻⁸ of a contact's elastic tension, within the cut-off."""
     inverse_4 = inverse * inverse * inverse * inverse
-    return -42.0 * c.repulsion * inverse_4 * inverse_4
+    return -42.0 * constants.repulsion * inverse_4 * inverse_4
 
 
 @pair_law
-def contact_energy(length, inverse, c):
+def contact_energy(length, inverse, constants):
     """Return the stored energy of a contact, pJ: λ [r⁻⁵/5 + r x₀⁻⁶ − 6/5 x₀⁻⁵]."""
     inverse_5 = inverse * inverse * inverse * inverse * inverse
-    energy = c.repulsion * (0.2 * inverse_5 + length * (1.0 / c.cutoff**6) - 1.2 / c.cutoff**5)
-    return within(length, energy, c)
+    energy = constants.repulsion * (
+        0.2 * inverse_5 + length * (1.0 / constants.cutoff**6) - 1.2 / constants.cutoff**5
+    )
+    return within(length, energy, constants)
 
 
 @pair_law
-def fluid_coefficients(slope_over_length, volume_i, volume_j, c):
+def fluid_coefficients(slope_over_length, volume_i, volume_j, constants):
     """Return (a, b) of the force f = a r + b w on the first particle of a fluid pair (eq. 8).
 
     The pressure gives a = m² c_s² (W′/|r|) (V_i + V_j), the viscosity b = −2 m² µ (W′/|r|) V_i V_j.
 
     slope_over_length: W′/|r|. volume_i, volume_j: V = 1/ρ, µm²/ng.
     """
-    weight = c.fluid_mass * c.fluid_mass * slope_over_length
-    pressure = weight * c.sound_speed_squared * (volume_i + volume_j)
-    viscous = -2.0 * weight * c.viscosity * volume_i * volume_j
+    weight = constants.fluid_mass * constants.fluid_mass * slope_over_length
+    pressure = weight * constants.sound_speed_squared * (volume_i + volume_j)
+    viscous = -2.0 * weight * constants.viscosity * volume_i * volume_j
     return pressure, viscous
 
 
 @pair_law
-def fluid_volume_slopes(slope_over_length, other_volume, c):
+def fluid_volume_slopes(slope_over_length, other_volume, constants):
     """Return ∂(a, b)/∂V_i of `fluid_coefficients` at fixed positions; other_volume is V_j."""
-    weight = c.fluid_mass * c.fluid_mass * slope_over_length
-    return weight * c.sound_speed_squared, -2.0 * weight * c.viscosity * other_volume
+    weight = constants.fluid_mass * constants.fluid_mass * slope_over_length
+    pressure_slope = weight * constants.sound_speed_squared
+    viscous_slope = -2.0 * weight * constants.viscosity * other_volume
+    return pressure_slope, viscous_slope
 
 
 @pair_law

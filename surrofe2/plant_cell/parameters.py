@@ -237,12 +237,12 @@ class CellParameters:
 
     @property
     def is_one_square(self) -> bool:
-        """Whether the RVE is the paper's: one square plant cell."""
+        """True if the RVE is the paper's: one square plant cell."""
         return self.arrangement == "square" and self.cells == 1
 
     @property
     def has_uniform_fluid(self) -> bool:
-        """Whether the fluid of a plant cell is one pressure and not SPH particles."""
+        """True if the fluid of a plant cell is one pressure and not SPH particles."""
         return self.fluid == "uniform"
 
     @property

@@ -39,7 +39,7 @@ step more pairs would pass a knot of the spline."""
 
 
 @kernel
-def add_sph_forces(x, v, f, topology, c, slope, volume):
+def add_sph_forces(x, v, f, topology, constants, slope, volume):
     """Add pressure and viscous forces (eq. 8) to f (2, local, TILE), µN.
 
     x, v: (2, local, TILE) positions, µm, and velocities, µm/µs.
@@ -47,7 +47,7 @@ def add_sph_forces(x, v, f, topology, c, slope, volume):
     """
     pairs = topology.fluid_pairs
     first = topology.walls
-    fluid_specific_volume(x, topology, c, slope, volume)
+    fluid_specific_volume(x, topology, constants, slope, volume)
     for k in range(pairs.shape[0]):
         i = pairs[k, 0]
         j = pairs[k, 1]
@@ -55,20 +55,20 @@ def add_sph_forces(x, v, f, topology, c, slope, volume):
         wx, wy = difference(v, i, j)
         volume_i = load(volume, i - first)
         volume_j = load(volume, j - first)
-        a, b = fluid_coefficients(load(slope, k), volume_i, volume_j, c)
+        a, b = fluid_coefficients(load(slope, k), volume_i, volume_j, constants)
         add_pair(f, i, j, a * rx + b * wx, a * ry + b * wy)
 
 
 @kernel
-def fluid_specific_volume(x, topology, c, slope, volume):
+def fluid_specific_volume(x, topology, constants, slope, volume):
     """Fill volume (fluid, TILE) with 1/ρ of eq. (7), and slope (pairs, TILE) with W′/|r|.
 
     ρ_p = m Σ_q W(|x_p − x_q|) over the fluid particles q of p's plant cell, p itself included.
     """
     pairs = topology.fluid_pairs
     first = topology.walls
-    h = c.smoothing_length
-    by_itself = c.fluid_mass * spline(spread(0.0), h)
+    h = constants.smoothing_length
+    by_itself = constants.fluid_mass * spline(spread(0.0), h)
     for p in range(volume.shape[0]):
         store(by_itself, volume, p)
     for k in range(pairs.shape[0]):
@@ -78,7 +78,7 @@ def fluid_specific_volume(x, topology, c, slope, volume):
         length, inverse = norm(rx, ry)
         s = length * (1.0 / h)
         store(spline_slope(s, h) * inverse, slope, k)
-        density = c.fluid_mass * spline(s, h)
+        density = constants.fluid_mass * spline(s, h)
         store(load(volume, p) + density, volume, p)
         store(load(volume, q) + density, volume, q)
     for p in range(volume.shape[0]):
@@ -86,56 +86,62 @@ def fluid_specific_volume(x, topology, c, slope, volume):
 
 
 @kernel
-def add_sph_energy(x, topology, c, slope, volume, energy):
+def add_sph_energy(x, topology, constants, slope, volume, energy):
     """Add the stored energy Σ m c_s² ln ρ, pJ, to energy (1, TILE).
 
     slope, volume: scratch that is filled here, see `fluid_specific_volume`.
     """
-    fluid_specific_volume(x, topology, c, slope, volume)
+    fluid_specific_volume(x, topology, constants, slope, volume)
     for p in range(volume.shape[0]):
         for lane in range(TILE):
-            energy[0, lane] -= c.fluid_mass * c.sound_speed_squared * np.log(volume[p, lane])
+            energy[0, lane] -= (
+                constants.fluid_mass * constants.sound_speed_squared * np.log(volume[p, lane])
+            )
 
 
 @pair_law
-def fluid_slopes(pair, steep, volume_i, volume_j, c):
+def fluid_slopes(pair, steep, volume_i, volume_j, constants):
     """Return (∂f/∂r, ∂f/∂w, ∂f/∂V_i, ∂f/∂V_j) of a fluid pair whose force on i is f = a r + b w.
 
-    steep: W′/|r|. volume_i, volume_j: V = 1/ρ. The first two slopes are (xx, xy, yx, yy) with V
-    held, the others (x, y).
+    With a′ and b′ by |r|, ∂f/∂r = a I + (a′ r + b′ w) ⊗ n and ∂f/∂w = b I, as (xx, xy, yx, yy) with
+    V held. The slopes by V are (x, y).
+
+    steep: W′/|r|. volume_i, volume_j: V = 1/ρ.
     """
     rx = pair.rx
     ry = pair.ry
     wx = pair.wx
     wy = pair.wy
-    a, b = fluid_coefficients(steep, volume_i, volume_j, c)
-    bend = spline_bend(steep, pair.length, pair.inverse, c.smoothing_length)
-    da, db = fluid_coefficients(bend, volume_i, volume_j, c)
+    a, b = fluid_coefficients(steep, volume_i, volume_j, constants)
+    bend = spline_bend(steep, pair.length, pair.inverse, constants.smoothing_length)
+    # a and b are proportional to W′/|r|, so a′ and b′ follow from its slope in the same way
+    da, db = fluid_coefficients(bend, volume_i, volume_j, constants)
     ux = da * rx + db * wx
     uy = da * ry + db * wy
     rr = (a + ux * pair.nx, ux * pair.ny, uy * pair.nx, a + uy * pair.ny)
     rw = (b, spread(0.0), spread(0.0), b)
-    ai, bi = fluid_volume_slopes(steep, volume_j, c)
-    aj, bj = fluid_volume_slopes(steep, volume_i, c)
+    ai, bi = fluid_volume_slopes(steep, volume_j, constants)
+    aj, bj = fluid_volume_slopes(steep, volume_i, constants)
     by_volume_i = (ai * rx + bi * wx, ai * ry + bi * wy)
     by_volume_j = (aj * rx + bj * wx, aj * ry + bj * wy)
     return rr, rw, by_volume_i, by_volume_j
 
 
 @kernel
-def add_sph_jacobian(work, L, topology, c, matrix, columns):
+def add_sph_jacobian(workspace, L, topology, constants, matrix, columns):
     """Add the slopes of the fluid's forces to matrix and columns; see `force_jacobian`."""
-    fluid_specific_volume(work.x, topology, c, work.slope, work.volume)
+    fluid_specific_volume(workspace.x, topology, constants, workspace.slope, workspace.volume)
     for cell in range(topology.fluid_start.shape[0] - 1):
-        _add_cell_jacobian(cell, work, L, topology, c, matrix, columns)
+        _add_cell_jacobian(cell, workspace, L, topology, constants, matrix, columns)
 
 
 @kernel
-def _add_cell_jacobian(cell, work, L, topology, c, matrix, columns):
-    """Add the slopes of the forces in one plant cell; work.slope and work.volume are filled.
+def _add_cell_jacobian(cell, workspace, L, topology, constants, matrix, columns):
+    """Add the slopes of the forces in one plant cell to matrix and columns.
 
-    A motion changes forces directly, pair by pair, and through the densities, which couples all
-    fluid of the plant cell. The second part is a product, Σ_s ∂f/∂ρ_s ∂ρ_s/∂x.
+    workspace.slope and workspace.volume are those at workspace.x already. A motion changes forces
+    directly, pair by pair, and through the densities, which couples all fluid of the plant cell.
+    The second part is a product, Σ_s ∂f/∂ρ_s ∂ρ_s/∂x.
     """
     pairs = topology.fluid_pairs
     first = topology.walls + topology.fluid_start[cell]
@@ -150,11 +156,11 @@ def _add_cell_jacobian(cell, work, L, topology, c, matrix, columns):
         j = pairs[k, 1]
         p = i - first
         q = j - first
-        pair = pair_at(work.x, work.v, i, j)
-        steep = load(work.slope, k)
-        volume_i = load(work.volume, i - topology.walls)
-        volume_j = load(work.volume, j - topology.walls)
-        rr, rw, by_volume_i, by_volume_j = fluid_slopes(pair, steep, volume_i, volume_j, c)
+        pair = pair_at(workspace.x, workspace.v, i, j)
+        steep = load(workspace.slope, k)
+        volume_i = load(workspace.volume, i - topology.walls)
+        volume_j = load(workspace.volume, j - topology.walls)
+        rr, rw, by_volume_i, by_volume_j = fluid_slopes(pair, steep, volume_i, volume_j, constants)
         add_pair_jacobian(matrix, block, stride, L, i, j, rr, rw)
         # ∂V/∂ρ = −V²
         by_i = -volume_i * volume_i
@@ -162,13 +168,13 @@ def _add_cell_jacobian(cell, work, L, topology, c, matrix, columns):
         add_pair_column(by_density, 2 * p, 2 * q, p, by_i * by_volume_i[0], by_i * by_volume_i[1])
         add_pair_column(by_density, 2 * p, 2 * q, q, by_j * by_volume_j[0], by_j * by_volume_j[1])
         # ∂ρ_i/∂x_j = m W′/|r| r, and the opposite by x_i; the same for ρ_j
-        gx = c.fluid_mass * steep * pair.rx
-        gy = c.fluid_mass * steep * pair.ry
+        gx = constants.fluid_mass * steep * pair.rx
+        gy = constants.fluid_mass * steep * pair.ry
         add_pair_row(density_by_x, p, 2 * p, 2 * q, gx, gy)
         add_pair_row(density_by_x, q, 2 * p, 2 * q, gx, gy)
         if columns.shape[0] > 0:
-            zx, zy = difference(work.z, i, j)
-            add_pair_load(columns, work.z, i, j, j, rr, rw)
+            zx, zy = difference(workspace.z, i, j)
+            add_pair_load(columns, workspace.z, i, j, j, rr, rw)
             add_load(density_by_load, p, 0, gx, gy, zx, zy)
             add_load(density_by_load, q, 0, gx, gy, zx, zy)
     # the fluid of a plant cell is one group of the pattern: its block begins at its first particle
@@ -221,24 +227,24 @@ def add_product(A, B, values, begin, width):
 
 
 @kernel
-def add_sph_gradients(work, weights, by_x, by_v, topology, c):
+def add_sph_gradients(workspace, weights, by_x, by_v, topology, constants):
     """Add the slopes of Σ φ·f of the fluid to by_x and by_v; see `add_force_gradients`."""
     pairs = topology.fluid_pairs
     first = topology.walls
-    slope = work.slope
-    volume = work.volume
-    fluid_specific_volume(work.x, topology, c, slope, volume)
+    slope = workspace.slope
+    volume = workspace.volume
+    fluid_specific_volume(workspace.x, topology, constants, slope, volume)
     by_volume = np.zeros((FIELDS, volume.shape[0], TILE))
     for k in range(pairs.shape[0]):
         i = pairs[k, 0]
         j = pairs[k, 1]
         p = i - first
         q = j - first
-        pair = pair_at(work.x, work.v, i, j)
+        pair = pair_at(workspace.x, workspace.v, i, j)
         steep = load(slope, k)
         volume_i = load(volume, p)
         volume_j = load(volume, q)
-        rr, rw, by_volume_i, by_volume_j = fluid_slopes(pair, steep, volume_i, volume_j, c)
+        rr, rw, by_volume_i, by_volume_j = fluid_slopes(pair, steep, volume_i, volume_j, constants)
         for m in range(FIELDS):
             px, py = field_difference(weights, m, i, j)
             add_transposed(by_x, m, i, j, rr, px, py)
@@ -254,50 +260,51 @@ def add_sph_gradients(work, weights, by_x, by_v, topology, c):
     for k in range(pairs.shape[0]):
         i = pairs[k, 0]
         j = pairs[k, 1]
-        rx, ry = difference(work.x, i, j)
-        density = c.fluid_mass * load(slope, k)
+        rx, ry = difference(workspace.x, i, j)
+        density = constants.fluid_mass * load(slope, k)
         for m in range(FIELDS):
             both = density * (load(by_volume, m, i - first) + load(by_volume, m, j - first))
             add_field_pair(by_x, m, i, j, -both * rx, -both * ry)
 
 
 @kernel
-def add_sph_rates(work, f_rate, volume_rate, topology, c):
-    """Add pressure forces to work.f and their rates along work.v to f_rate (2, local, TILE).
+def add_sph_rates(workspace, f_rate, volume_rate, topology, constants):
+    """Add pressure forces to workspace.f, and their rates along workspace.v to f_rate.
 
-    With α = m² c_s² (W′/|r|) (V_i + V_j) of eq. (8), f = α r and ḟ = α̇ r + α w.
+    Both are (2, local, TILE). With α = m² c_s² (W′/|r|) (V_i + V_j) of eq. (8), f = α r and ḟ = α̇
+    r + α w.
 
     volume_rate: (fluid, TILE) scratch, V̇ = −V² ρ̇.
     """
-    slope = work.slope
-    volume = work.volume
+    slope = workspace.slope
+    volume = workspace.volume
     pairs = topology.fluid_pairs
     first = topology.walls
-    fluid_specific_volume(work.x, topology, c, slope, volume)
+    fluid_specific_volume(workspace.x, topology, constants, slope, volume)
     volume_rate[:] = 0.0
     for k in range(pairs.shape[0]):
         i = pairs[k, 0]
         j = pairs[k, 1]
-        rx, ry = difference(work.x, i, j)
-        wx, wy = difference(work.v, i, j)
-        density_rate = c.fluid_mass * load(slope, k) * (rx * wx + ry * wy)
+        rx, ry = difference(workspace.x, i, j)
+        wx, wy = difference(workspace.v, i, j)
+        density_rate = constants.fluid_mass * load(slope, k) * (rx * wx + ry * wy)
         add_to(volume_rate, i - first, density_rate)
         add_to(volume_rate, j - first, density_rate)
     for p in range(volume_rate.shape[0]):
         V = load(volume, p)
         store(-V * V * load(volume_rate, p), volume_rate, p)
-    strength = c.fluid_mass * c.fluid_mass * c.sound_speed_squared
+    strength = constants.fluid_mass * constants.fluid_mass * constants.sound_speed_squared
     for k in range(pairs.shape[0]):
         i = pairs[k, 0]
         j = pairs[k, 1]
         p = i - first
         q = j - first
-        pair = pair_at(work.x, work.v, i, j)
+        pair = pair_at(workspace.x, workspace.v, i, j)
         steep = load(slope, k)
         volumes = strength * (load(volume, p) + load(volume, q))
         a = steep * volumes
-        add_pair(work.f, i, j, a * pair.rx, a * pair.ry)
-        bend = spline_bend(steep, pair.length, pair.inverse, c.smoothing_length)
+        add_pair(workspace.f, i, j, a * pair.rx, a * pair.ry)
+        bend = spline_bend(steep, pair.length, pair.inverse, constants.smoothing_length)
         a_rate = bend * pair.rate * volumes + steep * strength * (
             load(volume_rate, p) + load(volume_rate, q)
         )
@@ -307,30 +314,30 @@ def add_sph_rates(work, f_rate, volume_rate, topology, c):
 
 
 @kernel
-def add_sph_stiffness_rates(work, u, f, topology, c):
-    """Add K̇ u to f for the FIELDS fields u, by central differences of K u along work.v.
+def add_sph_stiffness_rates(workspace, u, f, topology, constants):
+    """Add K̇ u to f for the FIELDS fields u, by central differences of K u along workspace.v.
 
     u, f: (FIELDS, 2, local, TILE). A difference will do here, for K of the fluid is continuous. K
     of contacts jumps at the cut-off, where pairs tend to stay, so it is differentiated exactly.
     """
     if topology.fluid_pairs.shape[0] == 0:
         return
-    x = work.x.copy()
-    v = work.v.copy()
+    x = workspace.x.copy()
+    v = workspace.v.copy()
     speed = np.full(TILE, 1e-300)  # not 0, by which the step would be divided
     for axis in range(2):
         for i in range(v.shape[1]):
             for k in range(TILE):
                 speed[k] = max(speed[k], abs(v[axis, i, k]))
-    step = STEP * c.smoothing_length / speed
+    step = STEP * constants.smoothing_length / speed
     by_x = np.empty_like(u)
     by_v = np.empty_like(u)
-    work.v[:] = 0.0  # dashpots off, and K is symmetric: gradients of Σ u·f by x are K u
+    workspace.v[:] = 0.0  # dashpots off, and K is symmetric: gradients of Σ u·f by x are K u
     for side in range(2):  # ahead, then behind: signs 1 and −1
-        work.x[:] = x + (1.0 - 2.0 * side) * step * v
+        workspace.x[:] = x + (1.0 - 2.0 * side) * step * v
         by_x[:] = 0.0
         by_v[:] = 0.0
-        add_sph_gradients(work, u, by_x, by_v, topology, c)
+        add_sph_gradients(workspace, u, by_x, by_v, topology, constants)
         f[:] = f + by_x * ((0.5 - side) / step)
-    work.x[:] = x
-    work.v[:] = v
+    workspace.x[:] = x
+    workspace.v[:] = v

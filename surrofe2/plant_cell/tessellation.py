@@ -240,6 +240,7 @@ def _with_variation(points: Array, lattice: Array, wanted: float) -> Array:
         )
 
     def excess(fraction: float) -> float:
+        """Return the variation above the wanted one after a fraction of the last move."""
         return _variation(_moved(points, lattice, fraction * move), lattice) - wanted
 
     fraction = scipy.optimize.brentq(excess, 0.0, 1.0, xtol=_CLOSE)
@@ -278,10 +279,12 @@ def _stretch_to(polygons: Sequence[Array], shape: Shape) -> Array:
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
     def stretch_by(ratio: float) -> Array:
+        """Return the stretch (2, 2) whose principal stretches have this ratio."""
         principal = np.diag([np.sqrt(ratio), 1.0 / np.sqrt(ratio)])
         return np.asarray(turn @ principal @ turn.T)
 
     def excess(ratio: float) -> float:
+        """Return the elongation above the wanted one after such a stretch."""
         stretch = stretch_by(ratio)
         return mean_aspect([polygon @ stretch.T for polygon in polygons]) - shape.elongation
 

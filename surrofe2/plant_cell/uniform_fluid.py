@@ -114,17 +114,17 @@ def twice_deviator(L, factor):
 
 
 @kernel
-def fluid_at(x, v, topology, cell, c):
+def fluid_at(x, v, topology, cell, constants):
     """Return the `Fluid` of a plant cell at positions x and velocities v (2, local, TILE)."""
     rim = rim_of(topology, cell)
     per_area = 1.0 / rim_area(x, rim)
-    osmotic = topology.fluid_mass[cell] * c.sound_speed_squared
-    strength = osmotic + c.sap_modulus * topology.rest_area[cell]
-    pressure = strength * per_area - c.sap_modulus
+    osmotic = topology.fluid_mass[cell] * constants.sound_speed_squared
+    strength = osmotic + constants.sap_modulus * topology.rest_area[cell]
+    pressure = strength * per_area - constants.sap_modulus
     slope = -strength * per_area * per_area
     xx, xy, yx, yy = rim_product(v, x, rim)
     L = (xx * per_area, xy * per_area, yx * per_area, yy * per_area)
-    txx, txy, tyy = twice_deviator(L, c.viscosity)
+    txx, txy, tyy = twice_deviator(L, constants.viscosity)
     stress = (pressure - txx, -txy, pressure - tyy)
     return Fluid(per_area, pressure, slope, -2.0 * slope * per_area, L, stress)
 
@@ -137,33 +137,33 @@ def add_vector(f, i, fx, fy):
 
 
 @kernel
-def add_uniform_forces(x, v, f, topology, c):
+def add_uniform_forces(x, v, f, topology, constants):
     """Add pressure and viscous forces S g_k to f (2, local, TILE), µN."""
     for cell in range(topology.rim_start.shape[0] - 1):
         rim = rim_of(topology, cell)
-        xx, xy, yy = fluid_at(x, v, topology, cell, c).stress
+        xx, xy, yy = fluid_at(x, v, topology, cell, constants).stress
         for k in range(rim.shape[0]):
             gx, gy = normal_at(x, rim, k)
             add_vector(f, rim[k], xx * gx + xy * gy, xy * gx + yy * gy)
 
 
 @kernel
-def add_uniform_energy(x, topology, c, energy):
+def add_uniform_energy(x, topology, constants, energy):
     """Add the stored energy, pJ, to energy (1, TILE)."""
     area = np.empty((1, TILE))
     for cell in range(topology.rim_start.shape[0] - 1):
         store(rim_area(x, rim_of(topology, cell)), area, 0)
         mass = topology.fluid_mass[cell]
         rest = topology.rest_area[cell]
-        osmotic = mass * c.sound_speed_squared
+        osmotic = mass * constants.sound_speed_squared
         for lane in range(TILE):
             A = area[0, lane]
             energy[0, lane] += osmotic * np.log(mass / A)
-            energy[0, lane] += c.sap_modulus * (A - rest - rest * np.log(A / rest))
+            energy[0, lane] += constants.sap_modulus * (A - rest - rest * np.log(A / rest))
 
 
 @kernel
-def add_uniform_jacobian(work, topology, c, matrix, columns):
+def add_uniform_jacobian(workspace, topology, constants, matrix, columns):
     """Add the slopes of the fluid's forces to matrix and columns; see `force_jacobian`.
 
     The change of pressure δp is an unknown of its own, as at the head of this file.
@@ -175,7 +175,7 @@ def add_uniform_jacobian(work, topology, c, matrix, columns):
     for cell in range(topology.rim_start.shape[0] - 1):
         rim = rim_of(topology, cell)
         unknown = particles + cell
-        fluid = fluid_at(work.x, work.v, topology, cell, c)
+        fluid = fluid_at(workspace.x, workspace.v, topology, cell, constants)
         xx, xy, yy = fluid.stress
         # slopes of the force S g_k by the neighbour after, ½ S R, and by the one before
         by_after = (-0.5 * xy, 0.5 * xx, -0.5 * yy, 0.5 * xy)
@@ -183,7 +183,7 @@ def add_uniform_jacobian(work, topology, c, matrix, columns):
         # δp lies like a particle, whose second unknown is idle: its equation is −1 · it = 0
         add_block(matrix, block, stride, unknown, unknown, (-1.0 / fluid.slope, 0.0, 0.0, -1.0))
         for k in range(rim.shape[0]):
-            gx, gy = normal_at(work.x, rim, k)
+            gx, gy = normal_at(workspace.x, rim, k)
             i = rim[k]
             j = rim[(k + 1) % rim.shape[0]]
             # matrices have own particles alone: images move as their owners do
@@ -194,30 +194,30 @@ def add_uniform_jacobian(work, topology, c, matrix, columns):
             add_block(matrix, block, stride, i, unknown, (gx, 0.0, gy, 0.0))
             add_block(matrix, block, stride, unknown, i, (gx, gy, 0.0, 0.0))
     if columns.shape[0] > 0 and topology.rim.shape[0] > 0:
-        _add_columns(work, topology, c, columns)
+        _add_columns(workspace, topology, constants, columns)
 
 
 @kernel
-def _add_columns(work, topology, c, columns):
+def _add_columns(workspace, topology, constants, columns):
     """Add ∂f/∂F_bc and ∂f/∂Ḟ_bc to columns (2n, 8, TILE).
 
     A change of F_bc moves positions by e_b z_c, one of Ḟ_bc changes velocities so. Columns are
     those by F_xx, xy, yx, yy, then those by Ḟ.
     """
     particles = topology.particles
-    still = np.zeros_like(work.x)
-    change = np.empty_like(work.x)
-    moving = np.empty_like(work.x)
+    still = np.zeros_like(workspace.x)
+    change = np.empty_like(workspace.x)
+    moving = np.empty_like(workspace.x)
     for m in range(columns.shape[1]):
         b = m % 4 // 2
         along = m % 2
         moving[:] = 0.0
-        moving[b] = work.z[along]
+        moving[b] = workspace.z[along]
         change[:] = 0.0
         if m < BY_RATE:
-            _add_change(work.x, work.v, moving, still, topology, c, change)
+            _add_change(workspace.x, workspace.v, moving, still, topology, constants, change)
         else:
-            _add_change(work.x, work.v, still, moving, topology, c, change)
+            _add_change(workspace.x, workspace.v, still, moving, topology, constants, change)
         for k in range(change.shape[1]):
             i = k if k < particles else topology.owner[k - particles]
             store(load(columns, 2 * i, m) + load(change, 0, k), columns, 2 * i, m)
@@ -225,14 +225,14 @@ def _add_columns(work, topology, c, columns):
 
 
 @kernel
-def _add_change(x, v, dx, dv, topology, c, change):
+def _add_change(x, v, dx, dv, topology, constants, change):
     """Add to change (2, local, TILE) how forces change with positions by dx, velocities by dv.
 
     δf_k = (δp I − δτ) g_k + S g_k(dx), with δ(A L) = Σ dv_k ⊗ g_k + Σ v_k ⊗ g_k(dx) in δτ.
     """
     for cell in range(topology.rim_start.shape[0] - 1):
         rim = rim_of(topology, cell)
-        fluid = fluid_at(x, v, topology, cell, c)
+        fluid = fluid_at(x, v, topology, cell, constants)
         xx, xy, yy = fluid.stress
         by_dx = rim_product(dx, x, rim)
         by_dv = rim_product(dv, x, rim)
@@ -242,7 +242,7 @@ def _add_change(x, v, dx, dv, topology, c, change):
         dxy = by_dv[1] + turned[1] - fluid.L[1] * area
         dyx = by_dv[2] + turned[2] - fluid.L[2] * area
         dyy = by_dv[3] + turned[3] - fluid.L[3] * area
-        txx, txy, tyy = twice_deviator((dxx, dxy, dyx, dyy), c.viscosity * fluid.per_area)
+        txx, txy, tyy = twice_deviator((dxx, dxy, dyx, dyy), constants.viscosity * fluid.per_area)
         pressure = fluid.slope * area
         for k in range(rim.shape[0]):
             gx, gy = normal_at(x, rim, k)
@@ -253,7 +253,7 @@ def _add_change(x, v, dx, dv, topology, c, change):
 
 
 @kernel
-def add_uniform_gradients(work, weights, by_x, by_v, topology, c):
+def add_uniform_gradients(workspace, weights, by_x, by_v, topology, constants):
     """Add the slopes of Σ φ·f of the fluid to by_x and by_v; see `add_force_gradients`.
 
     With Φ = Σ φ_k ⊗ g_k and T = µ (Φ + Φᵀ − tr Φ I)::
@@ -263,7 +263,7 @@ def add_uniform_gradients(work, weights, by_x, by_v, topology, c):
     """
     for cell in range(topology.rim_start.shape[0] - 1):
         rim = rim_of(topology, cell)
-        fluid = fluid_at(work.x, work.v, topology, cell, c)
+        fluid = fluid_at(workspace.x, workspace.v, topology, cell, constants)
         sxx, sxy, syy = fluid.stress
         L = fluid.L
         per_area = fluid.per_area
@@ -271,13 +271,13 @@ def add_uniform_gradients(work, weights, by_x, by_v, topology, c):
             field = weights[m]
             to_x = by_x[m]
             to_v = by_v[m]
-            product = rim_product(field, work.x, rim)
-            txx, txy, tyy = twice_deviator(product, c.viscosity * per_area)
+            product = rim_product(field, workspace.x, rim)
+            txx, txy, tyy = twice_deviator(product, constants.viscosity * per_area)
             along = fluid.slope * (product[0] + product[3])
             along += txx * L[0] + txy * (L[1] + L[2]) + tyy * L[3]
             for k in range(rim.shape[0]):
-                gx, gy = normal_at(work.x, rim, k)
-                hx, hy = normal_at(work.v, rim, k)
+                gx, gy = normal_at(workspace.x, rim, k)
+                hx, hy = normal_at(workspace.v, rim, k)
                 nx, ny = normal_at(field, rim, k)
                 fx = along * gx + txx * hx + txy * hy + syy * nx - sxy * ny
                 fy = along * gy + txy * hx + tyy * hy + sxx * ny - sxy * nx
@@ -286,40 +286,43 @@ def add_uniform_gradients(work, weights, by_x, by_v, topology, c):
 
 
 @kernel
-def add_uniform_rates(work, f_rate, topology, c):
-    """Add the elastic f = p g_k to work.f and ḟ = p′ Ȧ g_k + p ġ_k to f_rate (2, local, TILE)."""
+def add_uniform_rates(workspace, f_rate, topology, constants):
+    """Add elastic forces f = p g_k to workspace.f and ḟ = p′ Ȧ g_k + p ġ_k to f_rate.
+
+    Both are (2, local, TILE); rates are those along workspace.v.
+    """
     for cell in range(topology.rim_start.shape[0] - 1):
         rim = rim_of(topology, cell)
-        fluid = fluid_at(work.x, work.v, topology, cell, c)
+        fluid = fluid_at(workspace.x, workspace.v, topology, cell, constants)
         pressure = fluid.pressure
-        rate = fluid.slope * _trace(rim_product(work.v, work.x, rim))
+        rate = fluid.slope * _trace(rim_product(workspace.v, workspace.x, rim))
         for k in range(rim.shape[0]):
-            gx, gy = normal_at(work.x, rim, k)
-            hx, hy = normal_at(work.v, rim, k)
-            add_vector(work.f, rim[k], pressure * gx, pressure * gy)
+            gx, gy = normal_at(workspace.x, rim, k)
+            hx, hy = normal_at(workspace.v, rim, k)
+            add_vector(workspace.f, rim[k], pressure * gx, pressure * gy)
             add_vector(f_rate, rim[k], rate * gx + pressure * hx, rate * gy + pressure * hy)
 
 
 @kernel
-def add_uniform_stiffness_rates(work, u, f, topology, c):
+def add_uniform_stiffness_rates(workspace, u, f, topology, constants):
     """Add K̇ u to f for the FIELDS fields u; u, f (FIELDS, 2, local, TILE).
 
-    It is the rate along work.v of K u_k = p′ (g·u) g_k + p g_k(u), with g·u = Σ g_k·u_k.
+    It is the rate along workspace.v of K u_k = p′ (g·u) g_k + p g_k(u), with g·u = Σ g_k·u_k.
     """
     for cell in range(topology.rim_start.shape[0] - 1):
         rim = rim_of(topology, cell)
-        fluid = fluid_at(work.x, work.v, topology, cell, c)
+        fluid = fluid_at(workspace.x, workspace.v, topology, cell, constants)
         slope = fluid.slope
-        area_rate = _trace(rim_product(work.v, work.x, rim))
+        area_rate = _trace(rim_product(workspace.v, workspace.x, rim))
         for m in range(FIELDS):
             field = u[m]
             target = f[m]
-            across = _trace(rim_product(field, work.x, rim))
+            across = _trace(rim_product(field, workspace.x, rim))
             along = fluid.bend * area_rate * across
-            along += slope * _trace(rim_product(field, work.v, rim))
+            along += slope * _trace(rim_product(field, workspace.v, rim))
             for k in range(rim.shape[0]):
-                gx, gy = normal_at(work.x, rim, k)
-                hx, hy = normal_at(work.v, rim, k)
+                gx, gy = normal_at(workspace.x, rim, k)
+                hx, hy = normal_at(workspace.v, rim, k)
                 nx, ny = normal_at(field, rim, k)
                 fx = along * gx + slope * (across * hx + area_rate * nx)
                 fy = along * gy + slope * (across * hy + area_rate * ny)

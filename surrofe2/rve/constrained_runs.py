@@ -39,7 +39,7 @@ class Stepping(NamedTuple):
 
 
 @parallel_kernel
-def iterate(drive, x, v, mass, topology, c, stepping, answer):
+def iterate(drive, x, v, mass, topology, constants, stepping, answer):
     """Iterate x, v (tiles, 2, own, TILE) in place until particles rest on the slow manifold.
 
     drive: F and Ḟ of all tiles. mass: (own,) ng. answer.iterations becomes the number of Euler
@@ -47,27 +47,34 @@ def iterate(drive, x, v, mass, topology, c, stepping, answer):
     """
     for t in numba.prange(x.shape[0]):
         _iterate_tile(
-            drive_of(drive, t), x[t], v[t], mass, topology, c, stepping, answer_of(answer, t)
+            drive_of(drive, t),
+            x[t],
+            v[t],
+            mass,
+            topology,
+            constants,
+            stepping,
+            answer_of(answer, t),
         )
 
 
 @kernel
-def _iterate_tile(drive, x, v, mass, topology, c, stepping, answer):
+def _iterate_tile(drive, x, v, mass, topology, constants, stepping, answer):
     """Do as `iterate` for one tile."""
     F = drive.F
     rate = drive.rate
     dt = stepping.dt
     stop = stepping.stop
-    work = make_workspace(topology)
+    workspace = make_workspace(topology)
     sigma = np.empty((2, 2, TILE))
     mean = np.empty((1, TILE))
     rescale = _rescaling(F, rate, dt)
-    copy_particles(x, work.x)
-    copy_particles(v, work.v)
+    copy_particles(x, workspace.x)
+    copy_particles(v, workspace.v)
     done = np.zeros(TILE, dtype=np.bool_)
     for count in range(stepping.limit + 1):
-        set_moving_images(F, rate, work.x, work.v, topology)
-        measure(work, F, topology, c, sigma, mean)
+        set_moving_images(F, rate, workspace.x, workspace.v, topology)
+        measure(workspace, F, topology, constants, sigma, mean)
         under_way = 0
         for lane in range(TILE):
             if done[lane]:
@@ -79,13 +86,13 @@ def _iterate_tile(drive, x, v, mass, topology, c, stepping, answer):
                 answer.iterations[lane] = count if is_at_rest else OPEN
                 answer.residual[0, lane] = mean[0, lane]
                 keep_lane(sigma, lane, answer.stress)
-                keep_lane(work.x, lane, x)
-                keep_lane(work.v, lane, v)
+                keep_lane(workspace.x, lane, x)
+                keep_lane(workspace.v, lane, v)
             else:
                 under_way += 1
         if under_way == 0:
             break
-        _euler_step(work, mass, rescale, topology.particles, dt)
+        _euler_step(workspace, mass, rescale, topology.particles, dt)
 
 
 @kernel
@@ -118,15 +125,15 @@ def set_moving_images(F, rate, x, v, topology):
 
 
 @kernel
-def _euler_step(work, mass, P, particles, dt):
-    """Make an Euler step of own particles, (69), then rescale it, (72); work.x, work.v in place.
+def _euler_step(workspace, mass, P, particles, dt):
+    """Make an Euler step of own particles, (69), and rescale it, (72), in the workspace.
 
     With x̂ = x + Δt v and v̂ = v + Δt f/m, and x̂₁, v̂₁ those of the corner, which is particle 0:
     x ← P (x̂ − x̂₁), v ← v̂ − v̂₁.
     """
-    x = work.x
-    v = work.v
-    f = work.f
+    x = workspace.x
+    v = workspace.v
+    f = workspace.f
     corner_x = load(x, 0, 0) + dt * load(v, 0, 0)
     corner_y = load(x, 1, 0) + dt * load(v, 1, 0)
     corner_dt_per_mass = dt / mass[0]

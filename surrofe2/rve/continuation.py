@@ -137,7 +137,7 @@ class Continuation:
 
     @property
     def arrived(self) -> Flags:
-        """Whether a point has a stable equilibrium at the end of the path, (m,)."""
+        """True where a point has reached a stable equilibrium at the end of the path, (m,)."""
         arrived: Flags = self.done >= 1.0
         return arrived
 
@@ -320,7 +320,7 @@ class Descent(NamedTuple):
 
 
 @parallel_kernel
-def go_down(F, z, step, topology, c, descent):
+def go_down(F, z, step, topology, constants, descent):
     """Move z (tiles, 2, n, TILE) by the step δx (tiles, 2n − 2, TILE), both in place.
 
     A step is halved until E falls below `descent.energy`, that of the step before. Where it never
@@ -336,23 +336,23 @@ def go_down(F, z, step, topology, c, descent):
             descent.slope[t],
             descent.nearest[t],
         )
-        _go_down_tile(F[t], z[t], step[t], topology, c, of_tile)
+        _go_down_tile(F[t], z[t], step[t], topology, constants, of_tile)
 
 
 @kernel
-def _go_down_tile(F, z, step, topology, c, descent):
+def _go_down_tile(F, z, step, topology, constants, descent):
     """Do as `go_down` for one tile."""
-    work = make_workspace(topology)
+    workspace = make_workspace(topology)
     no_columns = np.empty((0, 8, TILE))
     trial = np.empty((1, TILE))
     energy = descent.energy
     falls = descent.falls
     falls[:] = False
     for _ in range(HALVINGS):
-        place(work, z, F, topology)
-        move(step, F, work.z)
-        place_images(work, F, topology)
-        elastic_energy(work, topology, c, trial)
+        place(workspace, z, F, topology)
+        move(step, F, workspace.z)
+        place_images(workspace, F, topology)
+        elastic_energy(workspace, topology, constants, trial)
         remaining = 0
         for lane in range(TILE):
             if falls[lane]:
@@ -369,16 +369,16 @@ def _go_down_tile(F, z, step, topology, c, descent):
         if not falls[lane]:
             step[:, lane] = 0.0
     move(step, F, z)
-    place(work, z, F, topology)
-    set_elastic_jacobian(work, F, topology, c, descent.slope, no_columns)
-    local_forces(work, topology, c)
-    fold_images(work.f, topology)
+    place(workspace, z, F, topology)
+    set_elastic_jacobian(workspace, F, topology, constants, descent.slope, no_columns)
+    local_forces(workspace, topology, constants)
+    fold_images(workspace.f, topology)
     for i in range(1, topology.particles):
-        store(load(work.f, 0, i), descent.forces, row_x(i))
-        store(load(work.f, 1, i), descent.forces, row_x(i) + 1)
+        store(load(workspace.f, 0, i), descent.forces, row_x(i))
+        store(load(workspace.f, 1, i), descent.forces, row_x(i) + 1)
     nearest = spread(np.inf)
     for k in range(topology.fluid_pairs.shape[0]):
-        rx, ry = difference(work.x, topology.fluid_pairs[k, 0], topology.fluid_pairs[k, 1])
+        rx, ry = difference(workspace.x, topology.fluid_pairs[k, 0], topology.fluid_pairs[k, 1])
         square = rx * rx + ry * ry
         nearest = where_less(square, nearest, square, nearest)
     store(nearest, descent.nearest, 0)
@@ -453,7 +453,7 @@ def descend(
 
 
 def _step(
-    F: Array, z: Array, forces: Array, values: Array, topology: Topology, c: Constants
+    F: Array, z: Array, forces: Array, values: Array, topology: Topology, constants: Constants
 ) -> tuple[Array, bool]:
     """Return the next step (2n − 2,) of one RVE on its way down, and whether this is a minimum.
 
@@ -474,16 +474,16 @@ def _step(
             return forces, True
         step = scipy.linalg.lapack.dpotrs(factor, forces)[0]
     else:
-        step = over_saddle(F, forces, hessian, is_resting, c.scale * KICK)
+        step = over_saddle(F, forces, hessian, is_resting, constants.scale * KICK)
         if is_resting and not step.any():  # rounding alone has made the factorisation fail
             return forces, True
-        if is_resting and rises(F, z, step, topology, c):
+        if is_resting and rises(F, z, step, topology, constants):
             step = -step
     longest = max(_lengths(step[None]).max(), _NOT_ZERO)
-    return step * min(c.scale * DOWN / longest, 1.0), False
+    return step * min(constants.scale * DOWN / longest, 1.0), False
 
 
-def rises(F: Array, z: Array, step: Array, topology: Topology, c: Constants) -> bool:
+def rises(F: Array, z: Array, step: Array, topology: Topology, constants: Constants) -> bool:
     """Return whether E is higher after the step δx (2n − 2,) from z (2, n) than after its opposite.
 
     Energies that differ by less than `EVEN` of their fall count as equal.
@@ -491,7 +491,9 @@ def rises(F: Array, z: Array, step: Array, topology: Topology, c: Constants) -> 
     moved = np.zeros_like(z)
     moved[:, 1:] = np.linalg.solve(F, step.reshape(-1, 2).T)
     states = np.array([z - moved, z, z + moved])
-    behind, middle, ahead = stored_energy(np.broadcast_to(F, (3, 2, 2)), states, topology, c)
+    behind, middle, ahead = stored_energy(
+        np.broadcast_to(F, (3, 2, 2)), states, topology, constants
+    )
     return bool(ahead - behind > EVEN * abs(behind + ahead - 2.0 * middle))
 
 

@@ -95,47 +95,47 @@ def _lanes(tensors: list[Array]) -> Array:
 
 
 @kernel
-def _set_forces(u, w, drive, X, topology, c, work):
-    """Fill work.f with the forces at x = F X + u and v = Ḟ X + w, not folded yet.
+def _set_forces(u, w, drive, X, topology, constants, workspace):
+    """Fill workspace.f with the forces at x = F X + u and v = Ḟ X + w, not folded yet.
 
     u, w: (2, n, TILE) displacement u¹ and its rate. X: (2, local, TILE). Images have the u and w of
     their owners.
     """
-    map_affine(drive.F, X, work.x)
-    map_affine(drive.rate, X, work.v)
+    map_affine(drive.F, X, workspace.x)
+    map_affine(drive.rate, X, workspace.v)
     for axis in range(2):
         for i in range(topology.particles):
-            store(load(work.x, axis, i) + load(u, axis, i), work.x, axis, i)
-            store(load(work.v, axis, i) + load(w, axis, i), work.v, axis, i)
-    set_moving_images(drive.F, drive.rate, work.x, work.v, topology)
-    local_forces(work, topology, c)
+            store(load(workspace.x, axis, i) + load(u, axis, i), workspace.x, axis, i)
+            store(load(workspace.v, axis, i) + load(w, axis, i), workspace.v, axis, i)
+    set_moving_images(drive.F, drive.rate, workspace.x, workspace.v, topology)
+    local_forces(workspace, topology, constants)
 
 
 @kernel
-def _set_stress(u, w, drive, X, topology, c, stress):
+def _set_stress(u, w, drive, X, topology, constants, stress):
     """Fill stress (2, 2, TILE) with the Cauchy stress at u and w, µN/µm."""
-    work = make_workspace(topology)
-    _set_forces(u, w, drive, X, topology, c, work)
-    cauchy_stress(work.x, work.f, drive.F, topology.area, stress)
+    workspace = make_workspace(topology)
+    _set_forces(u, w, drive, X, topology, constants, workspace)
+    cauchy_stress(workspace.x, workspace.f, drive.F, topology.area, stress)
 
 
 @kernel
-def _accelerations(u, w, drive, X, mass, topology, c, work, a):
+def _accelerations(u, w, drive, X, mass, topology, constants, workspace, a):
     """Fill a (2, n, TILE) with the accelerations f/m at u and w, µm/µs²."""
-    _set_forces(u, w, drive, X, topology, c, work)
-    fold_images(work.f, topology)
+    _set_forces(u, w, drive, X, topology, constants, workspace)
+    fold_images(workspace.f, topology)
     for i in range(topology.particles):
         for axis in range(2):
-            store(load(work.f, axis, i) / mass[i], a, axis, i)
+            store(load(workspace.f, axis, i) / mass[i], a, axis, i)
 
 
 @kernel
-def _integrate(u, w, drive, dt, X, mass, topology, c):
+def _integrate(u, w, drive, dt, X, mass, topology, constants):
     """Make classical Runge–Kutta steps of u and w (2, n, TILE) of length dt, in place.
 
     drive: F and Ḟ at every half step, (2 steps + 1, 2, 2, TILE).
     """
-    work = make_workspace(topology)
+    workspace = make_workspace(topology)
     a1 = np.empty_like(u)
     a2 = np.empty_like(u)
     a3 = np.empty_like(u)
@@ -145,12 +145,12 @@ def _integrate(u, w, drive, dt, X, mass, topology, c):
         first = drive_of(drive, 2 * step)
         middle = drive_of(drive, 2 * step + 1)
         last = drive_of(drive, 2 * step + 2)
-        _accelerations(u, w, first, X, mass, topology, c, work, a1)
+        _accelerations(u, w, first, X, mass, topology, constants, workspace, a1)
         w2 = w + half * a1
-        _accelerations(u + half * w, w2, middle, X, mass, topology, c, work, a2)
+        _accelerations(u + half * w, w2, middle, X, mass, topology, constants, workspace, a2)
         w3 = w + half * a2
-        _accelerations(u + half * w2, w3, middle, X, mass, topology, c, work, a3)
+        _accelerations(u + half * w2, w3, middle, X, mass, topology, constants, workspace, a3)
         w4 = w + dt * a3
-        _accelerations(u + dt * w3, w4, last, X, mass, topology, c, work, a4)
+        _accelerations(u + dt * w3, w4, last, X, mass, topology, constants, workspace, a4)
         u += dt / 6.0 * (w + 2.0 * w2 + 2.0 * w3 + w4)
         w += dt / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)

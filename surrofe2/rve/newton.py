@@ -13,9 +13,9 @@ single precision (they only precondition; the residual is double), and the slope
 (they only predict), both taken at the last factorisation, see `rve_state`.
 
 Arguments that most kernels here share: F (2, 2, TILE); `drive`, F and Ḟ; z (2, n, TILE) material
-positions, µm; `work`, a `Workspace`; `topology`, a `Topology`; c, the `Constants`; `answer`, which
-is filled. A step (2n − 2, TILE) has the displacements x₁, y₁, x₂, … of all particles but particle
-0, which is held; `row_x(i)` is where those of particle i begin.
+positions, µm; `workspace`, a `Workspace`; `topology`, a `Topology`; `constants` of the pair laws;
+`answer`, which is filled. A step (2n − 2, TILE) has the displacements x₁, y₁, x₂, … of all
+particles but particle 0, which is held; `row_x(i)` is where those of particle i begin.
 """
 
 from __future__ import annotations
@@ -228,7 +228,7 @@ def move(step, F, z):
 
 
 @kernel
-def set_jacobian(work, drive, topology, c, matrix, columns):
+def set_jacobian(workspace, drive, topology, constants, matrix, columns):
     """Fill matrix and columns as `force_jacobian` does, with L = Ḟ F⁻¹; Ḟ is drive.rate."""
     L = np.empty((2, 2, TILE))
     xx, xy, yx, yy = inverse(entries(drive.F))
@@ -237,17 +237,17 @@ def set_jacobian(work, drive, topology, c, matrix, columns):
         rate_y = load(drive.rate, a, 1)
         store(rate_x * xx + rate_y * yx, L, a, 0)
         store(rate_x * xy + rate_y * yy, L, a, 1)
-    force_jacobian(work, L, topology, c, matrix, columns)
+    force_jacobian(workspace, L, topology, constants, matrix, columns)
 
 
 @kernel
-def set_elastic_jacobian(work, F, topology, c, matrix, columns):
+def set_elastic_jacobian(workspace, F, topology, constants, matrix, columns):
     """Fill matrix and columns with dashpots off: `set_jacobian` without motion.
 
-    work.v becomes zero.
+    workspace.v becomes zero.
     """
-    work.v[:] = 0.0
-    set_jacobian(work, Drive(F, np.zeros((2, 2, TILE))), topology, c, matrix, columns)
+    workspace.v[:] = 0.0
+    set_jacobian(workspace, Drive(F, np.zeros((2, 2, TILE))), topology, constants, matrix, columns)
 
 
 @kernel
@@ -276,13 +276,13 @@ def give_up(z, start, astray, count, residual, bound, iterations):
 
 
 @kernel
-def newton_loop(work, matrices, drive, is_affine, topology, c, stop, answer):
-    """Solve f = 0 by Newton's method with limited steps from work.z, in lanes with iterations ≤ 0.
+def newton_loop(workspace, matrices, drive, is_affine, topology, constants, stop, answer):
+    """Solve f = 0 by Newton's method with limited steps, in lanes with iterations ≤ 0.
 
-    Velocities are drive.rate z if `is_affine`. Otherwise they are fixed, those that work.v holds,
-    and drive.rate is 0.
+    It begins at workspace.z. Velocities are drive.rate z if `is_affine`. Otherwise they are fixed,
+    those in workspace.v, and drive.rate is 0.
 
-    work.z and answer are filled; matrices is scratch.
+    workspace.z and answer are filled; matrices is scratch.
     """
     sigma = np.empty((2, 2, TILE))
     residual = np.empty((1, TILE))
@@ -293,23 +293,23 @@ def newton_loop(work, matrices, drive, is_affine, topology, c, stop, answer):
     for lane in range(TILE):
         iterations[lane] = max(iterations[lane], UNDER_WAY)  # OPEN or given up: begins again
     for count in range(1, stop.limit + 1):
-        evaluate(work, drive, is_affine, topology, c, sigma, residual)
+        evaluate(workspace, drive, is_affine, topology, constants, sigma, residual)
         if settle(residual, before, stop, count, sigma, answer.stress, iterations) == 0:
             break
-        set_jacobian(work, drive, topology, c, matrix, matrices.no_columns)
+        set_jacobian(workspace, drive, topology, constants, matrix, matrices.no_columns)
         factorise(matrix, topology, stop.seeks)
-        set_residual(work.f, matrices.step)
+        set_residual(workspace.f, matrices.step)
         solve(matrix, matrices.step, topology)
-        limit_step(matrices.step, c.scale * LONGEST_STEP)
+        limit_step(matrices.step, constants.scale * LONGEST_STEP)
         hold(matrices.step, iterations)
-        move(matrices.step, drive.F, work.z)
+        move(matrices.step, drive.F, workspace.z)
         if stop.seeks:
-            astray = c.scale * ASTRAY
-            give_up(work.z, stop.start, astray, count, before, bound, iterations)
+            astray = constants.scale * ASTRAY
+            give_up(workspace.z, stop.start, astray, count, before, bound, iterations)
 
 
 @kernel
-def chord_loop(work, drive, is_affine, lu, topology, c, stop, answer):
+def chord_loop(workspace, drive, is_affine, lu, topology, constants, stop, answer):
     """Solve f = 0 as `newton_loop` does, but with kept factors lu, in lanes under way."""
     sigma = np.empty((2, 2, TILE))
     residual = np.empty((1, TILE))
@@ -317,10 +317,10 @@ def chord_loop(work, drive, is_affine, lu, topology, c, stop, answer):
     iterations = answer.iterations
     step = np.empty((2 * topology.particles - 2, TILE))
     for count in range(1, stop.limit + 1):
-        evaluate(work, drive, is_affine, topology, c, sigma, residual)
+        evaluate(workspace, drive, is_affine, topology, constants, sigma, residual)
         if settle(residual, before, stop, count, sigma, answer.stress, iterations) == 0:
             break
-        correct(lu, work.f, step, iterations, drive.F, work.z, topology)
+        correct(lu, workspace.f, step, iterations, drive.F, workspace.z, topology)
 
 
 @kernel
@@ -349,7 +349,7 @@ def give_up_aside(z, predicted, aside, iterations):
 
 
 @parallel_kernel
-def chord(drive, z, before, factors, topology, c, tolerance, answer):
+def chord(drive, z, before, factors, topology, constants, tolerance, answer):
     """Solve f = 0 with kept factors, from z extrapolated, in lanes under way; z is replaced.
 
     drive: F and Ḟ of all tiles.
@@ -359,30 +359,30 @@ def chord(drive, z, before, factors, topology, c, tolerance, answer):
     """
     for t in numba.prange(z.shape[0]):
         _chord_tile(
-            drive_of(drive, t), z[t], drive_of(before, t), factors[t], topology, c, tolerance,
-            answer_of(answer, t),
+            drive_of(drive, t), z[t], drive_of(before, t), factors[t], topology, constants,
+            tolerance, answer_of(answer, t),
         )  # fmt: skip
 
 
 @kernel
-def _chord_tile(drive, z, before, factors, topology, c, tolerance, answer):
+def _chord_tile(drive, z, before, factors, topology, constants, tolerance, answer):
     """Do as `chord` for one tile."""
     if answer.iterations.max() < 0:
         return
-    work = make_workspace(topology)
+    workspace = make_workspace(topology)
     lu, slopes = kept_factors(factors, topology)
-    predict(z, drive, before, slopes, work.z)
+    predict(z, drive, before, slopes, workspace.z)
     stop = Stop(tolerance, CONTRACTION, CHORD_LIMIT, z, False)
-    predicted = prediction(work.z, topology)
-    chord_loop(work, drive, True, lu, topology, c, stop, answer)
-    give_up_aside(work.z, predicted, c.scale * ASIDE, answer.iterations)
+    predicted = prediction(workspace.z, topology)
+    chord_loop(workspace, drive, True, lu, topology, constants, stop, answer)
+    give_up_aside(workspace.z, predicted, constants.scale * ASIDE, answer.iterations)
     for lane in range(TILE):
         if answer.iterations[lane] > 0:
-            keep_lane(work.z, lane, z)
+            keep_lane(workspace.z, lane, z)
 
 
 @parallel_kernel
-def newton(drive, z, factors, task, topology, c, tolerance, answer):
+def newton(drive, z, factors, task, topology, constants, tolerance, answer):
     """Do the `task` (tiles,) of each tile, in place.
 
     - SKIP: leave the tile as it is.
@@ -398,41 +398,41 @@ def newton(drive, z, factors, task, topology, c, tolerance, answer):
     """
     for t in numba.prange(z.shape[0]):
         _newton_tile(
-            drive_of(drive, t), z[t], factors[t], task[t], topology, c, tolerance,
+            drive_of(drive, t), z[t], factors[t], task[t], topology, constants, tolerance,
             answer_of(answer, t),
         )  # fmt: skip
 
 
 @kernel
-def _newton_tile(drive, z, factors, task, topology, c, tolerance, answer):
+def _newton_tile(drive, z, factors, task, topology, constants, tolerance, answer):
     """Do as `newton` for one tile."""
     if task == SKIP:
         return
-    work = make_workspace(topology)
+    workspace = make_workspace(topology)
     matrices = make_matrices(topology)
-    copy_particles(z, work.z)
+    copy_particles(z, workspace.z)
     if task >= SOLVE:
         limit = SEEK_LIMIT if task == SEEK else NEWTON_LIMIT
         stop = Stop(tolerance, np.inf, limit, z, task == SEEK)
-        newton_loop(work, matrices, drive, True, topology, c, stop, answer)
-        copy_particles(work.z, z)
+        newton_loop(workspace, matrices, drive, True, topology, constants, stop, answer)
+        copy_particles(workspace.z, z)
         if task == SEEK and answer.iterations.max() < 0:
             return
-    set_images(work.z, topology)
+    set_images(workspace.z, topology)
     if RENEW <= task <= SOLVE:
         lu, slopes = kept_factors(factors, topology)
-        map_affine(drive.F, work.z, work.x)
-        map_affine(drive.rate, work.z, work.v)
-        set_jacobian(work, drive, topology, c, matrices.matrix, matrices.columns)
+        map_affine(drive.F, workspace.z, workspace.x)
+        map_affine(drive.rate, workspace.z, workspace.v)
+        set_jacobian(workspace, drive, topology, constants, matrices.matrix, matrices.columns)
         factorise(matrices.matrix, topology, False)
         keep_factors(matrices.matrix, lu)
         for first in (BY_F, BY_RATE):
             keep_slopes(solved_columns(matrices, first, topology), drive.F, slopes, first)
-    check_stable(work, matrices, drive.F, topology, c, answer.stable)
+    check_stable(workspace, matrices, drive.F, topology, constants, answer.stable)
 
 
 def renew(
-    drive: Drive, z: Array, address: Index, wanted: Flags, topology: Topology, c: Constants
+    drive: Drive, z: Array, address: Index, wanted: Flags, topology: Topology, constants: Constants
 ) -> Flags:
     """Write the factors of the `wanted` (tiles,) tiles at z (tiles, 2, n, TILE).
 
@@ -443,7 +443,7 @@ def renew(
     """
     answer = empty_answer(len(z))
     task = np.where(wanted, RENEW, CHECK).astype(np.int8)
-    newton(drive, z, address, task, topology, c, 0.0, answer)
+    newton(drive, z, address, task, topology, constants, 0.0, answer)
     return answer.stable
 
 
@@ -463,9 +463,9 @@ def keep_slopes(steps, F, slopes, first):
 
 
 @kernel
-def check_stable(work, matrices, F, topology, c, stable):
-    """Fill stable (TILE,) with whether the elastic Hessian at work.z is positive definite."""
-    map_affine(F, work.z, work.x)
-    set_elastic_jacobian(work, F, topology, c, matrices.matrix, matrices.no_columns)
+def check_stable(workspace, matrices, F, topology, constants, stable):
+    """Fill stable (TILE,) with whether the elastic Hessian at workspace.z is positive definite."""
+    map_affine(F, workspace.z, workspace.x)
+    set_elastic_jacobian(workspace, F, topology, constants, matrices.matrix, matrices.no_columns)
     factorise(matrices.matrix, topology, True)
     has_negative_pivots(matrices.matrix, topology, stable)

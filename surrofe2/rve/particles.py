@@ -205,12 +205,12 @@ def _pairs(
 
 def _contact_tension(unit: UnitCell, pairs: _Pairs) -> Array:
     """Return the tension (n, k) of contacts, eq. (2), µN; repulsion is negative."""
-    c = unit.constants
+    constants = unit.constants
     r = pairs.length
-    fade = (r / c.cutoff) ** 6
-    spring = c.repulsion * (r**-6 - c.cutoff**-6)
-    dashpot = c.contact_damping * r**-3.5 * (1.0 - fade) * pairs.rate
-    return np.where(r < c.cutoff, dashpot - spring, 0.0)
+    fade = (r / constants.cutoff) ** 6
+    spring = constants.repulsion * (r**-6 - constants.cutoff**-6)
+    dashpot = constants.contact_damping * r**-3.5 * (1.0 - fade) * pairs.rate
+    return np.where(r < constants.cutoff, dashpot - spring, 0.0)
 
 
 def _uniform_fluid(

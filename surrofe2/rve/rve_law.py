@@ -101,6 +101,7 @@ class RveLaw(Viewed):
         return partial(RveLaw, reference=self.reference), (self.cell, self.settings)
 
     def facts(self) -> Facts:
+        """Return what a notebook shows of the law, by name."""
         return {
             "plant cell": self.cell.preset_name,
             "arrangement": f"{self.cell.cells} × {self.cell.arrangement}",
@@ -148,7 +149,7 @@ class RveLaw(Viewed):
 
     @property
     def has_tangents(self) -> bool:
-        """Whether the solver is direct; tangents would hide how loosely the iteration stops."""
+        """True if the solver is direct; tangents would hide how loosely the iteration stops."""
         return self.settings.solver == "direct"
 
     def rest_state(self, points: int) -> RveState:
@@ -179,6 +180,7 @@ class RveLaw(Viewed):
         return state.left_points
 
     def state_to_arrays(self, state: RveState) -> dict[str, NDArray[Any]]:
+        """Return a state as arrays (n, …) by name, for files; see `RveState.to_arrays`."""
         return state.to_arrays(self.unit_cell.neighbours)
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> RveState:

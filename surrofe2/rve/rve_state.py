@@ -154,6 +154,7 @@ class Factors:
             return self
 
         def replaced(former: Array, new: Array) -> Array:
+            """Return an array of tiles with those that are wanted taken from `new`."""
             is_wanted = wanted.reshape(-1, *[1] * (former.ndim - 1))
             return np.where(is_wanted, new, former)
 
@@ -269,7 +270,7 @@ class RveState:
 
     @property
     def left_points(self) -> Flags:
-        """Whether each point left its branch at a bifurcation, (points,)."""
+        """True where a point left its branch at a bifurcation, (points,)."""
         return unpack(self.left, self.points)
 
     def to_arrays(self, neighbours: Neighbours) -> dict[str, NDArray[Any]]:
@@ -462,17 +463,17 @@ def map_affine(F, z, x):
 
 
 @kernel
-def place_images(work, F, topology):
-    """Fill work.z with the images of the own particles in it, and work.x with F z of all."""
-    set_images(work.z, topology)
-    map_affine(F, work.z, work.x)
+def place_images(workspace, F, topology):
+    """Fill the images in workspace.z by its own particles, and workspace.x with F z of all."""
+    set_images(workspace.z, topology)
+    map_affine(F, workspace.z, workspace.x)
 
 
 @kernel
-def place(work, z, F, topology):
-    """Fill work.z with z (2, n, TILE) of own particles and with their images, work.x with F z."""
-    copy_particles(z, work.z)
-    place_images(work, F, topology)
+def place(workspace, z, F, topology):
+    """Fill workspace.z with z (2, n, TILE) and the images, and workspace.x with F z of all."""
+    copy_particles(z, workspace.z)
+    place_images(workspace, F, topology)
 
 
 @kernel
@@ -516,55 +517,55 @@ def mean_force(f, particles, residual):
 
 
 @kernel
-def measure(work, F, topology, c, stress, residual):
-    """Fill work.f (folded), stress (2, 2, TILE) and residual (1, TILE) at work.x and work.v."""
-    local_forces(work, topology, c)
-    cauchy_stress(work.x, work.f, F, topology.area, stress)
-    fold_images(work.f, topology)
-    mean_force(work.f, topology.particles, residual)
+def measure(workspace, F, topology, constants, stress, residual):
+    """Compute folded forces, stress (2, 2, TILE) and residual (1, TILE) at the workspace's x, v."""
+    local_forces(workspace, topology, constants)
+    cauchy_stress(workspace.x, workspace.f, F, topology.area, stress)
+    fold_images(workspace.f, topology)
+    mean_force(workspace.f, topology.particles, residual)
 
 
 @kernel
-def evaluate(work, drive, is_affine, topology, c, stress, residual):
-    """Fill what `measure` fills, at work.z, with v = drive.rate z if `is_affine`, else work.v."""
-    place_images(work, drive.F, topology)
+def evaluate(workspace, drive, is_affine, topology, constants, stress, residual):
+    """Do as `measure` at workspace.z; v becomes drive.rate z if `is_affine`, else it stays."""
+    place_images(workspace, drive.F, topology)
     if is_affine:
-        map_affine(drive.rate, work.z, work.v)
-    measure(work, drive.F, topology, c, stress, residual)
+        map_affine(drive.rate, workspace.z, workspace.v)
+    measure(workspace, drive.F, topology, constants, stress, residual)
 
 
 @parallel_kernel
-def stress_at(drive, z, topology, c, answer):
+def stress_at(drive, z, topology, constants, answer):
     """Fill stress and residual of the answer at z (tiles, 2, n, TILE) with affine velocities."""
     for t in numba.prange(z.shape[0]):
-        _stress_tile(drive_of(drive, t), z[t], topology, c, answer_of(answer, t))
+        _stress_tile(drive_of(drive, t), z[t], topology, constants, answer_of(answer, t))
 
 
 @kernel
-def _stress_tile(drive, z, topology, c, answer):
+def _stress_tile(drive, z, topology, constants, answer):
     """Do as `stress_at` for one tile."""
-    work = make_workspace(topology)
-    copy_particles(z, work.z)
-    evaluate(work, drive, True, topology, c, answer.stress, answer.residual)
+    workspace = make_workspace(topology)
+    copy_particles(z, workspace.z)
+    evaluate(workspace, drive, True, topology, constants, answer.stress, answer.residual)
 
 
-def stored_energy(F: Array, z: Array, topology: Topology, c: Constants) -> Array:
+def stored_energy(F: Array, z: Array, topology: Topology, constants: Constants) -> Array:
     """Return the elastic energy (m,) at F (m, 2, 2) and material positions z (m, 2, n), pJ."""
     energy = np.empty((tiles_for(len(z)), 1, TILE))
-    energies(pack(F), pack(z), topology, c, energy)
+    energies(pack(F), pack(z), topology, constants, energy)
     return unpack(energy, len(z))[:, 0]
 
 
 @parallel_kernel
-def energies(F, z, topology, c, energy):
+def energies(F, z, topology, constants, energy):
     """Fill energy (tiles, 1, TILE) with that of the RVEs at F and z (tiles, 2, n, TILE), pJ."""
     for t in numba.prange(z.shape[0]):
-        _energy_tile(F[t], z[t], topology, c, energy[t])
+        _energy_tile(F[t], z[t], topology, constants, energy[t])
 
 
 @kernel
-def _energy_tile(F, z, topology, c, energy):
+def _energy_tile(F, z, topology, constants, energy):
     """Do as `energies` for one tile."""
-    work = make_workspace(topology)
-    place(work, z, F, topology)
-    elastic_energy(work, topology, c, energy)
+    workspace = make_workspace(topology)
+    place(workspace, z, F, topology)
+    elastic_energy(workspace, topology, constants, energy)

@@ -98,7 +98,7 @@ def moving_of(moving, t):
 
 
 @parallel_kernel
-def follow(drive, moving, before, factors, topology, c, tolerance, answer):
+def follow(drive, moving, before, factors, topology, constants, tolerance, answer):
     """Solve for z_el, v and z with kept factors, from the `moving` at the `Drive` before, in place.
 
     Lanes in which it fails become OPEN.
@@ -108,49 +108,51 @@ def follow(drive, moving, before, factors, topology, c, tolerance, answer):
     """
     for t in numba.prange(moving.z.shape[0]):
         _follow_tile(
-            drive_of(drive, t), moving_of(moving, t), drive_of(before, t), factors[t], topology, c,
-            tolerance, answer_of(answer, t),
+            drive_of(drive, t), moving_of(moving, t), drive_of(before, t), factors[t], topology,
+            constants, tolerance, answer_of(answer, t),
         )  # fmt: skip
 
 
 @kernel
-def _follow_tile(drive, moving, before, factors, topology, c, tolerance, answer):
+def _follow_tile(drive, moving, before, factors, topology, constants, tolerance, answer):
     """Do as `follow` for one tile."""
     z = moving.z
     elastic = moving.elastic
-    work = make_workspace(topology)
+    workspace = make_workspace(topology)
     lu, slopes = kept_factors(factors, topology)
     y = np.zeros_like(z)
     relaxed = np.empty_like(z)
     still = np.zeros((2, 2, TILE))
     # First z_el and y: states of the lanes for this solve alone, begun UNDER_WAY.
     velocity_iterations = np.zeros(TILE, dtype=np.int32)
-    predict(elastic, Drive(drive.F, still), Drive(before.F, still), slopes, work.z)
+    predict(elastic, Drive(drive.F, still), Drive(before.F, still), slopes, workspace.z)
     add_slopes(slopes, BY_F, drive.rate, y)
-    copy_particles(work.z, relaxed)
+    copy_particles(workspace.z, relaxed)
     predicted = prediction(relaxed, topology)
     stop = Stop(tolerance, CONTRACTION, LIMIT, z, False)
-    _solve_velocities(work, y, drive, lu, topology, c, stop, relaxed, velocity_iterations)
-    give_up_aside(relaxed, predicted, c.scale * ASIDE, velocity_iterations)
+    _solve_velocities(
+        workspace, y, drive, lu, topology, constants, stop, relaxed, velocity_iterations
+    )
+    give_up_aside(relaxed, predicted, constants.scale * ASIDE, velocity_iterations)
     # Then z, from where it was beside z_el.
     for axis in range(2):
         for i in range(z.shape[1]):
             offset = load(z, axis, i) - load(elastic, axis, i)
-            store(load(relaxed, axis, i) + offset, work.z, axis, i)
-    add_slopes(slopes, BY_RATE, change(drive.rate, before.rate), work.z)
+            store(load(relaxed, axis, i) + offset, workspace.z, axis, i)
+    add_slopes(slopes, BY_RATE, change(drive.rate, before.rate), workspace.z)
     # UNDER_WAY where velocities are solved; lanes in which they are not stay negative
     iterations = np.minimum(velocity_iterations, 0)
     positions = Answer(answer.stress, answer.residual, iterations, answer.stable)
-    chord_loop(work, drive, False, lu, topology, c, stop, positions)
+    chord_loop(workspace, drive, False, lu, topology, constants, stop, positions)
     for lane in range(TILE):
         is_solved = iterations[lane] > 0
         answer.iterations[lane] = (
             velocity_iterations[lane] + iterations[lane] if is_solved else OPEN
         )
         if is_solved:
-            keep_lane(work.z, lane, z)
+            keep_lane(workspace.z, lane, z)
             keep_lane(relaxed, lane, elastic)
-    set_fluctuation(work.v, z, drive.rate, moving.fluctuation)
+    set_fluctuation(workspace.v, z, drive.rate, moving.fluctuation)
 
 
 @kernel
@@ -163,16 +165,16 @@ def set_fluctuation(v, z, rate, fluctuation):
 
 
 @kernel
-def _solve_velocities(work, y, drive, lu, topology, c, stop, relaxed, iterations):
+def _solve_velocities(workspace, y, drive, lu, topology, constants, stop, relaxed, iterations):
     """Solve f_el = 0 and ḟ_el = 0 for z_el and y with kept factors lu.
 
-    z_el goes to work.z and relaxed (2, n, TILE), the velocities v to work.v. y: (2, n, TILE) is
-    corrected in place. iterations: (TILE,) as of `Answer`.
+    z_el goes to workspace.z and relaxed (2, n, TILE), the velocities v to workspace.v. y (2, n,
+    TILE) is corrected in place. iterations: (TILE,) as of `Answer`.
     """
     particles = topology.particles
     F = drive.F
-    f_rate = np.empty_like(work.f)
-    volume_rate = np.empty_like(work.volume)
+    f_rate = np.empty_like(workspace.f)
+    volume_rate = np.empty_like(workspace.volume)
     residual = np.empty((1, TILE))
     residual_rate = np.empty((1, TILE))
     before = np.full(TILE, np.inf)
@@ -180,12 +182,12 @@ def _solve_velocities(work, y, drive, lu, topology, c, stop, relaxed, iterations
     has_equilibrium = np.zeros(TILE, dtype=np.int32)
     step = np.empty((2 * particles - 2, TILE))
     for evaluation in range(1, stop.limit + 1):
-        place_images(work, F, topology)
-        set_velocities(work.z, y, F, drive.rate, topology, work.v)
-        elastic_forces_and_rates(work, f_rate, volume_rate, topology, c)
-        fold_images(work.f, topology)
+        place_images(workspace, F, topology)
+        set_velocities(workspace.z, y, F, drive.rate, topology, workspace.v)
+        elastic_forces_and_rates(workspace, f_rate, volume_rate, topology, constants)
+        fold_images(workspace.f, topology)
         fold_images(f_rate, topology)
-        mean_force(work.f, particles, residual)
+        mean_force(workspace.f, particles, residual)
         mean_force(f_rate, particles, residual_rate)
         for lane in range(TILE):
             # Once solved, z_el stays: a pair at the cut-off would flicker, and y with it.
@@ -193,84 +195,91 @@ def _solve_velocities(work, y, drive, lu, topology, c, stop, relaxed, iterations
             has_equilibrium[lane] = max(has_equilibrium[lane], is_within, abs(iterations[lane]))
             # one residual for both, so that a lane is solved where both are
             residual[0, lane] = max(residual[0, lane], residual_rate[0, lane] / RATE_TOLERANCE)
-        if settle(residual, before, stop, evaluation, work.z, relaxed, iterations) == 0:
+        if settle(residual, before, stop, evaluation, workspace.z, relaxed, iterations) == 0:
             return
-        correct(lu, work.f, step, has_equilibrium, F, work.z, topology)
+        correct(lu, workspace.f, step, has_equilibrium, F, workspace.z, topology)
         correct(lu, f_rate, step, iterations, F, y, topology)
 
 
 @parallel_kernel
-def newton_slow(drive, moving, topology, c, tolerance, answer):
+def newton_slow(drive, moving, topology, constants, tolerance, answer):
     """Solve for z, v − L x and stress by Newton's method, in place, in lanes with iterations ≤ 0.
 
     moving.elastic is z_el, and moving.z where the solve begins.
     """
     for t in numba.prange(moving.z.shape[0]):
         _newton_tile(
-            drive_of(drive, t), moving_of(moving, t), topology, c, tolerance, answer_of(answer, t)
+            drive_of(drive, t),
+            moving_of(moving, t),
+            topology,
+            constants,
+            tolerance,
+            answer_of(answer, t),
         )
 
 
 @kernel
-def _newton_tile(drive, moving, topology, c, tolerance, answer):
+def _newton_tile(drive, moving, topology, constants, tolerance, answer):
     """Do as `newton_slow` for one tile."""
-    work = make_workspace(topology)
+    workspace = make_workspace(topology)
     matrices = make_matrices(topology)
     still = np.zeros((2, 2, TILE))
     fluctuation = np.empty_like(moving.fluctuation)
     wanted = answer.iterations <= 0
-    place(work, moving.elastic, drive.F, topology)
-    y = along(equilibrium_modes(work, drive.F, topology, c, matrices), drive.rate)
-    set_velocities(work.z, y, drive.F, drive.rate, topology, work.v)
+    place(workspace, moving.elastic, drive.F, topology)
+    y = along(equilibrium_modes(workspace, drive.F, topology, constants, matrices), drive.rate)
+    set_velocities(workspace.z, y, drive.F, drive.rate, topology, workspace.v)
     stop = Stop(tolerance, np.inf, NEWTON_LIMIT, moving.z, False)
-    newton_loop(work, matrices, Drive(drive.F, still), False, topology, c, stop, answer)
-    set_fluctuation(work.v, work.z, drive.rate, fluctuation)
+    newton_loop(
+        workspace, matrices, Drive(drive.F, still), False, topology, constants, stop, answer
+    )
+    set_fluctuation(workspace.v, workspace.z, drive.rate, fluctuation)
     for lane in range(TILE):
         if wanted[lane] and answer.iterations[lane] > 0:
-            keep_lane(work.z, lane, moving.z)
+            keep_lane(workspace.z, lane, moving.z)
             keep_lane(fluctuation, lane, moving.fluctuation)
 
 
 @parallel_kernel
-def renew_slow(F, elastic, factors, wanted, topology, c, stable):
+def renew_slow(F, elastic, factors, wanted, topology, constants, stable):
     """Fill stable (tiles, TILE) with whether z_el is, and write the factors of the `wanted` tiles.
 
     F: (tiles, 2, 2, TILE). elastic: (tiles, 2, n, TILE) z_el. wanted: (tiles,).
     factors: (tiles,) addresses of the blocks that factors and slopes are written to.
     """
     for t in numba.prange(elastic.shape[0]):
-        _renew_tile(F[t], elastic[t], factors[t], wanted[t], topology, c, stable[t])
+        _renew_tile(F[t], elastic[t], factors[t], wanted[t], topology, constants, stable[t])
 
 
 @kernel
-def _renew_tile(F, elastic, factors, wanted, topology, c, stable):
+def _renew_tile(F, elastic, factors, wanted, topology, constants, stable):
     """Do as `renew_slow` for one tile.
 
     Slopes by F are ∂z_el/∂F. Those by Ḟ are by its entries one after the other: with V_m as
     velocities forces change by f(x_el, V_m) − f(x_el, 0), and z moves by −F⁻¹ K⁻¹ times that.
     """
-    work = make_workspace(topology)
+    workspace = make_workspace(topology)
     matrices = make_matrices(topology)
-    place(work, elastic, F, topology)
+    place(workspace, elastic, F, topology)
     if not wanted:
-        check_stable(work, matrices, F, topology, c, stable)
+        check_stable(workspace, matrices, F, topology, constants, stable)
         return
-    modes = equilibrium_modes(work, F, topology, c, matrices)
+    modes = equilibrium_modes(workspace, F, topology, constants, matrices)
     has_negative_pivots(matrices.matrix, topology, stable)
     lu, slopes = kept_factors(factors, topology)
     keep_factors(matrices.matrix, lu)
-    local_forces(work, topology, c)
-    at_rest = work.f.copy()
-    velocities = unit_velocities(work.z, modes, F, topology)
+    local_forces(workspace, topology, constants)
+    at_rest = workspace.f.copy()
+    velocities = unit_velocities(workspace.z, modes, F, topology)
     steps = np.empty((COLUMNS, *matrices.step.shape))
     for m in range(COLUMNS):
         for i in range(1, topology.particles):
             store(load(modes, m, 0, i), slopes, row_x(i), m)
             store(load(modes, m, 1, i), slopes, row_x(i) + 1, m)
-        work.v[:] = velocities[m]
-        local_forces(work, topology, c)
-        work.f[:] = work.f - at_rest
-        fold_images(work.f, topology)
-        set_residual(work.f, steps[m])
+        workspace.v[:] = velocities[m]
+        local_forces(workspace, topology, constants)
+        workspace.f[:] = workspace.f - at_rest
+        fold_images(workspace.f, topology)
+        set_residual(workspace.f, steps[m])
     solve_columns(matrices.matrix, steps, topology, False)
     keep_slopes(steps, F, slopes, BY_RATE)

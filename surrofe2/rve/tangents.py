@@ -47,41 +47,43 @@ GOOD_ENOUGH = 1e-8
 
 
 @parallel_kernel
-def affine_tangents(drive, z, kind, topology, c, tangents):
+def affine_tangents(drive, z, kind, topology, constants, tangents):
     """Fill tangents (tiles, 2, 2, 8, TILE) with ∂P_ab by F_xx, xy, yx, yy, Ḟ_xx, xy, yx, yy.
 
     drive: F and Ḟ. z: (tiles, 2, n, TILE) solution of the initialisation KINDS[kind].
     """
     for t in numba.prange(z.shape[0]):
-        _affine_tile(drive_of(drive, t), z[t], kind, topology, c, tangents[t])
+        _affine_tile(drive_of(drive, t), z[t], kind, topology, constants, tangents[t])
 
 
 @kernel
-def _affine_tile(drive, z, kind, topology, c, tangents):
+def _affine_tile(drive, z, kind, topology, constants, tangents):
     """Do as `affine_tangents` for one tile.
 
     First P changes at fixed z; then, but for Cauchy–Born, z follows, by the adjoint λ.
     """
     F = drive.F
     F_dot = drive.rate
-    work = make_workspace(topology)
-    place(work, z, F, topology)
-    map_affine(F_dot, work.z, work.v)
+    workspace = make_workspace(topology)
+    place(workspace, z, F, topology)
+    map_affine(F_dot, workspace.z, workspace.v)
     tangents[:] = 0.0
-    affine = affine_fields(work.z)
-    by_x, by_v = stress_gradients(work, affine, topology, c)
+    affine = affine_fields(workspace.z)
+    by_x, by_v = stress_gradients(workspace, affine, topology, constants)
     _add_products(by_x, affine, BY_F, tangents)
     _add_products(by_v, affine, BY_RATE, tangents)
     if kind != _CAUCHY_BORN:
         matrices = make_matrices(topology)
-        load_of_stress = adjoint_load(work, by_x, by_v, drive, topology, c)
+        load_of_stress = adjoint_load(workspace, by_x, by_v, drive, topology, constants)
         # elastic positions do not depend on Ḟ, so they have no slopes by it either
         rate = np.zeros((2, 2, TILE)) if kind == _ELASTIC else F_dot
-        map_affine(rate, work.z, work.v)
+        map_affine(rate, workspace.z, workspace.v)
         felt = Drive(F, rate)
-        set_jacobian(work, felt, topology, c, matrices.matrix, matrices.columns)
+        set_jacobian(workspace, felt, topology, constants, matrices.matrix, matrices.columns)
         factorise(matrices.matrix, topology, False)
-        adjoint = solve_adjoint(matrices.matrix, load_of_stress, work, felt, topology, c)
+        adjoint = solve_adjoint(
+            matrices.matrix, load_of_stress, workspace, felt, topology, constants
+        )
         for m in range(BY_RATE if kind == _ELASTIC else SLOPES):
             for n in range(COLUMNS):
                 a, b = component(n)
@@ -94,41 +96,41 @@ def _affine_tile(drive, z, kind, topology, c, tangents):
 
 
 @parallel_kernel
-def slow_tangents(drive, z, relaxed, topology, c, tangents):
+def slow_tangents(drive, z, relaxed, topology, constants, tangents):
     """Fill tangents as `affine_tangents` does, for the slow manifold.
 
     z, relaxed: (tiles, 2, n, TILE) its positions, and those of its elastic equilibrium, z_el.
     """
     for t in numba.prange(z.shape[0]):
-        _slow_tile(drive_of(drive, t), z[t], relaxed[t], topology, c, tangents[t])
+        _slow_tile(drive_of(drive, t), z[t], relaxed[t], topology, constants, tangents[t])
 
 
 @kernel
-def _slow_tile(drive, z, relaxed, topology, c, tangents):
+def _slow_tile(drive, z, relaxed, topology, constants, tangents):
     """Do as `slow_tangents` for one tile.
 
     `units` are V and `slopes` ∂v/∂F at the head of this file.
     """
     F = drive.F
     F_dot = drive.rate
-    work = make_workspace(topology)
+    workspace = make_workspace(topology)
     matrices = make_matrices(topology)
-    place(work, relaxed, F, topology)
-    modes = equilibrium_modes(work, F, topology, c, matrices)
-    units = unit_velocities(work.z, modes, F, topology)
-    work.v[:] = along(units, F_dot)
-    slopes = velocity_slopes(work, units, F, topology, c, matrices.matrix)
-    place(work, z, F, topology)
-    affine = affine_fields(work.z)
+    place(workspace, relaxed, F, topology)
+    modes = equilibrium_modes(workspace, F, topology, constants, matrices)
+    units = unit_velocities(workspace.z, modes, F, topology)
+    workspace.v[:] = along(units, F_dot)
+    slopes = velocity_slopes(workspace, units, F, topology, constants, matrices.matrix)
+    place(workspace, z, F, topology)
+    affine = affine_fields(workspace.z)
     weights = affine.copy()
-    by_x, by_v = stress_gradients(work, weights, topology, c)
+    by_x, by_v = stress_gradients(workspace, weights, topology, constants)
     still = standing(F)
-    load_of_stress = adjoint_load(work, by_x, by_v, still, topology, c)
-    set_jacobian(work, still, topology, c, matrices.matrix, matrices.no_columns)
+    load_of_stress = adjoint_load(workspace, by_x, by_v, still, topology, constants)
+    set_jacobian(workspace, still, topology, constants, matrices.matrix, matrices.no_columns)
     factorise(matrices.matrix, topology, False)
-    adjoint = solve_adjoint(matrices.matrix, load_of_stress, work, still, topology, c)
+    adjoint = solve_adjoint(matrices.matrix, load_of_stress, workspace, still, topology, constants)
     subtract_columns(adjoint, topology, weights)
-    by_x, by_v = stress_gradients(work, weights, topology, c)
+    by_x, by_v = stress_gradients(workspace, weights, topology, constants)
     tangents[:] = 0.0
     _add_products(by_x, affine, BY_F, tangents)
     _add_products(by_v, slopes, BY_F, tangents)
@@ -156,19 +158,19 @@ def affine_fields(z):
 
 
 @kernel
-def stress_gradients(work, weights, topology, c):
+def stress_gradients(workspace, weights, topology, constants):
     """Return the slopes by x and by v of four weighted sums of forces.
 
-    All are (4, 2, local, TILE); the forces are those at work.x and work.v.
+    All are (4, 2, local, TILE); the forces are those at workspace.x and workspace.v.
     """
     by_x = np.zeros_like(weights)
     by_v = np.zeros_like(weights)
-    add_force_gradients(work, weights, by_x, by_v, topology, c)
+    add_force_gradients(workspace, weights, by_x, by_v, topology, constants)
     return by_x, by_v
 
 
 @kernel
-def adjoint_load(work, by_x, by_v, drive, topology, c):
+def adjoint_load(workspace, by_x, by_v, drive, topology, constants):
     """Return F⁻ᵀ ∂(Σ_k f_ka z_kb)/∂z, (4, 2n − 2, TILE), the load of the adjoint problem (A11).
 
     Positions x = F z and velocities v = rate z + … follow z. The slope by the factor z_kb is f_ka:
@@ -176,9 +178,9 @@ def adjoint_load(work, by_x, by_v, drive, topology, c):
 
     by_x, by_v: (4, 2, local, TILE) slopes of the sums, as `stress_gradients` returns them.
     """
-    local_forces(work, topology, c)
-    fold_images(work.f, topology)
-    return _pulled_back(by_x, by_v, work.f, drive, topology)
+    local_forces(workspace, topology, constants)
+    fold_images(workspace.f, topology)
+    return _pulled_back(by_x, by_v, workspace.f, drive, topology)
 
 
 @kernel
@@ -213,16 +215,16 @@ def _pulled_back(by_x, by_v, f, drive, topology):
 
 
 @kernel
-def solve_adjoint(lu, load_of_stress, work, drive, topology, c):
-    """Return λ (4, 2n − 2, TILE) of (A11), Jᵀ λ = load, with lu of J at work.x and work.v."""
+def solve_adjoint(lu, load_of_stress, workspace, drive, topology, constants):
+    """Return λ (4, 2n − 2, TILE) of (A11), Jᵀ λ = load; lu is that of J at the workspace's x, v."""
     adjoint = load_of_stress.copy()
     solve_columns(lu, adjoint, topology, True)
-    refine(lu, load_of_stress, adjoint, work, drive, topology, c)
+    refine(lu, load_of_stress, adjoint, workspace, drive, topology, constants)
     return adjoint
 
 
 @kernel
-def refine(lu, right, solution, work, drive, topology, c):
+def refine(lu, right, solution, workspace, drive, topology, constants):
     """Correct the solution λ of Jᵀ λ = right, both (4, 2n − 2, TILE), until its residual is small.
 
     With a uniform fluid the matrix lacks contacts of far walls and a small part of the viscosity,
@@ -232,15 +234,15 @@ def refine(lu, right, solution, work, drive, topology, c):
     has_uniform_fluid = topology.pressures > 0
     if not has_uniform_fluid:
         return
-    no_force = np.zeros_like(work.f)
+    no_force = np.zeros_like(workspace.f)
     size = np.empty(TILE)
     size_of_load = np.empty(TILE)
     before = np.full(TILE, np.inf)
     largest_of(right, size_of_load)
     for _ in range(REFINEMENTS):
-        weights = np.zeros((COLUMNS, *work.x.shape))
+        weights = np.zeros((COLUMNS, *workspace.x.shape))
         subtract_columns(solution, topology, weights)
-        by_x, by_v = stress_gradients(work, weights, topology, c)
+        by_x, by_v = stress_gradients(workspace, weights, topology, constants)
         residual = right + _pulled_back(by_x, by_v, no_force, drive, topology)
         largest_of(residual, size)
         # lanes in which refinement still helps; all are refined as long as there is one
@@ -294,10 +296,13 @@ def _add_products(gradients, fields, first, tangents):
 
 
 @kernel
-def equilibrium_modes(work, F, topology, c, matrices):
-    """Return modes ∂z_el/∂F_m (4, 2, own, TILE) at work.z; it leaves lu of K in matrices.matrix."""
-    map_affine(F, work.z, work.x)
-    set_elastic_jacobian(work, F, topology, c, matrices.matrix, matrices.columns)
+def equilibrium_modes(workspace, F, topology, constants, matrices):
+    """Return the modes ∂z_el/∂F_m (4, 2, own, TILE) at workspace.z.
+
+    The factors of K remain in matrices.matrix.
+    """
+    map_affine(F, workspace.z, workspace.x)
+    set_elastic_jacobian(workspace, F, topology, constants, matrices.matrix, matrices.columns)
     factorise(matrices.matrix, topology, True)
     right = np.empty((COLUMNS, *matrices.step.shape))
     for m in range(COLUMNS):
@@ -305,7 +310,7 @@ def equilibrium_modes(work, F, topology, c, matrices):
             store(-load(matrices.columns, i + 2, m), right, m, i)
     steps = right.copy()
     solve_columns(matrices.matrix, steps, topology, False)
-    refine(matrices.matrix, right, steps, work, standing(F), topology, c)
+    refine(matrices.matrix, right, steps, workspace, standing(F), topology, constants)
     modes = np.zeros((COLUMNS, 2, topology.particles, TILE))
     for m in range(COLUMNS):
         move(steps[m], F, modes[m])
@@ -364,23 +369,23 @@ def unit_velocities(z, modes, F, topology):
 
 
 @kernel
-def velocity_slopes(work, units, F, topology, c, lu):
-    """Return ∂v/∂F_m, (4, 2, local, TILE), of the velocities v = Σ Ḟ_n V_n in work.v.
+def velocity_slopes(workspace, units, F, topology, constants, lu):
+    """Return ∂v/∂F_m, (4, 2, local, TILE), of the velocities v = Σ Ḟ_n V_n in workspace.v.
 
-    They are −K⁻¹ K̇ V_m at work.x, with K̇ the rate of K along v. units: V. lu: factors of K.
+    They are −K⁻¹ K̇ V_m at workspace.x, with K̇ the rate of K along v. units: V. lu: factors of K.
     """
     slopes = np.zeros_like(units)
     rates = np.zeros_like(units)
-    add_stiffness_rates(work, units, rates, topology, c)
+    add_stiffness_rates(workspace, units, rates, topology, constants)
     right = np.empty((COLUMNS, 2 * topology.particles - 2, TILE))
     fold_columns(rates, topology, right)
     steps = right.copy()
     solve_columns(lu, steps, topology, False)
     if topology.pressures > 0:
-        moving = work.v.copy()
-        work.v[:] = 0.0  # residuals are those of K, the Jacobian at rest
-        refine(lu, right, steps, work, standing(F), topology, c)
-        work.v[:] = moving
+        moving = workspace.v.copy()
+        workspace.v[:] = 0.0  # residuals are those of K, the Jacobian at rest
+        refine(lu, right, steps, workspace, standing(F), topology, constants)
+        workspace.v[:] = moving
     subtract_columns(steps, topology, slopes)
     return slopes
 

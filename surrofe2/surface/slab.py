@@ -114,25 +114,25 @@ def bend(unit: UnitCell, F: Array, z: Array) -> tuple[float, Array]:
     sin = np.sin(turn)
     shift = span / theta * np.stack([sin, 2.0 * np.sin(0.5 * turn) ** 2])
     shift_by_theta = (column * span * np.stack([cos, sin]) - shift) / theta
-    work = make_workspace(topology)
+    workspace = make_workspace(topology)
     # θ is so small that the factors of the slab at rest serve all steps
     lu, _ = kept_factors(unit.factors.address[0], topology)
-    work.v[:] = 0.0
+    workspace.v[:] = 0.0
     for _ in range(_MOST_STEPS):
         imaged = position[:, topology.owner]
         turned = np.stack([cos * imaged[0] - sin * imaged[1], sin * imaged[0] + cos * imaged[1]])
-        work.x[:] = np.concatenate([position, turned + shift], axis=1)
-        local_forces(work, topology, unit.constants)
+        workspace.x[:] = np.concatenate([position, turned + shift], axis=1)
+        local_forces(workspace, topology, unit.constants)
         # forces on images act on the particles that they are images of, turned back
-        force = work.f[:, :n].copy()
-        on_images = work.f[:, n:]
+        force = workspace.f[:, :n].copy()
+        on_images = workspace.f[:, n:]
         turned_back = np.stack(
             [cos * on_images[0] + sin * on_images[1], cos * on_images[1] - sin * on_images[0]]
         )
         for axis in range(2):
             np.add.at(force[axis], topology.owner, turned_back[axis])
         # particle 0 is held: the slab as a whole may move along the arc
-        if abs(force[:, 1:]).max() < _DONE * abs(work.f).max():
+        if abs(force[:, 1:]).max() < _DONE * abs(workspace.f).max():
             image_by_theta = column * np.stack([-turned[1], turned[0]]) + shift_by_theta
             moment = -(on_images * image_by_theta).sum(axis=(0, 1))
             stiffness = float(side * np.mean(moment / theta))

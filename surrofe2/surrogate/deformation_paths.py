@@ -91,7 +91,7 @@ class Truth:
 
     @property
     def reached(self) -> Flags:
-        """Whether every earlier state of the same history has a stress, (n,).
+        """True where every earlier state of the same history has a stress, (n,).
 
         States behind one without a stress say nothing of the model: a run has ended there, or its
         RVE is in an equilibrium beyond a bifurcation.

@@ -97,6 +97,7 @@ class SurrogateLaw(Viewed):
         object.__setattr__(self, "bound_arrays", bounds)
 
     def facts(self) -> Facts:
+        """Return what a notebook shows of the surrogate, by name."""
         facts: dict[str, Any] = {
             "plant cell": self.cell.preset_name,
             "initialisation": self.initialisation,

@@ -111,7 +111,7 @@ class Conditions:
 
     @property
     def held(self) -> Flags:
-        """Whether a support takes a component of a particle, (particles, 2)."""
+        """True where a support takes a component of a particle, (particles, 2)."""
         held = np.zeros((self.tissue.particles, 2), dtype=np.bool_)
         for support in self.supports:
             held.flat[support.unknowns] = True

@@ -138,7 +138,7 @@ class Tissue:
 
     @property
     def is_wall(self) -> Flags:
-        """Whether each particle is a wall particle, (particles,)."""
+        """True for wall particles, (particles,)."""
         return self.address[:, 1] < self.walls
 
     @property

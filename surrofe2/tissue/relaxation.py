@@ -207,6 +207,7 @@ def _without_pressure(tissue_of: Callable[[float], Tissue]) -> float:
     """
 
     def virial(tissue: Tissue) -> float:
+        """Return Σ x·f."""
         dynamics = TissueDynamics(tissue)
         return float(np.sum(dynamics.x * dynamics.forces(ELASTIC)))
 

@@ -173,6 +173,7 @@ class TissueRun(ViewedRun):
     finished: bool
 
     def facts(self) -> Facts:
+        """Return what a notebook shows of the run, by name."""
         return {
             "particles": f"{self.counts['particles']:,}",
             **course(self.curve, self.wall_time, self.counts),
