@@ -201,6 +201,39 @@ def test_it_builds_without_a_warning(tmp_path):
         text = re.sub(r"<[^>]+>", "", page.read_text(encoding="utf-8"))
         assert not re.findall(r"ndarray\[|ForwardRef|factory|\*args, \*\*kwargs", text), page
         assert page.stem == "index" or "[source]" in text, page
+    assert not wider_than_a_phone(tmp_path / "site")
+
+
+WIDTHS = """<!doctype html><meta charset="utf-8"><body><iframe id="frame" width="390" height="844">
+</iframe><script>
+const pages = PAGES, wide = [], frame = document.getElementById("frame");
+function look(k) {
+  if (k === pages.length) { document.title = "all " + JSON.stringify(wide); return; }
+  frame.onload = () => {
+    const page = frame.contentDocument;
+    const boxes = [page.documentElement, ...page.querySelectorAll(".bd-article-container")];
+    if (boxes.some(box => box.scrollWidth > box.clientWidth)) wide.push(pages[k]);
+    look(k + 1);
+  };
+  frame.src = pages[k];
+}
+look(0);
+</script>"""
+
+
+def wider_than_a_phone(site):
+    """Pages that scroll sideways as a whole in a window of 390 pixels, by Chromium where it is."""
+    program = shutil.which("chromium") or shutil.which("chromium-browser")
+    if program is None:
+        return []
+    pages = [str(page.relative_to(site)) for page in sorted((site / "docs").rglob("*.html"))]
+    harness = site / "widths.html"
+    harness.write_text(WIDTHS.replace("PAGES", json.dumps(pages)), encoding="utf-8")
+    call = [program, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
+    call += ["--allow-file-access-from-files", f"--user-data-dir={site.parent / 'profile'}"]
+    call += ["--virtual-time-budget=600000", "--dump-dom", harness.as_uri()]
+    done = subprocess.run(call, capture_output=True, text=True, check=True, timeout=300)
+    return json.loads(re.search(r"<title>all (.*?)</title>", done.stdout)[1])
 
 
 def test_every_public_name_is_on_one_page_of_the_reference():

@@ -46,11 +46,20 @@ def numpy_sections(lines: list[str], result: str = "result") -> list[str]:
         if name == "Examples":
             made += block
         elif name in ("Returns", "Yields"):
-            made += [result, *(f"    {line}" for line in block)]
+            made += [result, *(f"    {line}" for line in with_parts(block))]
         else:
             made += entries(block)
         made.append("")
     return made
+
+
+def with_parts(block: list[str]) -> list[str]:
+    """What is returned: a text, and after a blank line its parts, where they have names."""
+    end = block.index("") if "" in block else len(block)
+    parts = block[end + 1 :]
+    if any(ENTRY.fullmatch(line) for line in parts):
+        return [*block[: end + 1], *entries(parts)]
+    return block
 
 
 def entries(block: list[str]) -> list[str]:
