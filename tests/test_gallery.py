@@ -182,3 +182,29 @@ def test_a_stiff_skin_resists_a_disc_and_its_cells_are_squeezed():
     # below the disc sap is squeezed beyond the turgor of 0.4 MPa
     for cells in names["cells_below"](rest, law_of):
         assert cells.pressure.min() > 4.0
+
+
+def test_a_fruit_stretches_walls_as_it_meets_the_plate():
+    pytest.importorskip("gmsh")
+    names = script("dropped_fruit")
+    mesh = names["fruit_mesh"](4.0)
+    law_of = names["laws"](0.4)
+    run = names["dropped"](law_of, mesh, 150.0, 30.0)
+    hit = names["results"](run, law_of)
+    # no more than the impulse that stops it, and what the force over time holds
+    assert 0.0 < hit["impulse"] < hit["momentum"]
+    assert hit["impulse"] == pytest.approx(np.trapezoid(hit["force"], run.curve.t), rel=0.03)
+    stretch = names["stretch_of_walls"](run, law_of, mesh)
+    assert stretch[-1].max() > stretch[0].max()
+
+
+@pytest.mark.slow
+def test_a_dropped_fruit_rebounds():
+    pytest.importorskip("gmsh")
+    names = script("dropped_fruit")
+    law_of = names["laws"](0.4)
+    run = names["dropped"](law_of, names["fruit_mesh"](3.0), 1400.0, 40.0)
+    hit = names["results"](run, law_of)
+    # 1: it stays on the plate, 2: it leaves it as fast as it came
+    assert 1.0 < hit["impulse"] / hit["momentum"] < 2.0
+    assert run.history["force plate y"][-1] == 0.0
