@@ -1,59 +1,67 @@
-"""The picture of README: a bar under more load than its surrogate was made for.
+"""The picture of README: apple tissue under a disc, and the plant cells of two of its elements.
 
-`python docs/plots/readme.py` draws docs/readme.png. It needs training/bending-bar.h5
-(`surrofe2 study data/bending-bar.toml`).
+`python docs/plots/readme.py` draws docs/readme.png. The test is that of the gallery's page
+docs/gallery/puncture.md.
 """
 
+import sys
 from pathlib import Path
 
 import numpy as np
-from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.patches import ConnectionPatch, Patch
+from matplotlib.patches import ConnectionPatch
 
-from surrofe2 import CachedLaw, CellParameters, LoadCase, RveLaw, read_surrogate, simulate
-from surrofe2.report.figures import Colours, draw_cells, draw_tissue
+DOCS = Path(__file__).parents[1]
+sys.path.insert(0, str(DOCS / "gallery"))
+
+import puncture
+
+from surrofe2.report.figures import draw_cells
 from surrofe2.run.charts import VERMILION, encoded
-from surrofe2.store.fields import DISPLACEMENT_NAME, StoredFields
 
-ROOT = Path(__file__).parents[2]
-SOURCES = {"surrogate": "#9ecae1", "RVE, outside the trusted range": VERMILION}
+
+def places_of_cells(rest):
+    """Centres, as deformed, of the elements whose cells are drawn: skin, then flesh."""
+    space = rest.system.discretisation
+    moved = space.nodes + rest.displacement.reshape(-1, 2)
+    at_rest = space.nodes[space.elements].mean(axis=1)
+    column = np.flatnonzero(np.isclose(at_rest[:, 0], at_rest[:, 0].min()))
+    highest_first = column[np.argsort(-at_rest[column, 1])]
+    return moved[space.elements[highest_first[:2]]].mean(axis=1)
 
 
 def main():
-    """Run the bar by the cache and draw the frame with the most elements by RVEs."""
-    law = RveLaw(CellParameters.preset("printed"))
-    cached = CachedLaw(read_surrogate(ROOT / "training" / "bending-bar.h5"), law)
-    bar = LoadCase(elements=(16, 16), body_force=(0.0, -0.45), duration=27.0)
-    run = simulate(bar, cached)
-    frames, by_rve = run.frames, run.frames.source != 0
-    k = int(by_rve.sum(axis=1).argmax())
-    fields = StoredFields(
-        run.nodes, run.elements, frames.t, {DISPLACEMENT_NAME: frames.displacement}
-    )
-    figure = Figure(figsize=(8.0, 4.6), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
-    draw_tissue(left, fields, k, by_rve[k] * 1.0, Colours("", 0.0, 1.0, "viridis"))
-    for each in left.collections:
-        each.set(cmap=ListedColormap([*SOURCES.values()]))
-    handles = [Patch(color=colour, label=name) for name, colour in SOURCES.items()]
-    left.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.02), frameon=False,
-                ncols=2, title="Where the stress comes from")  # fmt: skip
-
-    strain = np.abs(frames.F[k] - np.eye(2)).max(axis=(1, 2))
-    element = int(np.where(by_rve[k], strain, -1.0).argmax())
-    seen = law.particles(frames.F[k, element][None], frames.F_dot[k, element][None])
-    (walls, lines), (fluid, dots) = draw_cells(right, seen, 0, law.cell.tissue_thickness, half=26.0)
-    walls.bar(right, lines, "bottom")
-    fluid.bar(right, dots)
-    corners = (fields.points + fields.displacement[k])[run.elements[element]]
-    pointer = ConnectionPatch(
-        corners.mean(axis=0), (0.0, 0.6), coordsA="data", coordsB="axes fraction",
-        axesA=left, axesB=right, color=VERMILION, linewidth=1.0,
-    )  # fmt: skip
-    figure.add_artist(pointer)
-    (ROOT / "docs" / "readme.png").write_bytes(encoded(figure, "png"))
-    print(f"{frames.t[k]:.1f} µs, {by_rve[k].sum()} of {by_rve.shape[1]} elements by RVEs")
+    """Press the disc into the tissue at rest, and draw the whole specimen and its cells."""
+    laws = puncture.laws()
+    rest, ending = puncture.pressed(laws, puncture.half_mesh())
+    figure = Figure(figsize=(8.6, 4.4), layout="constrained")
+    rows = [["specimen", "skin"], ["specimen", "flesh"]]
+    places = figure.subplot_mosaic(rows, width_ratios=(1.35, 1.0))
+    puncture.draw_specimen(places["specimen"], rest)
+    cells = puncture.cells_below(rest, laws)
+    panels = [places["skin"], places["flesh"]]
+    centres = places_of_cells(rest)
+    for axes, seen, centre, name in zip(panels, cells, centres, laws, strict=True):
+        (_, lines), (_, areas) = draw_cells(axes, seen, 0, puncture.THICKNESS, half=230.0)
+        puncture.STRETCH.paint(lines, lines.get_array())
+        puncture.PRESSURE.paint(areas, areas.get_array())
+        axes.set_title(f"cells of the {name}", fontsize=9)
+        pointer = ConnectionPatch(
+            centre,
+            (0.0, 0.5),
+            coordsA="data",
+            coordsB="axes fraction",
+            axesA=places["specimen"],
+            axesB=axes,
+            color=VERMILION,
+            linewidth=1.0,
+        )
+        figure.add_artist(pointer)
+        places["specimen"].plot(*centre, "s", color=VERMILION, markersize=5.0, fillstyle="none")
+    puncture.STRETCH.bar(panels, lines)
+    puncture.PRESSURE.bar(panels, areas)
+    (DOCS / "readme.png").write_bytes(encoded(figure, "png"))
+    print(f"{rest.columns['t'][-1]:g} of the depth, ended by {ending}")
 
 
 if __name__ == "__main__":

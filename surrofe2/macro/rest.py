@@ -171,6 +171,15 @@ class Rest(RestState):
     cache: Mapping[str, Any] | None = None
     decisions: Sequence[Mapping[str, Any]] | None = None
 
+    def __repr__(self) -> str:
+        x, y = self.watched
+        end = "finished" if self.finished else "unfinished"
+        return (
+            f"<Rest: {len(self.system.problem.mesh.t.T)} elements, factor {self.factor:g} in "
+            f"{self.counts['load_steps']} load steps, {end}; the watched point moved by "
+            f"({x:.6g}, {y:.6g}) µm>"
+        )
+
     @property
     def forces(self) -> Array:
         """(k, 2) forces on the tissue at the end, of `System.force_names`, µN."""

@@ -83,6 +83,7 @@ def test_path_does_not_matter_for_an_elastic_bar():
     np.testing.assert_allclose(in_steps.path[:, 0], [0.0, 0.8, 1.6, 2.4, 3.2, 4.0], rtol=1e-12)
     np.testing.assert_array_equal(in_steps.path[-1, 1:], in_steps.watched)
     assert in_steps.counts["load_steps"] == 5
+    assert repr(in_steps).startswith("<Rest: 16 elements, factor 4 in 5 load steps, finished; ")
 
 
 def tapered(along, elements=(12, 6)):
