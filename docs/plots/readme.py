@@ -4,20 +4,19 @@
 docs/gallery/puncture.md.
 """
 
-import sys
 from pathlib import Path
+from runpy import run_path
+from types import SimpleNamespace
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import ConnectionPatch
 
-DOCS = Path(__file__).parents[1]
-sys.path.insert(0, str(DOCS / "gallery"))
-
-import puncture
-
 from surrofe2.report.figures import draw_cells
 from surrofe2.run.charts import VERMILION, encoded
+
+DOCS = Path(__file__).parents[1]
+puncture = SimpleNamespace(**run_path(str(DOCS / "gallery" / "puncture.py")))
 
 
 def places_of_cells(rest):
