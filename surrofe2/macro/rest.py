@@ -519,7 +519,11 @@ class Loading:
             following = min(step if failed else 2.0 * step, longest, key=abs)
             try:
                 return self.newton.rest_at(target, rest, following)
-            except NoStress as failure:
+            except (NoStress, InputError) as failure:
+                # A tolerance below the rounding is refused where the first step meets it. Later a
+                # shorter step may help, and the path up to here is kept.
+                if isinstance(failure, InputError) and len(rest.journal["rows"]) < 2:
+                    raise
                 self.newton.equations.tally.counts["halvings"] += 1
                 step = 0.5 * (target - rest.factor)
                 failed = True
@@ -527,7 +531,7 @@ class Loading:
                 if abs(step) < abs(longest) * 0.5**MAX_HALVINGS:
                     raise SimulationError(self._why_stopped(failure)) from failure
 
-    def _why_stopped(self, failure: NoStress) -> str:
+    def _why_stopped(self, failure: NoStress | InputError) -> str:
         """Say what ends the way: a limit load, a limit point, or how the last trial failed."""
         reason = str(failure).replace(STEP_ADVICE, ", in load steps however small")
         text = f"no load step succeeds after {MAX_HALVINGS} halvings: {reason}"
@@ -552,14 +556,14 @@ class Loading:
             f"beyond it there is no equilibrium nearby; {remedy}; {text}"
         )
 
-    def _who_failed(self, failure: NoStress) -> str:
+    def _who_failed(self, failure: NoStress | InputError) -> str:
         """Say whether plant cells have no equilibrium beyond here or a solver gave up, and what to
         do.
 
         The text begins with a semicolon, and is empty where neither is so.
         """
         place = f"load factor {self.rest.factor:.4g}"
-        if isinstance(failure, OutOfBalance):
+        if isinstance(failure, OutOfBalance | InputError):
             return (
                 f"; Newton's method for the tissue gave up beyond {place}, where the plant cells "
                 "of every point have a stress: a run in time may carry on"
