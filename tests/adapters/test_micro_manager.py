@@ -165,7 +165,7 @@ def read_written(folder, ranks):
     return {name: np.nansum([part[name] for part in parts], axis=0) for name in parts[0]}
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_a_coupled_loop_has_the_stress_of_rves_and_where_it_may_the_surrogate_s(
     ranks, recipe, law, adapter, tmp_path
 ):

@@ -82,7 +82,9 @@ class Local(Learnt):
         return stress, status, risk
 
 
-@pytest.mark.parametrize(("shear", "audit"), [(0.03, 0.2), (0.07, 0.05)])
+@pytest.mark.parametrize(
+    ("shear", "audit"), [(0.03, 0.2), pytest.param(0.07, 0.05, marks=pytest.mark.slow)]
+)
 def test_a_local_fault_that_an_audit_found_does_not_come_back(shear, audit):
     """By more audits than usually windows follow each other soon, and so did trust: where it came
     back below what the violations had asked for, 0.12 % of what stood was wrong, the displacement

@@ -204,7 +204,9 @@ def test_the_dashpot_takes_what_the_outermost_nodes_bring(impact):
     assert share < lost[-1] < 1.5 * share
 
 
-@pytest.mark.parametrize("integrator", ["explicit", "implicit"])
+@pytest.mark.parametrize(
+    "integrator", ["explicit", pytest.param("implicit", marks=pytest.mark.slow)]
+)
 def test_few_elements_and_the_default_tolerance_keep_energy_too(integrator):
     """The stiff contact is damped at the explicit steps' stability limit: the step sees that."""
     problem = Problem(
@@ -259,7 +261,10 @@ def test_a_block_below_coulombs_limit_does_not_creep():
 
 
 @pytest.mark.parametrize("integrator", ["explicit", "implicit"])
-@pytest.mark.parametrize(("friction", "slip_speed"), [(0.0, None), (0.3, 0.02), (0.3, None)])
+@pytest.mark.parametrize(
+    ("friction", "slip_speed"),
+    [(0.0, None), (0.3, None), pytest.param(0.3, 0.02, marks=pytest.mark.slow)],
+)
 def test_momentum_of_tissue_and_free_body_is_kept(friction, slip_speed, integrator, rng):
     """A plate thrown at tissue in free flight, obliquely: to 1e-10 of what it gives away. It slides
     without friction or with it, or sticks."""
