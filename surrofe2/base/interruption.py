@@ -85,6 +85,7 @@ def begin_work() -> None:
 
 def end_work() -> None:
     """Ignore these signals from now on; the command is over."""
+    _state.is_working = False
     signal.setitimer(signal.ITIMER_REAL, 0.0)
     for number in SIGNALS:
         if signal.getsignal(number) is _take:
@@ -162,7 +163,8 @@ def interruptible() -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        if not _state.number:
+        # After the work, as on a rank that rank 0 has ended, an error is itself.
+        if not (_state.number and _state.is_working):
             raise
         raise KeyboardInterrupt from error
 
