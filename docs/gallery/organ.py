@@ -23,9 +23,15 @@ from surrofe2 import (
     load_mesh,
     points_by_region,
 )
-from surrofe2.report.figures import Colours, DrawnBody, draw_tissue, drawn_bodies
+from surrofe2.report.figures import (
+    Colours,
+    DrawnBody,
+    draw_tissue,
+    drawn_bodies,
+    fields_at_rest,
+    means_of_elements,
+)
 from surrofe2.run.charts import PALETTE, encoded
-from surrofe2.store.fields import DISPLACEMENT_NAME, StoredFields
 
 RADIUS = 3.0  # mm, of the stem on average
 RIB = 0.03  # height of its ribs over the radius
@@ -118,17 +124,12 @@ def force_over_squeeze(rest):
 
 def pressures(rest):
     """Pressure −(σ₁ + σ₂)/2 of each element, MPa, of a layer of 10 µm."""
-    elements = rest.system.discretisation.elements
-    of_elements = rest.stress.reshape(len(elements), -1, 2, 2).mean(axis=1)
-    return -0.5 * np.trace(of_elements, axis1=1, axis2=2) / 10.0
+    return -0.5 * np.trace(means_of_elements(rest, rest.stress), axis1=1, axis2=2) / 10.0
 
 
 def draw_specimen(axes, rest, colours):
     """Draw the whole stem between its two plates, and the rim of its pith."""
-    space = rest.system.discretisation
-    u = rest.displacement.reshape(-1, 2)
-    moved = {DISPLACEMENT_NAME: np.stack([np.zeros_like(u), u])}
-    fields = StoredFields(space.nodes, space.elements, np.array([0.0, 1.0]), moved)
+    fields = fields_at_rest(rest)
     bodies = rest.system.problem.bodies
     (upper,) = drawn_bodies(bodies, rest.columns["t"], rest.columns, fields)
     mirror = np.array([1.0, -1.0])
@@ -137,8 +138,8 @@ def draw_specimen(axes, rest, colours):
     outline_below[:, 1] = np.maximum(outline_below[:, 1], outline_below[:, 1].max() - 450.0)
     lower = DrawnBody(outline_below, mirror * upper.moved)
     drawn = draw_tissue(axes, fields, 1, pressures(rest), colours, bodies=[upper, lower])
-    on_rim = np.isclose(np.hypot(*space.nodes.T), 1000.0 * PITH, rtol=1e-3)
-    rim = (space.nodes + u)[on_rim]
+    on_rim = np.isclose(np.hypot(*fields.points.T), 1000.0 * PITH, rtol=1e-3)
+    rim = (fields.points + fields.displacement[1])[on_rim]
     rim = rim[np.argsort(rim[:, 0])]
     for side in (mirror, -mirror, mirror**2, -(mirror**2)):
         axes.plot(*(side * rim).T, color="white", linewidth=1.5)

@@ -19,9 +19,8 @@ from surrofe2 import (
     living_cell,
     rectangle,
 )
-from surrofe2.report.figures import Colours, draw_tissue
+from surrofe2.report.figures import Colours, draw_tissue, fields_at_rest, means_of_elements
 from surrofe2.run.charts import BLUE, VERMILION, encoded
-from surrofe2.store.fields import DISPLACEMENT_NAME, StoredFields
 
 SIDE = 3000.0  # µm, of a square block: 20 plant cells
 STRAIN = 0.15
@@ -88,18 +87,12 @@ def stress_over_strain(rest, strain):
 
 def vertical_stress(rest):
     """Vertical Cauchy stress of each element, MPa."""
-    elements = rest.system.discretisation.elements
-    of_elements = rest.stress.reshape(len(elements), -1, 2, 2).mean(axis=1)
-    return of_elements[:, 1, 1] / THICKNESS
+    return means_of_elements(rest, rest.stress)[:, 1, 1] / THICKNESS
 
 
 def draw_specimen(axes, rest, colours):
     """Draw the block at rest, coloured by its vertical stress."""
-    space = rest.system.discretisation
-    u = rest.displacement.reshape(-1, 2)
-    moved = {DISPLACEMENT_NAME: np.stack([np.zeros_like(u), u])}
-    fields = StoredFields(space.nodes, space.elements, np.array([0.0, 1.0]), moved)
-    return draw_tissue(axes, fields, 1, vertical_stress(rest), colours)
+    return draw_tissue(axes, fields_at_rest(rest), 1, vertical_stress(rest), colours)
 
 
 if __name__ == "__main__":

@@ -25,10 +25,15 @@ from surrofe2 import (
     tabulate_surface,
     with_regions,
 )
-from surrofe2.report.figures import Colours, draw_tissue, drawn_nodes
+from surrofe2.report.figures import (
+    Colours,
+    draw_tissue,
+    drawn_nodes,
+    fields_at_rest,
+    means_of_elements,
+)
 from surrofe2.run.charts import PALETTE, encoded
 from surrofe2.run.journal import BEYOND
-from surrofe2.store.fields import DISPLACEMENT_NAME, StoredFields
 
 TURGORS = (0.05, 0.1, 0.2, 0.4)  # MPa
 LENGTH = 20000.0  # µm
@@ -110,11 +115,8 @@ def layered_beam(law_of, sides=None):
 
 def draw_petiole(axes, rest):
     """Draw the bent petiole with clamp and pull, by the stress along it."""
-    space = rest.system.discretisation
-    u = rest.displacement.reshape(-1, 2)
-    moved = {DISPLACEMENT_NAME: np.stack([np.zeros_like(u), u])}
-    fields = StoredFields(space.nodes, space.elements, np.array([0.0, 1.0]), moved)
-    stress = rest.stress.reshape(len(space.elements), -1, 2, 2).mean(axis=1)[:, 0, 0] / THICKNESS
+    fields = fields_at_rest(rest)
+    stress = means_of_elements(rest, rest.stress)[:, 0, 0] / THICKNESS
     colours = Colours.of("Stress along the petiole (MPa)", stress)
     nodes = drawn_nodes(rest.system.problem.conditions, fields)
     colours.bar(axes, draw_tissue(axes, fields, 1, stress, colours, nodes=nodes))

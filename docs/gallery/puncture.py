@@ -24,10 +24,16 @@ from surrofe2 import (
     points_by_region,
     with_regions,
 )
-from surrofe2.report.figures import Colours, draw_cells, draw_tissue, drawn_bodies
+from surrofe2.report.figures import (
+    Colours,
+    draw_cells,
+    draw_tissue,
+    drawn_bodies,
+    fields_at_rest,
+    means_of_elements,
+)
 from surrofe2.run.charts import BLUE, ORANGE, VERMILION, encoded
 from surrofe2.run.journal import BEYOND
-from surrofe2.store.fields import DISPLACEMENT_NAME, StoredFields
 
 RADIUS = 2000.0  # µm, of the disc
 DEPTH = 700.0  # µm
@@ -91,27 +97,19 @@ def force_over_depth(rest):
     return -columns["position disc y"], -2.0 * columns["force disc y"]
 
 
-def means(rest, values):
-    """Means over the points of each element, (elements, 2, 2)."""
-    return values.reshape(len(rest.system.discretisation.elements), -1, 2, 2).mean(axis=1)
-
-
 def draw_specimen(axes, rest):
     """Draw the whole specimen under the disc, by the stress along the disc's way."""
-    space = rest.system.discretisation
-    u = rest.displacement.reshape(-1, 2)
-    moved = {DISPLACEMENT_NAME: np.stack([np.zeros_like(u), u])}
-    fields = StoredFields(space.nodes, space.elements, np.array([0.0, rest.factor]), moved)
+    fields = fields_at_rest(rest)
     columns = rest.columns
     bodies = drawn_bodies(rest.system.problem.bodies, columns["t"], columns, fields)
-    pressure = -means(rest, rest.stress)[:, 1, 1] / THICKNESS
+    pressure = -means_of_elements(rest, rest.stress)[:, 1, 1] / THICKNESS
     colours = Colours.of("Vertical pressure (MPa)", pressure, "viridis")
     colours.bar(axes, draw_tissue(axes, fields, 1, pressure, colours, bodies=bodies), "bottom")
 
 
 def cells_below(rest, law_of):
     """Cells of the skin and of the flesh beside the line of symmetry, uppermost first."""
-    F = means(rest, rest.F)
+    F = means_of_elements(rest, rest.F)
     middle = rest.system.discretisation.nodes[rest.system.discretisation.elements].mean(axis=1)
     column = np.flatnonzero(np.isclose(middle[:, 0], middle[:, 0].min()))
     skin, flesh = column[np.argsort(-middle[column, 1])[:2]]

@@ -12,9 +12,14 @@ from matplotlib.figure import Figure
 from scipy.optimize import least_squares
 
 from surrofe2 import Circle, Fixed, Problem, RigidBody, RveLaw, Symmetry, find_rest, living_cell
-from surrofe2.report.figures import Colours, draw_tissue, drawn_bodies
+from surrofe2.report.figures import (
+    Colours,
+    draw_tissue,
+    drawn_bodies,
+    fields_at_rest,
+    means_of_elements,
+)
 from surrofe2.run.charts import BLUE, VERMILION, encoded
-from surrofe2.store.fields import DISPLACEMENT_NAME, StoredFields
 
 WALL_MODULUS = 300.0  # MPa, behind the measurement
 TURGOR = 0.4  # MPa, behind the measurement
@@ -82,14 +87,10 @@ def identified(data, start, forces):
 
 def draw_specimen(axes, rest):
     """Draw the tissue under the disc, coloured by its vertical stress in MPa."""
-    space = rest.system.discretisation
-    u = rest.displacement.reshape(-1, 2)
-    moved = {DISPLACEMENT_NAME: np.stack([np.zeros_like(u), u])}
-    fields = StoredFields(space.nodes, space.elements, np.array([0.0, 1.0]), moved)
+    fields = fields_at_rest(rest)
     bodies = rest.system.problem.bodies
     shown = drawn_bodies(bodies, rest.columns["t"], rest.columns, fields)
-    of_elements = rest.stress.reshape(len(space.elements), -1, 2, 2).mean(axis=1)
-    stress = of_elements[:, 1, 1] / 10.0  # MPa, of a layer of 10 µm
+    stress = means_of_elements(rest, rest.stress)[:, 1, 1] / 10.0  # MPa, of a layer of 10 µm
     colours = Colours.of("Vertical stress (MPa)", stress)
     colours.bar(axes, draw_tissue(axes, fields, 1, stress, colours, bodies=shown))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from matplotlib import colormaps
@@ -21,7 +21,10 @@ from surrofe2.problem.mesh import DIGITS, NodeAt
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape
 from surrofe2.run.charts import VERMILION, in_words
 from surrofe2.rve.particles import Particles
-from surrofe2.store.fields import StoredFields
+from surrofe2.store.fields import DISPLACEMENT_NAME, StoredFields
+
+if TYPE_CHECKING:
+    from surrofe2.macro import Rest
 
 # Room about a tissue with bodies, as a fraction of its size.
 MARGIN = 0.08
@@ -150,6 +153,28 @@ class DrawnNode:
     node: int
     components: str
     pull: Array
+
+
+def fields_at_rest(rest: Rest) -> StoredFields:
+    """Return the displacements of a tissue without load and at rest, for `draw_tissue`.
+
+    The times are the factors of the load.
+    """
+    space = rest.system.discretisation
+    u = rest.displacement.reshape(-1, 2)
+    displacement = np.stack([np.zeros_like(u), u])
+    factors = np.array([0.0, rest.factor])
+    return StoredFields(space.nodes, space.elements, factors, {DISPLACEMENT_NAME: displacement})
+
+
+def means_of_elements(rest: Rest, values: Array) -> Array:
+    """Return means over the points of each element, (e, 2, 2), in the unit of the values.
+
+    Args:
+        values: (n, 2, 2) tensors at all points of the law, such as `rest.stress` or `rest.F`.
+    """
+    elements = len(rest.system.discretisation.elements)
+    return values.reshape(elements, -1, 2, 2).mean(axis=1)
 
 
 def drawn_nodes(conditions: Iterable[Condition], fields: StoredFields) -> list[DrawnNode]:
