@@ -123,9 +123,9 @@ def cells_below(rest, law_of):
 if __name__ == "__main__":
     by_region = laws()
     mesh = half_mesh()
-    figure = Figure(figsize=(12.0, 5.0), layout="constrained")
+    figure = Figure(figsize=(12.0, 4.6), layout="constrained")
     rows = [["curve", "specimen", "skin"], ["curve", "specimen", "flesh"]]
-    places = figure.subplot_mosaic(rows, width_ratios=(1.0, 1.4, 1.1))
+    places = figure.subplot_mosaic(rows, width_ratios=(1.0, 1.6, 0.6))
     curve = places["curve"]
     flesh_alone = dict.fromkeys(by_region, by_region["flesh"])
     names = {"under a stiff skin": by_region, "flesh alone": flesh_alone}
@@ -136,7 +136,8 @@ if __name__ == "__main__":
         first = np.flatnonzero(rest.columns[BEYOND] > 0)[:1]
         print(f"  first buckling at {depth[first]} µm, points {rest.columns[BEYOND][-1]}")
         curve.plot(depth, force, color=colour, label=name)
-        curve.plot(depth[first], force[first], "o", color=VERMILION)
+        if first.size:
+            curve.plot(depth[first], force[first], "o", color=VERMILION, label="first buckling")
         if law_of is by_region:
             draw_specimen(places["specimen"], rest)
             seen = cells_below(rest, by_region)
@@ -148,9 +149,9 @@ if __name__ == "__main__":
         (_, lines), (_, areas) = draw_cells(axes, cells, 0, THICKNESS, half=230.0)
         STRETCH.paint(lines, lines.get_array())
         PRESSURE.paint(areas, areas.get_array())
-        axes.set_title(f"{name} below the disc", fontsize=9)
+        axes.set_title(f"cells of the {name}", fontsize=9)
         print(f"  {name}: walls stretched {cells.stretch.min():.3f} to {cells.stretch.max():.3f}")
         print(f"  pressure {cells.pressure.max() / THICKNESS:.3f} MPa")
-    STRETCH.bar(cells_at, lines, "left")
+    STRETCH.bar(cells_at, lines)
     PRESSURE.bar(cells_at, areas)
     Path(__file__).with_suffix(".png").write_bytes(encoded(figure, "png"))

@@ -35,7 +35,7 @@ def main():
     rest, ending = puncture.pressed(laws, puncture.half_mesh())
     figure = Figure(figsize=(8.6, 4.4), layout="constrained")
     rows = [["specimen", "skin"], ["specimen", "flesh"]]
-    places = figure.subplot_mosaic(rows, width_ratios=(1.35, 1.0))
+    places = figure.subplot_mosaic(rows, width_ratios=(1.35, 0.55))
     puncture.draw_specimen(places["specimen"], rest)
     cells = puncture.cells_below(rest, laws)
     panels = [places["skin"], places["flesh"]]
