@@ -20,6 +20,9 @@ except (ImportError, OSError):
 else:
     HAS_GMSH = True
 
+needs_gmsh = pytest.mark.skipif(
+    not HAS_GMSH, reason="gmsh, of the extra dev, is not installed or lacks libGLU"
+)
 FOLDER = ROOT / "docs" / "gallery"
 PAGES = sorted(FOLDER.glob("*.md"))
 
@@ -126,7 +129,7 @@ def test_cells_stiffen_in_tension_and_soften_in_compression(strain, sign):
     assert sign * (abs(cells) / abs(solid) - 1.0) > 0.1
 
 
-@pytest.mark.skipif(not HAS_GMSH, reason="gmsh, of the extra dev, is not installed or lacks libGLU")
+@needs_gmsh
 def test_a_wilted_pith_softens_a_stem():
     names = script("organ")
     mesh = names["stem_mesh"](1.0)
@@ -184,8 +187,8 @@ def test_a_stiff_skin_resists_a_disc_and_its_cells_are_squeezed():
         assert cells.pressure.min() > 4.0
 
 
+@needs_gmsh
 def test_a_fruit_stretches_walls_as_it_meets_the_plate():
-    pytest.importorskip("gmsh")
     names = script("dropped_fruit")
     mesh = names["fruit_mesh"](4.0)
     law_of = names["laws"](0.4)
@@ -199,8 +202,8 @@ def test_a_fruit_stretches_walls_as_it_meets_the_plate():
 
 
 @pytest.mark.slow
+@needs_gmsh
 def test_a_dropped_fruit_rebounds():
-    pytest.importorskip("gmsh")
     names = script("dropped_fruit")
     law_of = names["laws"](0.4)
     run = names["dropped"](law_of, names["fruit_mesh"](3.0), 1400.0, 40.0)
