@@ -69,8 +69,8 @@ class StressPath:
         along = np.einsum("nij,ij->n", self.first_piola[last], direction) / size
         strain = np.einsum("nij,ij->n", self.F[last] - np.eye(2), direction) / size
         wave = np.exp(-1j * omega * self.t[last])
-        # the ratio of the Fourier coefficients of stress and strain is the complex modulus G′ + i
-        # G″
+        # the Fourier coefficient of the stress over that of the strain is the complex modulus
+        # G′ + i G″
         ratio = (along @ wave) / (strain @ wave)
         return float(ratio.real), float(ratio.imag)
 

@@ -95,6 +95,7 @@ class Tangents:
 
         Within a step of length dt the rate follows F, F_dot = (F − F_old)/dt, so dP/dF is
         ∂P/∂F + (1/dt) ∂P/∂Ḟ: (n, 2, 2, 2, 2), µN/µm.
+
         Args:
             dt: length of the step, µs; infinite for a rest.
 
@@ -291,8 +292,8 @@ class StressLaw(Protocol):
         """Commit `response`, which was given at (F, F_dot), the end of an accepted step.
 
         Returns:
-            The response by which the next step begins; most laws return `response` itself. A law
-            may differ from it in these fields:
+            The response by which the next step begins; most laws return `response` itself. It may
+            differ from `response` in these fields:
 
             status: not 0 at a point whose answer the law rejects after all, because of a check that
                 is too expensive for every iteration (stability of an RVE). Then the law has

@@ -314,10 +314,10 @@ class EquationsOfMotion:
         return points
 
     def dissipation_rates(self, now: Evaluation) -> Array | None:
-        """Compute ∫ J (σ(F, Ḟ) − σ(F, 0)) : L dV of each element, (n_el,) pJ/µs; None without σ(F,
-        0).
+        """Compute ∫ J (σ(F, Ḟ) − σ(F, 0)) : L dV of each element, (n_el,) pJ/µs.
 
         Deviator and pressure count at their own points: it is the excess internal force times v.
+        None: a point has no σ(F, 0).
         """
         still = self._ask(now.F, np.zeros_like(now.F_dot))
         self.tally.counts["dissipation_points"] += len(now.F)

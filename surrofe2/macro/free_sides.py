@@ -63,8 +63,11 @@ class FreeSides:
 
 
 def free_sides(problem: Problem) -> FreeSides:
-    """Return the sides that the surface of a problem names. Raises `InputError` where a boundary or
-    a region is not there, no side is free, or a side beside an element of no law or of two.
+    """Return the sides that the surface of a problem names.
+
+    Raises:
+        InputError: a boundary or a region is not there, no side is free, or a side is beside an
+            element of no law or of two.
     """
     mesh = problem.mesh
     surface = problem.surface

@@ -125,7 +125,7 @@ class GeneralisedAlpha:
         self._inertia = (1.0 - self.weights.alpha_m) * self._mass
 
     def first_length(self, start: Evaluation, t_end: float) -> float:
-        """Return a length so short that the displacement gained is what the tolerance allows."""
+        """Return a length by the largest acceleration, see `_FIRST_FRACTION` and `_FIRST_GAIN`."""
         limit = _FIRST_FRACTION * t_end
         strongest = float(abs(start.acceleration).max())
         if strongest == 0.0:

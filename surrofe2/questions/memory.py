@@ -25,13 +25,14 @@ from surrofe2.rve.micro_integration import integrate_rve
 # A function that returns (F, Ḟ) at a time in µs.
 Path = Callable[[float], tuple[Array, Array]]
 
-# The paths. µs, the bar's second mode; amplitudes of F₁₁ and F₁₂ by which the second past departs;
-# Ḟ₁₂ in 1/µs where both meet.
+# Period of the bar's second mode, µs.
 PERIOD = 17.0
+# Amplitudes of F₁₁ and F₁₂ by which the second past departs.
 STRETCH = 0.02
 SHEAR = 0.03
+# Ḟ₁₂ where both pasts meet, 1/µs.
 RATE = 0.005
-# µs: how long the stresses are watched, and the step of the integration.
+# How long the stresses are watched, and the step of the integration, µs.
 AFTER = 10.0
 MICRO_STEP = 1e-3
 # Fraction of the largest stress that may depend on the past.

@@ -16,7 +16,7 @@ from surrofe2.base.settings import unknown
 from surrofe2.base.units import number
 
 Row = TypeVar("Row")
-NONE = "–"  # in the place of a value that is not there
+NONE = "–"  # instead of a value that is not there
 # A format of so many significant digits.
 _ROUNDED = re.compile(r"\.(\d)g")
 # Sizes from and up to which such a number is written without an exponent: 1470 and not 1.47e+03.

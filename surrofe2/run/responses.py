@@ -30,7 +30,8 @@ class Response:
     """A component of a force on the tissue over that of the displacement where it acts.
 
     Attributes:
-        name: of the support, load or body; axis: "x" or "y".
+        name: of the support, load or body.
+        axis: "x" or "y".
         displacement: (m,) of the body, or the mean of the boundary, µm.
         force: (m,) on the tissue, µN.
         section: unloaded length of the boundary, µm; None on a single node, which has no stress.

@@ -351,7 +351,8 @@ class Recorder:
         for their motion, M a − forces − loads.
 
         Args:
-            t: time, µs. factors: (loads,) amplitudes at that time.
+            t: time, µs.
+            factors: (loads,) amplitudes at that time.
         """
         dynamics = self._dynamics
         needed = -dynamics.f
@@ -617,7 +618,8 @@ def _step_sentence(
 
     Args:
         modulus: bulk modulus of the sap, MPa.
-        limit: longest stable step with it, µs. drained: those without it, of each type.
+        limit: longest stable step with it, µs.
+        drained: those without it, of each type.
     """
     return (
         f"tissue.micro_step: {settings.micro_step:.3g} µs; undrained sap (sap_bulk_modulus "
@@ -701,7 +703,8 @@ def _check_filled(section: str, area: float, count: int, filled: float, hint: st
     """Raise InputError unless the plant cells have nearly the area of the mesh.
 
     Args:
-        area: area of the mesh, µm². count, filled: number of the plant cells, and their area, µm².
+        area: area of the mesh, µm².
+        count, filled: number of the plant cells, and their area, µm².
         hint: what to do.
     """
     if abs(filled - area) > _MOST_OFF * area:

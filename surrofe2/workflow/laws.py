@@ -56,7 +56,7 @@ SURFACE_RANGE = (0.94, 1.04, 0.01)
 # Where it has one, the table reaches beyond it: by so much stretch, and to so many times the rate.
 _MARGIN = 0.01
 _FASTER = 1.5
-# Least rate of a range, 1/µs; that of a rest is 0.
+# Least rate by which a surface table is made, 1/µs, since the range of a rest may have 0.
 _LEAST_RATE = 1e-4
 
 

@@ -37,7 +37,8 @@ _AT_REST = 1e-6
 RELAXED = "relaxed"
 # Times in each smooth piece of an amplitude at which its rate is evaluated.
 _SAMPLES = 64
-# A factor that jumps by more than this, relative to its largest value, jumps.
+# A change of the factor from one piece of an amplitude to the next that is larger than this,
+# relative to its largest value, is a jump.
 _JUMP = 1e-9
 # Strain by which the modulus is computed, as a difference.
 _STRAIN = 1e-4
