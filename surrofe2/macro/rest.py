@@ -175,7 +175,7 @@ class Rest(RestState):
         x, y = self.watched
         end = "finished" if self.finished else "unfinished"
         return (
-            f"<Rest: {len(self.system.problem.mesh.t.T)} elements, factor {self.factor:g} in "
+            f"<Rest: {self.system.problem.mesh.nelements} elements, factor {self.factor:g} in "
             f"{self.counts['load_steps']} load steps, {end}; the watched point moved by "
             f"({x:.6g}, {y:.6g}) µm>"
         )
