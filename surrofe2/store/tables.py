@@ -112,5 +112,5 @@ def read_surface(path: str | Path) -> TabulatedSurface:
 
 # Reject a table of another RVE; arguments: path, table, cell and initialisation.
 check_table = partial(check_same_rve, "a table", "start an empty one or use one of {}")
+# Reject the table of another surface law, for which the outer wall counts; arguments as above.
 check_surface = partial(check_same_rve, "a surface table", "tabulate the surface of {}", wall=True)
-"""Reject the table of another surface law, for which the outer wall counts; arguments as above."""
