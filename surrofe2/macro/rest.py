@@ -80,10 +80,11 @@ _LEAST_FRACTION = 1.0 / 64.0
 _DECREASE = 1e-4
 # A residual this small that no correction reduces is as small as rounding or the law allows.
 _STALLED = 1e-6
-# Without a load, forces are compared with one that moves the stiffest unknown by so many absolute
-# tolerances. By the Newton tolerance, 1e-8, the stiffest then rests to 1e-6 of the absolute one and
-# the softest, some 1e4 times as soft, to a hundredth. A smaller force would be below the rounding
-# of an RVE's stress, which is a difference of turgor and walls.
+# Without a load there is no force that a residual could be compared with. The scale is then the
+# force that moves the stiffest unknown by so many absolute tolerances. At a Newton tolerance of
+# 1e-8 the stiffest unknown is off by at most 1e-6 absolute tolerances, and the softest one, which
+# may be 1e4 times as soft, by 1e-2. A smaller scale asks for more than an RVE's stress can give,
+# since that is a difference of the pressure of the fluid and the tension of walls.
 _UNLOADED = 100.0
 # A rigid motion with less stiffness than this, relative to the largest, is not held.
 _FREE = 1e-12
@@ -370,6 +371,10 @@ def _spent(tally: Tally) -> dict[str, Any]:
     }
 
 
+class ToleranceError(InputError):
+    """Newton's method ends above its tolerance, where only rounding of the law's stress is left."""
+
+
 @dataclass(slots=True)
 class Loading:
     """The way from no load to a factor of it.
@@ -519,10 +524,11 @@ class Loading:
             following = min(step if failed else 2.0 * step, longest, key=abs)
             try:
                 return self.newton.rest_at(target, rest, following)
-            except (NoStress, InputError) as failure:
-                # A tolerance below the rounding is refused where the first step meets it. Later a
-                # shorter step may help, and the path up to here is kept.
-                if isinstance(failure, InputError) and len(rest.journal["rows"]) < 2:
+            except (NoStress, ToleranceError) as failure:
+                # It is refused where the first step meets it. Later a shorter step may help, and
+                # the path up to here is kept.
+                is_first = len(rest.journal["rows"]) < 2
+                if isinstance(failure, ToleranceError) and is_first:
                     raise
                 self.newton.equations.tally.counts["halvings"] += 1
                 step = 0.5 * (target - rest.factor)
@@ -531,7 +537,7 @@ class Loading:
                 if abs(step) < abs(longest) * 0.5**MAX_HALVINGS:
                     raise SimulationError(self._why_stopped(failure)) from failure
 
-    def _why_stopped(self, failure: NoStress | InputError) -> str:
+    def _why_stopped(self, failure: NoStress | ToleranceError) -> str:
         """Say what ends the way: a limit load, a limit point, or how the last trial failed."""
         reason = str(failure).replace(STEP_ADVICE, ", in load steps however small")
         text = f"no load step succeeds after {MAX_HALVINGS} halvings: {reason}"
@@ -556,14 +562,14 @@ class Loading:
             f"beyond it there is no equilibrium nearby; {remedy}; {text}"
         )
 
-    def _who_failed(self, failure: NoStress | InputError) -> str:
+    def _who_failed(self, failure: NoStress | ToleranceError) -> str:
         """Say whether plant cells have no equilibrium beyond here or a solver gave up, and what to
         do.
 
         The text begins with a semicolon, and is empty where neither is so.
         """
         place = f"load factor {self.rest.factor:.4g}"
-        if isinstance(failure, OutOfBalance | InputError):
+        if isinstance(failure, OutOfBalance | ToleranceError):
             return (
                 f"; Newton's method for the tissue gave up beyond {place}, where the plant cells "
                 "of every point have a stress: a run in time may carry on"
@@ -880,8 +886,8 @@ class Newton:
     def relative_residual(self, now: Evaluation, K: Matrix) -> float:
         """Return the largest residual relative to the largest force.
 
-        The forces are the internal one, the others, the others at factor 1, and a force that hardly
-        moves anything, see `_UNLOADED`, without which an unloaded tissue had no scale.
+        The forces are the internal one, the others now and at factor 1, and that of `_UNLOADED`,
+        which counts where there is no load.
         """
         full = [force.at(1.0, now.within, now.u, now.v) for force in self.equations.system.forces]
         forces = (now.internal, now.forces, *full)
@@ -947,17 +953,16 @@ class Newton:
         return solve(residual)
 
     def _stopped(self, now: Evaluation, K: Matrix, reason: str) -> NoStress:
-        """Return the failure of Newton's method; refuse a tolerance that rounding keeps out of
-        reach.
+        """Return the failure of Newton's method, or refuse its tolerance.
 
         Raises:
-            InputError: the residual is as small as it can be, and above the tolerance.
+            ToleranceError: the residual is as small as it can be, and above the tolerance.
         """
         tolerance = self.settings.newton_tolerance
         smallest = self.relative_residual(now, K)
         if smallest > _STALLED:
             return self.equations.out_of_balance(now, now.residual, reason)
-        raise InputError(
+        raise ToleranceError(
             f"macro.newton_tolerance: {tolerance:.3g}; at {self.equations.clock.format(now.t)} the "
             f"residual stays at {smallest:.1e} of the largest force, the rounding of the stress "
             f"law's answers; ask for at least {10.0 * smallest:.0e}"
