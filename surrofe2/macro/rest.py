@@ -525,7 +525,7 @@ class Loading:
             try:
                 return self.newton.rest_at(target, rest, following)
             except (NoStress, ToleranceError) as failure:
-                # It is refused where the first step meets it. Later a shorter step may help, and
+                # The tolerance is refused in the first step. Later a shorter step may help, and
                 # the path up to here is kept.
                 is_first = len(rest.journal["rows"]) < 2
                 if isinstance(failure, ToleranceError) and is_first:
