@@ -107,8 +107,8 @@ def _own(dispatcher: Any) -> Any:
     compile_or_load = dispatcher.compile
 
     def own(signature: Any) -> Any:
-        # of a constant, numba would make a kernel for each of its values
         """Compile a signature, or load it, with its code to itself."""
+        # of a constant, numba would make a kernel for each of its values
         signature = tuple(numba.types.unliteral(kind) for kind in signature)
         with global_compiler_lock, waiting(), own_code(dispatcher.targetctx.codegen()):
             return compile_or_load(signature)

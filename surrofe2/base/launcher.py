@@ -10,10 +10,10 @@ from contextlib import suppress
 
 # Environment variable by which every process that a launcher starts works for itself.
 ALONE = "SURROFE2_ALONE"
-# s that a launcher takes to pass on the last lines of a rank. It ends ranks as soon as it has
+# Seconds that a launcher takes to pass on the last lines of a rank. It ends ranks as soon as it has
 # reason to, and what it has not read of their pipes by then is lost.
 HEARD = 0.3
-# s that a launcher takes to end its processes, and ranks to come to the same line of a command, at
+# Seconds that a launcher takes to end its processes, and ranks to come to the same line of a command, at
 # most.
 ENOUGH = 2.0
 _SIZES = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE")

@@ -74,8 +74,8 @@ _FLAGS = tuple(sorted(FAST - {"reassoc"}))
 _Indices: Any = types.StarArgTuple  # type: ignore[attr-defined]
 _DOUBLES = ir.VectorType(ir.DoubleType(), TILE)
 _SINGLES = ir.VectorType(ir.FloatType(), TILE)
+# Bytes by which loads and stores may rely on arrays to be aligned: those of any float.
 _ALIGNMENT = 4
-"""Bytes by which loads and stores may rely on arrays to be aligned: those of any float."""
 
 
 class LanesType(types.Type):

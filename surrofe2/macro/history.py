@@ -256,7 +256,6 @@ def _in_elements(space: Discretisation, flags: Flags | None) -> Array:
 KeepFrame = Callable[[Frames, int, int], None]
 
 # What a run counts, by the names of `MacroRun.counts`.
-
 COUNTS = (
     "steps",
     "rejected_steps",

@@ -57,7 +57,8 @@ def living_cell(preset: str, **changes: Any) -> CellParameters:
 
         >>> import numpy as np
         >>> from surrofe2 import RveLaw, living_cell
-        >>> rest, no_rate = np.eye(2)[None], np.zeros((1, 2, 2))
+        >>> rest = np.eye(2)[None]
+        >>> no_rate = np.zeros((1, 2, 2))
         >>> for turgor in (0.4, 0.1):
         ...     cell = living_cell("apple", turgor=turgor)
         ...     answer = RveLaw(cell).respond(rest, no_rate, tangents=True)

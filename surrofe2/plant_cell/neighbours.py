@@ -110,7 +110,8 @@ class Near:
         listed: (k,) which of all contacts are listed.
         F: (tiles, 2, 2, TILE) deformation at which they were listed.
         z: (tiles, 2, own, TILE) material positions at which they were listed, x = F z, µm.
-        reach: µm. cutoff: distance beyond which a contact exerts no force, µm.
+        reach: µm.
+        cutoff: distance beyond which a contact exerts no force, µm.
     """
 
     topology: Topology

@@ -367,7 +367,8 @@ def _arrange(
         lines: walls as smooth lines, pixels.
         loops: each region with a closed way around it.
         shape: (rows, columns) of the image.
-        pixel: side of a pixel, µm. length: length of a spring, µm.
+        pixel: side of a pixel, µm.
+        length: length of a spring, µm.
     """
     # particles: corners first, then those along walls; pixels
     places: list[Array] = []
@@ -436,7 +437,8 @@ def _rim_of(
 
     Args:
         chains: particles along each wall.
-        position: (n, 2) of the particles, µm. length: length of a spring, µm.
+        position: (n, 2) of the particles, µm.
+        length: length of a spring, µm.
 
     Raises:
         InputError: a plant cell is too narrow for the springs.

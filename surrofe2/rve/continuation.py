@@ -103,7 +103,8 @@ class Continuation:
         z: (m, 2, n) equilibria where the points are now, µm.
         done: (m,) the part of the path behind them, from 0 to 1.
         step: (m,) the next step, as a part of the path; shortest, longest: its bounds.
-        effort: (m,) Newton iterations so far. solves: (m,) calls of Newton's method so far.
+        effort: (m,) Newton iterations so far.
+        solves: (m,) calls of Newton's method so far.
         left: (m,) whether a point left its branch.
         unstable: (m,) whether the branch of a point ended at an unstable equilibrium.
         predicts: whether steps begin where the slope of the branch leads, and are checked by it.

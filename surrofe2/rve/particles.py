@@ -282,7 +282,8 @@ def _push_on_walls(topology: Topology, pairs: _Pairs, pushes: Array, fluid_cell:
     A plant cell and its image, which lie on both sides of a wall, count as two.
 
     Args:
-        pairs: contacts. pushes: (n, k, 2) forces on their first particles, µN.
+        pairs: contacts.
+        pushes: (n, k, 2) forces on their first particles, µN.
         fluid_cell: (f,) plant cell of each fluid particle.
     """
     i_is_wall = pairs.i < topology.walls

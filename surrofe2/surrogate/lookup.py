@@ -170,7 +170,8 @@ class Units(NamedTuple):
     """Room for what the units of all layers give, used again for the next block.
 
     Attributes:
-        values: (units, TILES, TILE). flat: the same in one row.
+        values: (units, TILES, TILE).
+        flat: the same in one row.
         slopes: (K, units, TILES, TILE) by each of the first K inputs; K = 0: of none.
         zeros: as many as a layer has units.
     """

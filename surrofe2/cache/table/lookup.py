@@ -57,7 +57,7 @@ _NOT_FINITE = int(Status.NOT_FINITE)
 _NOT_TRUSTED = int(Status.NOT_TRUSTED)
 _AT_ONCE = 16 * TILE  # points that a core answers at once
 # A bound below this fraction of the tolerance is as good as none: the weight stays finite.
-_NEAREST = 1e-9
+NEAREST = 1e-9
 # Screened bounds may be larger than the tolerance by so much, because of their rounding.
 _SLACK = 1.0 + 1e-6
 
@@ -171,8 +171,8 @@ def _add_model(k, flips, limit, size, records, room):  # type: ignore[no-untyped
     bound = where_less(bound, 0.0, 0.0, bound)  # rounding may make it negative
     least = load(room, _LEAST)
     store(where_less(bound, least, bound, least), room, _LEAST)
-    nearest = _NEAREST * size
-    root_of_weight = (limit - bound) / where_less(bound, nearest, nearest, bound) + _NEAREST
+    nearest = NEAREST * size
+    root_of_weight = (limit - bound) / where_less(bound, nearest, nearest, bound) + NEAREST
     weight = where_less(limit, bound, 0.0, root_of_weight * root_of_weight)
     store(load(room, _TOTAL) + weight, room, _TOTAL)
     store(load(room, _RADIUS) + weight * root(bound * size), room, _RADIUS)

@@ -27,10 +27,10 @@ from surrofe2.base.tensors import (
     to_inputs,
     transpose,
 )
+from surrofe2.cache.table.lookup import NEAREST
 from surrofe2.cache.table.records import OUTPUTS, Records
 from surrofe2.law.stress_law import Tangents
 
-_NEAREST = 1e-9  # fraction of the tolerance, as in `lookup`
 _AT_ONCE = 64  # points that a core answers at once
 _TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # T, the rotation by a right angle
 
@@ -88,9 +88,9 @@ def _slopes_at(x, limit, size, images, records, components, slopes):  # type: ig
                 bound += pull[i] * away[i]
             if not bound < limit:
                 continue
-            nearest = _NEAREST * size
+            nearest = NEAREST * size
             floor = max(bound, nearest)
-            root = (limit - bound) / floor + _NEAREST
+            root = (limit - bound) / floor + NEAREST
             weight = root * root
             # d√w/db = −L/b², and where the bound is as good as none the record answers alone.
             fall = -2.0 * root * limit / (floor * floor) if bound > nearest else 0.0
