@@ -13,8 +13,8 @@ ALONE = "SURROFE2_ALONE"
 # Seconds that a launcher takes to pass on the last lines of a rank. It ends ranks as soon as it has
 # reason to, and what it has not read of their pipes by then is lost.
 HEARD = 0.3
-# Seconds that a launcher takes to end its processes, and ranks to come to the same line of a command, at
-# most.
+# Seconds, at most, that a launcher takes to end its processes, and ranks to come to the same line
+# of a command.
 ENOUGH = 2.0
 _SIZES = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE")
 _RANKS = ("PMI_RANK", "OMPI_COMM_WORLD_RANK", "MV2_COMM_WORLD_RANK", "PMIX_RANK")
