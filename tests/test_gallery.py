@@ -9,7 +9,6 @@ import skfem
 
 from surrofe2 import CellParameters, RveLaw, living_cell
 from surrofe2.recipe.recipe import load_recipe
-from surrofe2.report.figures import means_of_elements
 from surrofe2.workflow.scale import all_particles
 from surrofe2.workflow.tissue import tissue_of
 from tests.conftest import ROOT
@@ -184,7 +183,7 @@ def test_a_stiff_skin_resists_a_disc_and_its_cells_are_squeezed():
     assert depth[-1] == pytest.approx(200.0)
     assert force[-1] > names["force_over_depth"](soft)[1][-1] > 0.0
     # below the disc sap is squeezed beyond the turgor of 0.4 MPa
-    squeezed = means_of_elements(rest, rest.F)[:, 1, 1]
+    squeezed = rest.element_F[:, 1, 1]
     for name, cells in zip(law_of, names["cells_below"](rest, law_of), strict=True):
         assert cells.pressure.min() > 4.0
         # of all elements of the tissue those at the disc are squeezed most

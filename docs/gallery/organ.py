@@ -29,7 +29,6 @@ from surrofe2.report.figures import (
     draw_tissue,
     drawn_bodies,
     fields_at_rest,
-    means_of_elements,
 )
 from surrofe2.run.charts import PALETTE, encoded
 
@@ -124,7 +123,7 @@ def force_over_squeeze(rest):
 
 def pressures(rest):
     """Pressure −(σ₁ + σ₂)/2 of each element, MPa, of a layer of 10 µm."""
-    return -0.5 * np.trace(means_of_elements(rest, rest.stress), axis1=1, axis2=2) / 10.0
+    return -0.5 * np.trace(rest.element_stress, axis1=1, axis2=2) / 10.0
 
 
 def draw_specimen(axes, rest, colours):

@@ -19,7 +19,7 @@ from surrofe2 import (
     living_cell,
     rectangle,
 )
-from surrofe2.report.figures import Colours, draw_tissue, fields_at_rest, means_of_elements
+from surrofe2.report.figures import Colours, draw_tissue, fields_at_rest
 from surrofe2.run.charts import BLUE, VERMILION, encoded
 
 SIDE = 3000.0  # µm, of a square block: 20 plant cells
@@ -87,7 +87,7 @@ def stress_over_strain(rest, strain):
 
 def vertical_stress(rest):
     """Vertical Cauchy stress of each element, MPa."""
-    return means_of_elements(rest, rest.stress)[:, 1, 1] / THICKNESS
+    return rest.element_stress[:, 1, 1] / THICKNESS
 
 
 def draw_specimen(axes, rest, colours):

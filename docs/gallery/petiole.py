@@ -30,7 +30,6 @@ from surrofe2.report.figures import (
     draw_tissue,
     drawn_nodes,
     fields_at_rest,
-    means_of_elements,
 )
 from surrofe2.run.charts import PALETTE, encoded
 from surrofe2.run.journal import BEYOND
@@ -116,7 +115,7 @@ def layered_beam(law_of, sides=None):
 def draw_petiole(axes, rest):
     """Draw the bent petiole with clamp and pull, by the stress along it."""
     fields = fields_at_rest(rest)
-    stress = means_of_elements(rest, rest.stress)[:, 0, 0] / THICKNESS
+    stress = rest.element_stress[:, 0, 0] / THICKNESS
     colours = Colours.of("Stress along the petiole (MPa)", stress)
     nodes = drawn_nodes(rest.system.problem.conditions, fields)
     colours.bar(axes, draw_tissue(axes, fields, 1, stress, colours, nodes=nodes))

@@ -30,7 +30,6 @@ from surrofe2.report.figures import (
     draw_tissue,
     drawn_bodies,
     fields_at_rest,
-    means_of_elements,
 )
 from surrofe2.run.charts import BLUE, ORANGE, VERMILION, encoded
 from surrofe2.run.journal import BEYOND
@@ -102,14 +101,14 @@ def draw_specimen(axes, rest):
     fields = fields_at_rest(rest)
     columns = rest.columns
     bodies = drawn_bodies(rest.system.problem.bodies, columns["t"], columns, fields)
-    pressure = -means_of_elements(rest, rest.stress)[:, 1, 1] / THICKNESS
+    pressure = -rest.element_stress[:, 1, 1] / THICKNESS
     colours = Colours.of("Vertical pressure (MPa)", pressure, "viridis")
     colours.bar(axes, draw_tissue(axes, fields, 1, pressure, colours, bodies=bodies), "bottom")
 
 
 def cells_below(rest, law_of):
     """Cells of the skin and of the flesh beside the line of symmetry, uppermost first."""
-    F = means_of_elements(rest, rest.F)
+    F = rest.element_F
     middle = rest.system.discretisation.nodes[rest.system.discretisation.elements].mean(axis=1)
     column = np.flatnonzero(np.isclose(middle[:, 0], middle[:, 0].min()))
     skin, flesh = column[np.argsort(-middle[column, 1])[:2]]

@@ -17,7 +17,6 @@ from surrofe2.report.figures import (
     draw_tissue,
     drawn_bodies,
     fields_at_rest,
-    means_of_elements,
 )
 from surrofe2.run.charts import BLUE, VERMILION, encoded
 
@@ -90,7 +89,7 @@ def draw_specimen(axes, rest):
     fields = fields_at_rest(rest)
     bodies = rest.system.problem.bodies
     shown = drawn_bodies(bodies, rest.columns["t"], rest.columns, fields)
-    stress = means_of_elements(rest, rest.stress)[:, 1, 1] / 10.0  # MPa, of a layer of 10 µm
+    stress = rest.element_stress[:, 1, 1] / 10.0  # MPa, of a layer of 10 µm
     colours = Colours.of("Vertical stress (MPa)", stress)
     colours.bar(axes, draw_tissue(axes, fields, 1, stress, colours, bodies=shown))
 

@@ -24,7 +24,12 @@ from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.law.bifurcation import beyond_bifurcation
 from surrofe2.law.stress_law import Status, StressLaw, require_tangents
 from surrofe2.macro.audits import RunAudits
-from surrofe2.macro.elements import Matrix, displacement_basis
+from surrofe2.macro.elements import (
+    Matrix,
+    displacement_basis,
+    element_mean_F,
+    element_mean_stress,
+)
 from surrofe2.macro.equations_of_motion import (
     EquationsOfMotion,
     Evaluation,
@@ -202,6 +207,16 @@ class Rest(RestState):
     def displacement(self) -> Array:
         """(2 n_nodes,) displacement as a nodal vector of `basis`, µm."""
         return self.u[: len(self.system.discretisation.nodes)].ravel()
+
+    @property
+    def element_stress(self) -> Array:
+        """(n_el, 2, 2) mean Cauchy stress of each element, µN/µm; see `element_mean_stress`."""
+        return element_mean_stress(self.system.discretisation, self.F, self.stress)
+
+    @property
+    def element_F(self) -> Array:
+        """(n_el, 2, 2) mean deformation gradient of each element; see `element_mean_F`."""
+        return element_mean_F(self.system.discretisation, self.F)
 
     @property
     def path(self) -> Array:

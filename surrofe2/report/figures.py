@@ -167,16 +167,6 @@ def fields_at_rest(rest: Rest) -> StoredFields:
     return StoredFields(space.nodes, space.elements, factors, {DISPLACEMENT_NAME: displacement})
 
 
-def means_of_elements(rest: Rest, values: Array) -> Array:
-    """Return means over the points of each element, (e, 2, 2), in the unit of the values.
-
-    Args:
-        values: (n, 2, 2) tensors at all points of the law, such as `rest.stress` or `rest.F`.
-    """
-    elements = len(rest.system.discretisation.elements)
-    return values.reshape(elements, -1, 2, 2).mean(axis=1)
-
-
 def drawn_nodes(conditions: Iterable[Condition], fields: StoredFields) -> list[DrawnNode]:
     """Return the nodes of a tissue on which conditions act alone."""
     drawn = []
