@@ -95,13 +95,19 @@ def write_bytes(path: Path, content: bytes | memoryview) -> None:
         disk.make_folder(path.parent)
         for abandoned in leftovers(path):
             disk.remove(abandoned)
-        with disk.create(partial) as file:
-            try:
+        is_created = False
+        try:
+            # an interruption in here would leave a file of which nobody knows
+            with held():
+                file = disk.create(partial)
+                is_created = True
+            with file:
                 disk.write(file, content)
                 disk.sync(partial)
                 disk.move(partial, path)
                 disk.sync(path.parent)
-            finally:
+        finally:
+            if is_created:
                 disk.remove(partial)
 
 

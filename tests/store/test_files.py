@@ -2,10 +2,13 @@ import errno
 import fcntl
 import json
 import os
+import signal
 import stat
+from contextlib import suppress
 
 import pytest
 
+from surrofe2.base import interruption
 from surrofe2.base.errors import FileError
 from surrofe2.store import disk, samples, store
 from surrofe2.store.samples import read_data_set, writing_data_set
@@ -79,6 +82,21 @@ def test_a_file_that_cannot_be_synchronised_is_not_written(tmp_path, monkeypatch
     with pytest.raises(FileError, match=os.strerror(number)):
         write_text(tmp_path / "a.txt", "text")
     assert not [*tmp_path.iterdir()]
+
+
+def test_an_interruption_leaves_no_partial_file_as_it_is_created(tmp_path, monkeypatch):
+    """As a signal does that comes when the file is there and nothing has been written yet."""
+    create = disk.create
+
+    def interrupted(partial):
+        file = create(partial)
+        interruption._raise_again(signal.SIGINT, None)
+        return file
+
+    monkeypatch.setattr(disk, "create", interrupted)
+    with suppress(KeyboardInterrupt):
+        write_text(tmp_path / "a.txt", "new")
+    assert not [*tmp_path.glob(".*.partial")]
 
 
 def test_nothing_is_written_through_a_link_or_into_a_file_that_is_there(tmp_path, monkeypatch):
