@@ -72,6 +72,7 @@ def _iterate_tile(drive, x, v, mass, topology, constants, stepping, answer):
     copy_particles(x, workspace.x)
     copy_particles(v, workspace.v)
     done = np.zeros(TILE, dtype=np.bool_)
+    # one evaluation more than steps
     for count in range(stepping.limit + 1):
         set_moving_images(F, rate, workspace.x, workspace.v, topology)
         measure(workspace, F, topology, constants, sigma, mean)
@@ -134,6 +135,7 @@ def _euler_step(workspace, mass, P, particles, dt):
     x = workspace.x
     v = workspace.v
     f = workspace.f
+    # read before the loop, which overwrites the corner first
     corner_x = load(x, 0, 0) + dt * load(v, 0, 0)
     corner_y = load(x, 1, 0) + dt * load(v, 1, 0)
     corner_dt_per_mass = dt / mass[0]

@@ -53,11 +53,11 @@ LONGEST = 0.05
 SHORTEST = 0.004
 """Step that is not halved any further, in the same measure."""
 SHORTEST_UNIFORM = 2e-5
-"""The same with a uniform fluid, whose walls may bow, and stay stable, within a short part of the
-path once they are slack."""
+"""The same length with a uniform fluid. Its walls may bow, and stay stable, within a short part of
+the path once they are slack."""
 BEND = 0.02
-"""With a uniform fluid: distance of a particle from where the slopes at both ends of a step lead,
-µm times `Constants.scale`, within which the two lie on one branch."""
+"""Largest distance of a particle from where the slopes at both ends of a step lead, (A52), µm times
+`Constants.scale`: both ends then lie on one branch. It is looked at with a uniform fluid alone."""
 JUMP = 1.0
 """Material displacement of a particle beyond which a step has left the branch, µm times
 `Constants.scale`. KICK, DOWN and ROAM are multiplied by it, too."""
@@ -67,7 +67,8 @@ OF_STEP_DOWN = 10
 """Newton iterations that a step down to a minimum counts as, for it takes about as long."""
 
 RESTING = 1e-4
-"""Mean particle force below which the rest of a descent is left to Newton's method, µN."""
+"""Mean particle force below which the rest of a descent is left to Newton's method, µN: `seek` goes
+on from there to the tolerance of the law."""
 KICK = 0.2
 """Longest displacement of a particle out of a saddle, µm."""
 ALIKE = 1e-3
@@ -86,7 +87,7 @@ STEPS = 100
 HALVINGS = 30
 """Halvings of one step after which it counts as not falling."""
 ROAM = 2.0
-"""How far particles may move, µm, before their contacts are listed again."""
+"""Way that particles may go, µm, before their contacts are listed again: five steps of DOWN."""
 _NOT_ZERO = 1e-300
 """Least length by which is divided."""
 
@@ -115,6 +116,7 @@ class Continuation:
         self.unit = unit
         self.tolerance = tolerance
         turned = rotation(end)
+        # a turned equilibrium is one, too, with the same z (A16); only the stretch takes steps
         self.start = turned @ transpose(rotation(start)) @ start
         self.end = end
         self.z = z.copy()
@@ -125,6 +127,7 @@ class Continuation:
         if unit.cell.symmetry == "D6":  # a hexagon's own turns change entries, but no stretches
             length = np.linalg.norm(change, ord=2, axis=(1, 2))
         shortest = SHORTEST_UNIFORM if unit.topology.pressures else SHORTEST
+        # as parts of the path; the largest is 1, the whole of a short one
         self.longest = LONGEST / np.maximum(length, LONGEST)
         self.shortest = shortest / np.maximum(length, shortest)
         # half of the path at most, so that every path is checked on its way
@@ -216,6 +219,7 @@ class Continuation:
         every = np.arange(count)
         self.step[active] = step[every, taken]
         self.effort[active] = effort[every, taken]
+        # the tries of a point are rows next to one another
         row = tries * every + taken
         return F[every, taken], trial.take(row), slope[row], succeeds[every, taken]
 
@@ -227,6 +231,7 @@ class Continuation:
             # slopes that are not finite are those of no equilibrium
             by_F = np.nan_to_num(elastic_slopes(self.unit, F, z))
             along_path = (by_F * change).sum(axis=2).reshape(len(z), -1, 2)
+            # particle 0 is held, and has no slope
             slope[:, :, 1:] = along_path.transpose(0, 2, 1)
         return slope
 
@@ -259,6 +264,7 @@ def seek(unit: UnitCell, F: Array, z: Array, tolerance: float) -> Equilibria:
 
     `iterations` of the result counts evaluations of forces even where none was found.
     """
+    # two particles may go ASTRAY in opposite directions; F takes that to positions x
     skin = 2.0 * unit.constants.scale * ASTRAY * np.linalg.norm(F, axis=(1, 2)).max()
     topology = unit.neighbours.near(pack(F), pack(z), skin).topology
     equilibria = relax(topology, unit.constants, z, F, tolerance, task=SEEK)
@@ -271,6 +277,7 @@ def elastic_slopes(unit: UnitCell, F: Array, z: Array) -> Array:
     """Return ∂z/∂F_xx, xy, yx, yy, (m, 2n − 2, 4), of elastic equilibria z (m, 2, n) at F."""
     tensors = pack(F)
     tiles = pack(z)
+    # nothing moves here, so that contacts that act are enough
     topology = unit.neighbours.near(tensors, tiles, 0.0).topology
     drive = Drive(tensors, np.zeros_like(tensors))
     factors = Factors.empty(drive, tiles, topology)
@@ -377,6 +384,7 @@ def _go_down_tile(F, z, step, topology, constants, descent):
     for i in range(1, topology.particles):
         store(load(workspace.f, 0, i), descent.forces, row_x(i))
         store(load(workspace.f, 1, i), descent.forces, row_x(i) + 1)
+    # two fluid particles that meet end a descent, see `_paired`
     nearest = spread(np.inf)
     for k in range(topology.fluid_pairs.shape[0]):
         rx, ry = difference(workspace.x, topology.fluid_pairs[k, 0], topology.fluid_pairs[k, 1])
@@ -423,6 +431,7 @@ def descend(
         continues = np.ones(count, dtype=np.bool_)
         while continues.all():
             if room < scale * DOWN:
+                # two particles may go ROAM in opposite directions
                 topology = unit.neighbours.near(tensors, moving, 2.0 * scale * ROAM).topology
                 room = scale * ROAM
                 # full matrices, whatever those of a topology are: all eigenvalues are wanted
@@ -507,6 +516,7 @@ def _without_pressures(values: Array, free: int) -> Array:
     matrix = values.reshape(size, size)
     if size == free:
         return matrix
+    # regular: the idle unknown of each pressure has a 1 of its own
     pressures_by_x = np.linalg.solve(matrix[free:, free:], matrix[free:, :free])
     return np.asarray(matrix[:free, :free] - matrix[:free, free:] @ pressures_by_x)
 
@@ -526,6 +536,7 @@ def over_saddle(
         hessian, subset_by_value=(-np.inf, 0.0), driver="evr", check_finite=False
     )
     if resting:
+        # none is positive here: the softest is the most negative
         is_softest = stiffness < (1.0 - ALIKE) * stiffness.min(initial=0.0)
         stiffness = stiffness[is_softest]
         modes = modes[:, is_softest]

@@ -56,6 +56,7 @@ def integrate_rve(law: RveLaw, path: Path, times: Array, micro_step: float = 1e-
     elastic = RveLaw(law.cell, initialisation="elastic", reference=law.reference)
     z = elastic.respond(F[None], np.zeros((1, 2, 2))).state.z[0]
     u = np.einsum("ab,bpl->apl", F, z - X)
+    # velocities begin affine: v = Ḟ X + w = Ḟ z
     w = np.einsum("ab,bpl->apl", F_dot, z - X)
 
     def stress(F: Array, F_dot: Array) -> Array:
@@ -98,8 +99,8 @@ def _lanes(tensors: list[Array]) -> Array:
 def _set_forces(u, w, drive, X, topology, constants, workspace):
     """Fill workspace.f with the forces at x = F X + u and v = Ḟ X + w, not folded yet.
 
-    u, w: (2, n, TILE) displacement u¹ and its rate. X: (2, local, TILE). Images have the u and w of
-    their owners.
+    u, w: (2, n, TILE) displacement u¹ and its rate. X: (2, n, TILE) reference positions, µm. Images
+    have the u and w of their owners.
     """
     map_affine(drive.F, X, workspace.x)
     map_affine(drive.rate, X, workspace.v)

@@ -61,7 +61,8 @@ from surrofe2.rve.rve_state import (
 CHORD_LIMIT = 10
 NEWTON_LIMIT = 40
 SEEK_LIMIT = 16
-"""Most evaluations of forces of `chord`, of `newton`, and of its search for an equilibrium."""
+"""Most evaluations of forces of `chord`, of `newton`, and of its search for an equilibrium. A warm
+solve takes 4 to 8. A search that fails is tried again by a shorter step, so it may end early."""
 CONTRACTION = 0.5
 """`chord` gives a point up where the mean force does not fall by this factor in one iteration."""
 LONGEST_STEP = 0.4
@@ -69,10 +70,10 @@ LONGEST_STEP = 0.4
 too much, whose stiffness is r⁻⁷."""
 ASTRAY = 1.2
 """Material displacement of a particle, in the same unit, at which a search for an equilibrium
-nearby is given up."""
+nearby is given up: a little more than `continuation.JUMP`, beyond which it would be refused."""
 ASIDE = 0.05
-"""With a uniform fluid: distance of a particle from its prediction, in the same unit, beyond which
-a solution with kept factors may lie on another branch."""
+"""Distance of a particle from its prediction, in the same unit, beyond which a solution with kept
+factors may lie on another branch. It is looked at with a uniform fluid alone."""
 PATIENCE = 6
 """Evaluations after which a search must halve the residual by each further one."""
 
@@ -85,7 +86,7 @@ SEEK = 4
 
 
 class Stop(NamedTuple):
-    """When a lane counts as solved, and when it is given up.
+    """Criteria by which a lane counts as solved, or is given up.
 
     tolerance: residual up to which it is solved, µN.
     contraction: factor by which the residual must fall in each iteration; else it is given up.
@@ -288,7 +289,7 @@ def newton_loop(workspace, matrices, drive, is_affine, topology, constants, stop
     residual = np.empty((1, TILE))
     before = np.full(TILE, np.inf)
     iterations = answer.iterations
-    bound = np.empty(TILE)
+    bound = np.empty(TILE)  # `give_up` sets it at the first evaluation
     matrix = matrices.matrix
     for lane in range(TILE):
         iterations[lane] = max(iterations[lane], UNDER_WAY)  # OPEN or given up: begins again
@@ -297,6 +298,7 @@ def newton_loop(workspace, matrices, drive, is_affine, topology, constants, stop
         if settle(residual, before, stop, count, sigma, answer.stress, iterations) == 0:
             break
         set_jacobian(workspace, drive, topology, constants, matrix, matrices.no_columns)
+        # what is sought is elastic: without dashpots the Jacobian is symmetric
         factorise(matrix, topology, stop.seeks)
         set_residual(workspace.f, matrices.step)
         solve(matrix, matrices.step, topology)
@@ -305,6 +307,7 @@ def newton_loop(workspace, matrices, drive, is_affine, topology, constants, stop
         move(matrices.step, drive.F, workspace.z)
         if stop.seeks:
             astray = constants.scale * ASTRAY
+            # `settle` has put the residuals of this evaluation into `before`
             give_up(workspace.z, stop.start, astray, count, before, bound, iterations)
 
 
@@ -320,6 +323,8 @@ def chord_loop(workspace, drive, is_affine, lu, topology, constants, stop, answe
         evaluate(workspace, drive, is_affine, topology, constants, sigma, residual)
         if settle(residual, before, stop, count, sigma, answer.stress, iterations) == 0:
             break
+        # steps are not limited: one that is too long does not halve the residual, which ends the
+        # lane
         correct(lu, workspace.f, step, iterations, drive.F, workspace.z, topology)
 
 
@@ -367,6 +372,7 @@ def chord(drive, z, before, factors, topology, constants, tolerance, answer):
 @kernel
 def _chord_tile(drive, z, before, factors, topology, constants, tolerance, answer):
     """Do as `chord` for one tile."""
+    # `solve` has marked all lanes: they are too far off for these factors
     if answer.iterations.max() < 0:
         return
     workspace = make_workspace(topology)
@@ -413,6 +419,7 @@ def _newton_tile(drive, z, factors, task, topology, constants, tolerance, answer
     copy_particles(z, workspace.z)
     if task >= SOLVE:
         limit = SEEK_LIMIT if task == SEEK else NEWTON_LIMIT
+        # the residual may rise on the way, as steps are limited
         stop = Stop(tolerance, np.inf, limit, z, task == SEEK)
         newton_loop(workspace, matrices, drive, True, topology, constants, stop, answer)
         copy_particles(workspace.z, z)
@@ -428,6 +435,7 @@ def _newton_tile(drive, z, factors, task, topology, constants, tolerance, answer
         keep_factors(matrices.matrix, lu)
         for first in (BY_F, BY_RATE):
             keep_slopes(solved_columns(matrices, first, topology), drive.F, slopes, first)
+    # the factors are kept by now, so that the Hessian may take their place
     check_stable(workspace, matrices, drive.F, topology, constants, answer.stable)
 
 

@@ -193,6 +193,7 @@ def _pairs(
     x, v: (n, p, 2). F, rate: (n, 2, 2).
     """
     owner = np.append(np.arange(unit.topology.particles), unit.topology.owner)
+    # own particles have no shift
     shifts = np.pad(unit.neighbours.shift, ((unit.topology.particles, 0), (0, 0))).astype(np.int64)
     i, j = owner[listed].T
     shift = shifts[listed[:, 1]] - shifts[listed[:, 0]]
@@ -258,6 +259,7 @@ def _sph_fluid(unit: UnitCell, pairs: _Pairs) -> tuple[Array, Array]:
     cell = unit.cell
     h = unit.constants.smoothing_length
     s = pairs.length / h
+    # σ/h² of (5), which is also W(0): ¼ · 2³ − 1³ = 1
     scale = 10.0 / (7.0 * np.pi) / h**2
     outer = np.maximum(2.0 - s, 0.0)
     inner = np.maximum(1.0 - s, 0.0)
@@ -271,6 +273,7 @@ def _sph_fluid(unit: UnitCell, pairs: _Pairs) -> tuple[Array, Array]:
     density = mass * (scale + _summed(i, kernel, n_fluid) + _summed(j, kernel, n_fluid))
     a = 1.0 / density[:, i]
     b = 1.0 / density[:, j]
+    # coefficients of r and of w in (8)
     along = mass**2 * slope * cell.sound_speed**2 * (a + b)
     against = -2.0 * mass**2 * slope * unit.constants.viscosity * a * b
     return density, along[:, :, None] * pairs.r + against[:, :, None] * pairs.w

@@ -29,9 +29,9 @@ from surrofe2.rve.solve import dashpot_rate, solve_rves
 from surrofe2.rve.unit_cell import make_unit_cell
 
 _RENEW_AFTER = 4
-"""Force evaluations of a warm solve above which `accept` makes new factors."""
+"""Force evaluations of a warm solve above which `accept` makes new factors: fresh ones take 4."""
 _RENEW_SLOW_AFTER = 9
-"""The same for the slow manifold, which solves for velocities first."""
+"""The same for the slow manifold, which solves for velocities first: fresh factors take 8."""
 _SAME = 1e-4
 """Material distance of particles, µm, below which two solutions are the same."""
 
@@ -247,6 +247,7 @@ class RveLaw(Viewed):
         not changed; the new one shares with it what was not renewed.
         """
         state = response.state
+        # `respond` has reported these already
         response = replace(response, left_bifurcation=None)
         # an RVE by Cauchy–Born is in no equilibrium, and an iterated one only roughly
         has_equilibrium = self.initialisation != "cauchy-born" and self.has_tangents

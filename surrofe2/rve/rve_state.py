@@ -106,6 +106,8 @@ class Factors:
     @classmethod
     def of(cls, blocks: Sequence[NDArray[np.float32]], drive: Drive, z: Array) -> Factors:
         """Return the factors kept in these blocks, made at z and `drive`."""
+        # kernels get addresses, for blocks are arrays of their own, some of which several tiles
+        # share
         address = [_address_of(block) for block in blocks]
         return cls(tuple(blocks), np.array(address, dtype=np.intp), drive, z)
 
@@ -165,6 +167,7 @@ class Factors:
     def take(self, index: Index) -> Factors:
         """Return the factors of the points `index` alone; the last tile is filled up by `pack`."""
         blocks = []
+        # each row holds the points that come to share a tile
         for points in pack(index):
             tile, lane = np.divmod(points, TILE)
             block = self.blocks[tile[0]]
@@ -180,6 +183,7 @@ class Factors:
         """Return these with the points `index` replaced by the points `row` of `part`."""
         blocks = list(self.blocks)
         for tile in np.unique(index // TILE):
+            # other states may share the block, so a copy is written to
             blocks[tile] = blocks[tile].copy()
         for point, point_of_part in zip(index, row, strict=True):
             source = part.blocks[point_of_part // TILE]
@@ -310,6 +314,7 @@ class RveState:
         factors = Factors.empty(drive, pack(arrays["factors.z"]), neighbours.topology)
         near = None
         near_z = pack(arrays["near.z"])
+        # `to_arrays` writes NaN where there was no list
         if not np.isnan(near_z).any():
             bits = np.bitwise_or.reduce(arrays["near.listed"], axis=0)
             listed = np.unpackbits(bits, count=len(neighbours.topology.contacts)).astype(np.bool_)
@@ -520,6 +525,7 @@ def mean_force(f, particles, residual):
 def measure(workspace, F, topology, constants, stress, residual):
     """Compute folded forces, stress (2, 2, TILE) and residual (1, TILE) at the workspace's x, v."""
     local_forces(workspace, topology, constants)
+    # before forces are folded: in the virial each belongs to the position of its image
     cauchy_stress(workspace.x, workspace.f, F, topology.area, stress)
     fold_images(workspace.f, topology)
     mean_force(workspace.f, topology.particles, residual)

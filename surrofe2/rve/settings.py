@@ -1,4 +1,4 @@
-"""How an RVE is put into the state it would have inside a tissue."""
+"""Settings by which an RVE is put into the state that it would have inside a tissue."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from surrofe2.base.errors import InputError
 from surrofe2.base.settings import check_settings, setting
 from surrofe2.base.units import FORCE, TIME
 
+# in the order of the paper, (64) to (72), and ours, which is not in it
 INITIALISATIONS = ("cauchy-born", "elastic", "constrained-runs", "slow-manifold")
 SOLVERS = ("direct", "iterated")
 
@@ -40,6 +41,7 @@ class RveSettings:
 
     def __post_init__(self) -> None:
         check_settings(self, "rve")
+        # the iteration has no Jacobian, by which alone ∂x_el/∂F and so these velocities are known
         if (self.initialisation, self.solver) == ("slow-manifold", "iterated"):
             raise InputError(
                 "rve.solver", "'iterated'; with initialisation slow-manifold it must be direct"

@@ -72,9 +72,10 @@ from surrofe2.rve.rve_state import (
 from surrofe2.rve.tangents import along, equilibrium_modes, set_velocities, unit_velocities
 
 LIMIT = 40
-"""Most evaluations of forces for z_el and y, and again for z."""
+"""Most evaluations of forces for z_el and y, and again for z; a warm solve takes 8 to 15 in all."""
 CONTRACTION = 0.9
-"""A lane is given up where its mean force does not fall by this factor in one iteration."""
+"""Factor by which the mean force must fall in each iteration, or the lane is given up: weaker than
+that of `newton.chord`, since velocities settle slowly where a pair sits at the cut-off."""
 RATE_TOLERANCE = 10.0
 """Mean |ḟ| at which velocities are solved, µN/µs, over the mean force for positions, µN."""
 
@@ -205,7 +206,7 @@ def _solve_velocities(workspace, y, drive, lu, topology, constants, stop, relaxe
 def newton_slow(drive, moving, topology, constants, tolerance, answer):
     """Solve for z, v − L x and stress by Newton's method, in place, in lanes with iterations ≤ 0.
 
-    moving.elastic is z_el, and moving.z where the solve begins.
+    moving.elastic is z_el, from which it begins; moving.z and moving.fluctuation are replaced.
     """
     for t in numba.prange(moving.z.shape[0]):
         _newton_tile(

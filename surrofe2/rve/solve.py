@@ -118,6 +118,7 @@ class Solved:
     def put(self, index: Index, part: Solved) -> None:
         """Take over the results of `part`, which has the points `index`."""
         lanes, row = with_copies(index, self.start.points)
+        # by the list and the state that were solved with, both of which change below
         self.covered = self.has_all_contacts()
         put_points(self.covered, lanes, part.has_all_contacts(), row)
         put_points(self.answer.stress, lanes, part.answer.stress, row)
@@ -304,6 +305,7 @@ def _newton(solved: Solved, renewed: Flags | bool = False) -> None:
     tiles = np.asarray(failed.any(axis=1)) | renewed
     factors = solved.state.factors.renewed(tiles)
     task = np.where(tiles, SOLVE, SKIP).astype(np.int8)
+    # lanes that are not checked here count as stable
     solved.answer.stable[:] = True
     z = solved.state.z
     tolerance = solved.settings.tolerance
@@ -327,7 +329,9 @@ def _follow_path(solved: Solved, index: Index) -> None:
     arrived = pack(path.arrived)
     has_left = part.start.left | pack(path.left)
     part.near = part.unit.neighbours.near(part.drive.F, z)
+    # z is that of the elastic equilibrium itself, whose velocities are not known yet
     part.state = replace(part.state, z=z, left=has_left, elastic=None, fluctuation=None)
+    # where rates are felt, one more solve takes them in, from the equilibrium beside it
     part.answer.iterations[:] = np.where(arrived, OPEN, PASSED_OVER)
     _newton(part)
     part.answer.iterations[~arrived] = OPEN
@@ -408,6 +412,7 @@ def _start_slow(solved: Solved) -> None:
     factors = solved.state.factors.made_at(tiles, solved.felt, elastic)
     # Newton's method has just made these blocks, so they may be written to
     address = factors.address
+    # stability is not asked for: Newton's method has just checked it
     renew_slow(
         drive.F, elastic, address, tiles, *solved.kernel_arguments, np.empty_like(is_elastic)
     )
@@ -434,11 +439,13 @@ def _solve_affine(solved: Solved, index: Index) -> None:
     z = state.relaxed.copy()
     answer = part.answer
     task = np.full(len(z), SOLVE, dtype=np.int8)
+    # `newton` writes factors, but the state keeps those of z_el, at which a later solve begins
     unused = Factors.empty(part.drive, z, part.kernel_arguments[0])
     newton(
         part.drive, z, unused.address, task, *part.kernel_arguments, part.settings.tolerance, answer
     )
     is_solved = answer.iterations > 0
+    # both solves count: that of z_el, and this one
     answer.iterations[:] = np.where(is_solved, answer.iterations + np.abs(state.iterations), OPEN)
     part.status[~is_solved] = Status.NOT_CONVERGED
     part.state = replace(state, z=z, fluctuation=np.zeros_like(z), iterations=answer.iterations)

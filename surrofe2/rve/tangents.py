@@ -124,11 +124,13 @@ def _slow_tile(drive, z, relaxed, topology, constants, tangents):
     affine = affine_fields(workspace.z)
     weights = affine.copy()
     by_x, by_v = stress_gradients(workspace, weights, topology, constants)
+    # (A8): v follows F and Ḟ, but not z, so that no rate multiplies a change of z
     still = standing(F)
     load_of_stress = adjoint_load(workspace, by_x, by_v, still, topology, constants)
     set_jacobian(workspace, still, topology, constants, matrices.matrix, matrices.no_columns)
     factorise(matrices.matrix, topology, False)
     adjoint = solve_adjoint(matrices.matrix, load_of_stress, workspace, still, topology, constants)
+    # weights of forces in (A11): z_kb less λ
     subtract_columns(adjoint, topology, weights)
     by_x, by_v = stress_gradients(workspace, weights, topology, constants)
     tangents[:] = 0.0
@@ -243,6 +245,7 @@ def refine(lu, right, solution, workspace, drive, topology, constants):
         weights = np.zeros((COLUMNS, *workspace.x.shape))
         subtract_columns(solution, topology, weights)
         by_x, by_v = stress_gradients(workspace, weights, topology, constants)
+        # with weights −λ the slopes are −Jᵀ λ
         residual = right + _pulled_back(by_x, by_v, no_force, drive, topology)
         largest_of(residual, size)
         # lanes in which refinement still helps; all are refined as long as there is one
@@ -310,6 +313,7 @@ def equilibrium_modes(workspace, F, topology, constants, matrices):
             store(-load(matrices.columns, i + 2, m), right, m, i)
     steps = right.copy()
     solve_columns(matrices.matrix, steps, topology, False)
+    # `refine` is for Jᵀ, which is K here: without dashpots it is symmetric
     refine(matrices.matrix, right, steps, workspace, standing(F), topology, constants)
     modes = np.zeros((COLUMNS, 2, topology.particles, TILE))
     for m in range(COLUMNS):

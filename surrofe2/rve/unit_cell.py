@@ -134,6 +134,7 @@ def make_unit_cell(cell: CellParameters, reference: ReferenceState | None = None
         MismatchError: the reference is of another cell.
     """
     if reference is None:
+        # by the reference, which is one object in its cache: both ways to ask share one unit cell
         return make_unit_cell(cell, settle_reference(cell))
     reference.check_belongs_to(cell)
     position = reference.position
@@ -174,6 +175,8 @@ def settle_reference(cell: CellParameters) -> ReferenceState:
         drained = settle_reference(replace(cell, sap_bulk_modulus=0.0))
         return replace(drained, fingerprint=cell.fingerprint)
     irregular = cell.arrangement == "voronoi"
+    # squares take no statistics of shape; one seed, so that all of them share one entry of the
+    # cache
     one_square = replace(
         cell,
         arrangement="square",
@@ -396,5 +399,6 @@ def _free_of_stress(
     box = F @ lattice
     topology = make_neighbours(cell, relaxed, box).topology
     final = relax(topology, make_constants(cell, l0), relaxed.T[None], np.eye(2)[None])
+    # raises where it is not stable
     lowest(final)
     return ReferenceState(cell.fingerprint, final.z[0].T.copy(), box, l0)
