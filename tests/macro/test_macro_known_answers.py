@@ -12,7 +12,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from surrofe2 import LoadCase
 from surrofe2.macro import MacroSettings, simulate
-from surrofe2.macro.system import make_system
+from surrofe2.macro.system import make_system, system_of
 from surrofe2.problem import (
     BodyForce,
     InitialVelocity,
@@ -202,6 +202,52 @@ def test_the_dashpot_takes_what_the_outermost_nodes_bring(impact):
     share = 1.0 / (np.sqrt(12.0) * 100.0)
     assert np.diff(lost).min() > -2e-5  # interpolated within steps
     assert share < lost[-1] < 1.5 * share
+
+
+def rebound(elements, law, damping=None):
+    """Let a bar between mirrors fly at a plate, by so many elements.
+
+    Returns the momentum with which it leaves, over that with which it came, and the part of its
+    energy that the dashpot took.
+    """
+    mirrors = (Symmetry(on="bottom"), Symmetry(on="top"))
+    problem = Problem(
+        mesh=rectangle(LENGTH, DEPTH, (elements, 1)),
+        conditions=(InitialVelocity(velocity=(-SPEED, 0.0)), *mirrors),
+        bodies=(replace(WALL, damping=damping),),
+        duration=16.0,
+        output_interval=0.5,
+    )
+    settings = MacroSettings(
+        relative_tolerance=1e-5, absolute_tolerance=1e-7, frames=2, record_dissipation=False
+    )
+    run = simulate(problem, law, settings)
+    came = law.density * LENGTH * DEPTH * SPEED
+    lost = run.energies["contact dissipated"][-1] / run.energies["kinetic"][0]
+    return run.history["impulse plate x"][-1] / came - 1.0, lost
+
+
+def test_the_dashpot_does_not_depend_on_the_mesh_and_its_loss_vanishes_with_the_elements():
+    """Its c is 7.6 impedances √(E ρ); its loss is of first order, since it is that of stopping the
+    nodes of the boundary."""
+    for elements in (2, 16):
+        mesh = rectangle(LENGTH, DEPTH, (elements, 1))
+        problem = Problem(mesh=mesh, conditions=(), bodies=(WALL,))
+        (contact,) = system_of(problem, ELASTIC).contacts
+        expected = np.sqrt(200.0 / np.sqrt(12.0) * 100.0 * ELASTIC.density)
+        assert contact.damping == pytest.approx(expected, rel=1e-4)
+    lost = [rebound(elements, ELASTIC)[1] for elements in (2, 4, 8)]
+    assert rates(lost) == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.slow
+def test_viscous_tissue_rebounds_from_few_elements_as_without_a_dashpot():
+    """Its own viscosity would take the motion of the outermost nodes. Figures of docs/theory.md."""
+    law = KelvinVoigt(shear_viscosity=4.0, bulk_viscosity=6.0)
+    found = np.array([[rebound(n, law, damping)[0] for n in (4, 8, 16)] for damping in (None, 0.0)])
+    np.testing.assert_allclose(found[0], [0.795, 0.818, 0.822], atol=1e-3)
+    np.testing.assert_allclose(found[1], [0.785, 0.813, 0.821], atol=1e-3)
+    np.testing.assert_allclose(found[0, 1:], found[1, 1:], atol=0.006)
 
 
 @pytest.mark.parametrize(
