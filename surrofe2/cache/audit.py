@@ -108,7 +108,7 @@ class ErrorRecord:
 
     @property
     def says_little(self) -> bool:
-        """Whether errors as large as the stresses themselves would have passed the tolerance.
+        """True if errors as large as the stresses themselves would have passed the tolerance.
 
         It is asked only after as many audits as a window has.
         """

@@ -128,7 +128,7 @@ class CachedLaw(Viewed):
 
     @property
     def has_tangents(self) -> bool:
-        """Whether both parts give tangents."""
+        """True if surrogate and fallback both give tangents."""
         return self.surrogate.has_tangents and self.fallback.has_tangents
 
     @property
@@ -241,7 +241,7 @@ class CachedLaw(Viewed):
 
     @property
     def is_audited(self) -> bool:
-        """Whether any answer is audited; see `AuditedLaw`."""
+        """True if a part of the answers is audited; see `AuditedLaw`."""
         return self.settings.audit > 0.0
 
     @property

@@ -51,11 +51,11 @@ class Surrogate(Protocol):
 
     @property
     def is_calibrated(self) -> bool:
-        """Whether the risk of `lookup` is known by now; else it is infinite."""
+        """True once the risk of `lookup` is known; before that it is infinite."""
 
     @property
     def has_tangents(self) -> bool:
-        """Whether `tangents` answers."""
+        """True if `tangents` has an answer."""
 
     def with_tolerance(self, tolerance: float, relative: float) -> Surrogate:
         """Return the same surrogate with risks by this tolerance; this one stays as it is.

@@ -163,12 +163,12 @@ class Window:
 
     @property
     def is_full(self) -> bool:
-        """Whether it has as many audits as this try needs, so that it can be judged."""
+        """True once the window has as many audits as this try needs, so that it can be judged."""
         return len(self.audits) >= audits_of(self.tries)
 
     @property
     def stands(self) -> bool:
-        """Whether it stands by its audits so far, counted as no fewer than `audits_of` this try."""
+        """True if the window stands by its audits, counted as at least `audits_of` this try."""
         return stands(len(self.wrong), len(self.audits), self.tries)
 
     def decision(self, t: float, step: int, limit: float, decision: str) -> dict[str, Any]:

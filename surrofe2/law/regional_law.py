@@ -73,7 +73,7 @@ class RegionalLaw(Viewed):
 
     @property
     def has_tangents(self) -> bool:
-        """Whether all laws have tangents."""
+        """True if the laws of all regions have tangents."""
         return all(law.has_tangents for law in self.laws.values())
 
     def at(self, points: Index) -> RegionalLaw:
@@ -148,7 +148,7 @@ class RegionalLaw(Viewed):
 
     @property
     def is_audited(self) -> bool:
-        """Whether all laws are audited."""
+        """True if the laws of all regions are audited."""
         return len(self._audited) == len(self.laws) and all(law.is_audited for law in self._audited)
 
     def begin_run(self, state: Any, t: float = 0.0) -> bool:

@@ -135,7 +135,7 @@ TABLE = -3
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """Where the stress of n points came from.
+    """Parts of a law that the stress of n points came from.
 
     Attributes:
         source: (n,) `SURROGATE`, `TABLE`, or the code of `Status` for which an RVE was solved.
@@ -271,7 +271,7 @@ class StressLaw(Protocol):
 
     @property
     def has_tangents(self) -> bool:
-        """Whether `respond` gives tangents when asked."""
+        """True if `respond` gives tangents when asked."""
 
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
@@ -370,7 +370,7 @@ class AuditedLaw(StressLaw, Protocol):
 
     @property
     def is_audited(self) -> bool:
-        """Whether the law ever gives a verdict."""
+        """True if the law ever gives a verdict; else it is run without windows and audits."""
 
     def mark(self, t: float, state: Any) -> None:
         """Let all steps up to t (µs) stand, and begin a window there.

@@ -75,7 +75,7 @@ class Discretisation(NamedTuple):
 
     @property
     def pressure_apart(self) -> bool:
-        """Whether the last point of an element carries the pressure, the others the deviator."""
+        """True if the last point of an element carries the pressure, the others the deviator."""
         return self.elements.shape[1] == 4
 
     @property

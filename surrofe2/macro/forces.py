@@ -312,7 +312,7 @@ class Contact:
 
     @property
     def sticks(self) -> bool:
-        """Whether points stick until they slip, so that friction depends on the path."""
+        """True if points stick until they slip, so that friction depends on the path."""
         return self.friction > 0.0 and self.grip is not None
 
     def gripped(self, u: Array, v: Array) -> Contact:

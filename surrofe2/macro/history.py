@@ -632,8 +632,10 @@ class Recorder:
 
     @property
     def may_be_kept(self) -> bool:
-        """Whether the state may be kept: not while the law commits a step, of which it may have
-        recorded only a part."""
+        """True if the state may be kept.
+
+        It may not while the law commits a step, of which it may have recorded only a part.
+        """
         return not self._equations.is_committing
 
     def checkpoint(self) -> MacroState:

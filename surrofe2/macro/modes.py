@@ -58,7 +58,7 @@ class Modes:
 
     @property
     def stable(self) -> bool:
-        """Whether no motion that was computed grows."""
+        """True if none of the motions that were computed grows."""
         grown = np.append(self.eigenvalues.real, self.creeping)
         return bool((grown <= _ROUNDING * abs(self.eigenvalues).max(initial=0.0)).all())
 

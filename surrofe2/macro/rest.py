@@ -410,7 +410,7 @@ class Loading:
 
     @property
     def may_be_kept(self) -> bool:
-        """Whether the way may be kept: not before an equilibrium, nor while the law commits one.
+        """True if the way may be kept: neither before an equilibrium nor while the law commits one.
 
         While it commits, the law may have recorded more than the way has.
         """

@@ -37,7 +37,8 @@ Wall = tuple[int, Shift]
 """A wall particle and the lattice shift of its image."""
 
 _INSET = 0.82
-"""Fluid of irregular cells starts within polygons shrunk by this factor."""
+"""Factor by which polygons are shrunk, within which the fluid of irregular cells starts: next to a
+wall contacts would push it away with a force that grows as r⁻⁶."""
 _SQUARE_INSET = 0.7
 """Distance of a square's outer rows of fluid from its sides, in spacings of equal rows."""
 _HEXAGON_INSET = 0.7
@@ -111,6 +112,7 @@ def make_slab_arrangement(cell: CellParameters, rows: int, gap: float) -> Arrang
     arrangement = _arrange(cell, squares(cell.cell_side, 1, rows, gap), rows)
     height = arrangement.wall_position[:, 1]
     top = rows * cell.cell_side
+    # plant cells stand on y = 0; the gap is above them
     outer = np.zeros(len(height), dtype=np.int32)
     outer[np.abs(height) < _LEVEL * top] = _LOWER_SIDE
     outer[np.abs(height - top) < _LEVEL * top] = _UPPER_SIDE

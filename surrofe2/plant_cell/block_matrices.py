@@ -44,7 +44,7 @@ HELD = -1
 NO_BLOCK = -1
 """Place of the block of two groups, or two particles, that are not coupled."""
 PANEL = 8
-"""Columns that are eliminated at a time."""
+"""Columns that are eliminated at a time; `_subtract_panel` is written out for this number."""
 COLUMNS = 4
 """Right-hand sides that `solve_columns` solves at a time: the four entries of F, or of Ḟ."""
 
@@ -118,6 +118,7 @@ def make_pattern(
         group[particles] = g
         column[particles] = 2 * np.arange(len(particles))
         total += size[g] * row_length
+    # particle 0 is HELD, −1, and reads the rows of the last group here; `exists` leaves it out
     blocks = offset[group[:, None], group]
     stride = width[group]
     exists = (blocks >= 0) & (group[:, None] >= 0) & (group >= 0)
@@ -236,6 +237,7 @@ def factorise(a, pattern, symmetric):
             _factorise_panel(a, panel, width, diagonal + k, count)
             _eliminate(a, pattern, g, g, k, symmetric)
             for m in range(pattern.upper_start[g], pattern.upper_start[g + 1]):
+                # of the type of g, so that numba compiles one version for both calls
                 _eliminate(a, pattern, g, np.int64(pattern.upper[m]), k, symmetric)
 
 
@@ -441,6 +443,7 @@ def solve(lu, b, pattern):
 
     lu: (size, TILE) factors as `factorise` leaves them, in single or double precision.
     """
+    # zero, as the equations of pressures have nothing on the right, and `_reorder` skips them
     y = np.zeros((pattern.first[-1], TILE))
     groups = pattern.width.shape[0]
     _reorder(b, y, pattern, False)
@@ -483,10 +486,12 @@ def solve_columns(lu, b, pattern, transposed):
     to solve with the matrix, each row is multiplied by what is solved already (`_gather`); to solve
     with the `transposed` one, each unknown is subtracted along its row (`_spread`).
     """
+    # zero for pressures, as in `solve`
     y = np.zeros((COLUMNS, pattern.first[-1], TILE))
     groups = pattern.width.shape[0]
     for m in range(COLUMNS):
         _reorder(b[m], y[m], pattern, False)
+    # forwards: by L, or by the transposed U, whose diagonal holds reciprocals
     for g in range(groups):
         first = pattern.first[g]
         row = pattern.start[g]
@@ -505,6 +510,7 @@ def solve_columns(lu, b, pattern, transposed):
             for m in range(ends[g], ends[g + 1]):
                 _with_block(lu, row, y, first + k, pattern, g, neighbours[m], transposed)
             row += pattern.width[g]
+    # backwards: by U, or by the transposed L, whose diagonal is 1
     for g in range(groups - 1, -1, -1):
         first = pattern.first[g]
         size = pattern.first[g + 1] - pattern.first[g]

@@ -40,6 +40,7 @@ def central_law(pair, is_bond, weight, constants):
     """
     if is_bond:
         elastic, stiffness, damping, _ = wall(pair.length, constants)
+        # as lanes, like those of a contact: in numba both branches must have one type
         law = elastic, spread(stiffness), spread(damping), spread(0.0)
         acting = spread(weight)
     else:

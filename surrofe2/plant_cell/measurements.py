@@ -85,6 +85,7 @@ def living_cell(preset: str, **changes: Any) -> CellParameters:
         tissue = replace(LIVING[preset][0], **measured)
     except InputError as error:
         raise error.within("cell") from None
+    # living cells have a uniform fluid unless another is asked for
     fluid = constants.get("fluid", "auto")
     cell = tissue.parameters("uniform" if fluid == "auto" else fluid)
     resolution = {key: constants[key] for key in RESOLUTION if key in constants}

@@ -1,4 +1,4 @@
-"""Who interacts with whom in an arrangement of plant cells: bonds, fluid pairs and contacts.
+"""Lists of who interacts with whom in an arrangement: bonds, fluid pairs and contacts.
 
 Contacts are pairs of a fluid particle and a wall particle around its plant cell, and pairs of wall
 particles that are not bonded to each other. `Neighbours` has all that can come about; `near` lists
@@ -30,16 +30,17 @@ from surrofe2.plant_cell.parameters import CellParameters
 Ints = NDArray[np.int32]
 
 SKIN = 0.2
-"""How much farther than the cut-off contacts are listed, in cut-offs."""
+"""Distance beyond the cut-off up to which contacts are listed, in cut-offs."""
 BESIDE = 1.4
-"""Distance in the reference, in cut-offs, up to which walls have a block in matrices that bound no
-plant cell of SPH fluid together."""
+"""Distance in the reference, in cut-offs, up to which two walls have a block in matrices if they
+bound no plant cell of SPH fluid together."""
 BESIDE_UNIFORM = 1.2
-"""The same with a uniform fluid."""
+"""The same with a uniform fluid. Walls beyond it meet only where tissue is crushed by a sixth."""
 FARTHEST = 3.0
 """Distance in the reference, in cut-offs, beyond which two walls are never listed."""
 PIECE = 4
-"""Most wall particles in a group where the fluid is uniform."""
+"""Most wall particles in a group where the fluid is uniform. With nine Voronoi cells, groups of 6
+take a third more multiplications, and smaller groups no fewer."""
 SPARSE_PAYS_BELOW = 0.8
 """Fraction of the multiplications of a dense matrix below which groups are used."""
 _SHIFTS = 128
@@ -320,14 +321,17 @@ def make_neighbours(
     cutoff = cell.repulsion_cutoff
     outer_weight = 0.5 * cell.outer_wall
     contacts, has_block = _contacts(arrangement, position, lattice, cutoff)
+    # with SPH fluid there are none here, and all that follows from them is empty
     rims = arrangement.rims if cell.has_uniform_fluid else ()
     fluid_mass = cell.fluid_density * arrangement.tessellation.areas[: len(rims)]
     mass = np.full(particles, cell.fluid_mass)
     mass[:walls] = cell.wall_particle_mass * np.where(arrangement.outer > 0, outer_weight, 1.0)
     # a uniform fluid has no particles; the walls around it carry its mass
     for rim, mass_of_fluid in zip(rims, fluid_mass, strict=True):
+        # `add.at`, since a particle may be on a rim twice: itself and its image
         np.add.at(mass, rim[:, 0], mass_of_fluid / len(rim))
     counts = np.array(arrangement.fluid_counts, dtype=np.int64)
+    # before contacts are sorted, for `has_block` is in their first order
     labels, coupled = _interacting_groups(arrangement, contacts[has_block])
     pattern = make_pattern(labels, coupled, len(rims))
     dense = dense_pattern(particles, len(rims))
@@ -393,6 +397,7 @@ def _interacting_groups(
     cells = len(arrangement.rims)
     walls = arrangement.wall_edge if has_particles else _pieces_of_walls(arrangement)
     first = int(walls.max()) + 1
+    # a uniform fluid is one pressure, which lies like a particle
     counts = arrangement.fluid_counts or (1,) * cells
     labels = np.concatenate([walls, first + np.repeat(np.arange(cells), counts)])
     coupled = set()
@@ -417,7 +422,7 @@ def _pieces_of_walls(arrangement: Arrangement) -> Index:
     groups = [np.arange(vertices)]
     count = vertices
     for particles in np.bincount(arrangement.wall_edge[vertices:]):
-        pieces = -(-particles // PIECE)
+        pieces = -(-particles // PIECE)  # rounded up
         groups.append(count + np.arange(particles) * pieces // max(particles, 1))
         count += pieces
     return np.concatenate(groups)

@@ -31,7 +31,8 @@ SMALLEST = 4.0
 _NEAR = 0.3
 """Part of a spring's length up to which two corners of walls become one."""
 _SMOOTHINGS = 8
-"""How often each inner point of a wall moves half of the way to the middle of its neighbours."""
+"""Number of times that each inner point of a wall moves half of the way to the middle of its
+neighbours."""
 _DISSOLVINGS = 5
 """Rounds in which small pieces are dissolved: what they are merged with may be too small, too."""
 _FEWEST = 3
@@ -79,7 +80,9 @@ def outline_cells(labels: NDArray[np.int64], pixel: float, length: float) -> Out
     Raises:
         InputError: a plant cell has several others within it, or none is left.
     """
+    # turned over, so that rows count upwards, as y does
     regions, dissolved = _without_small(labels[::-1], SMALLEST * (length / pixel) ** 2)
+    # within a frame of air, one pixel wide, so that walls close at the border of the image
     regions, enclosed = _without_enclosed(_pieces(np.pad(regions, 1)))
     if not (regions > 0).any():
         raise InputError(
@@ -110,6 +113,7 @@ def _without_small(labels: NDArray[np.int64], least: float) -> tuple[NDArray[np.
         dissolved += int(is_small.sum())
         small = is_small[piece].reshape(labels.shape)
         if small.all():
+            # there is no larger piece whose label they could take
             return np.zeros_like(labels), dissolved
         if not small.any():
             break
@@ -159,6 +163,7 @@ def _paths(regions: NDArray[np.int64]) -> list[Path]:
     """
     beside = _neighbours_along_walls(regions)
     rows, columns = regions.shape
+    # of the image itself, within its frame of one pixel
     corners = {(x, y) for x in (1, columns - 1) for y in (1, rows - 1)}
     ends = {point for point, others in beside.items() if len(others) > 2 or point in corners}
     paths: list[Path] = []

@@ -45,7 +45,11 @@ class Constants(NamedTuple):
 
 
 def make_constants(cell: CellParameters, rest_length: float) -> Constants:
-    """Constants of eqs. (1), (2), (8), (9) for one set of parameters."""
+    """Return the constants of eqs. (1), (2), (8), (9) for one set of parameters.
+
+    rest_length: l₀, µm. Factors that do not change with distance are multiplied out: γ of (1), and
+    2 √(6 λ m_w) ζ_c of c(r) in (2).
+    """
     m = cell.wall_particle_mass
     k = cell.wall_stiffness
     strength = cell.repulsion_strength

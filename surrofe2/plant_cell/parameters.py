@@ -220,6 +220,7 @@ class CellParameters:
             tissue, _ = LIVING[name]
             usual = tissue.parameters() if fluid == "auto" else tissue.parameters(fluid)
             return replace(usual, **{**changes, "fluid": usual.fluid})
+        # "auto" first, so that another arrangement among the changes brings its own fluid
         return replace(PRESETS[name], **{"fluid": "auto", **changes})
 
     @property
@@ -418,7 +419,8 @@ class LivingTissue:
 _WALL_DENSITY = 1.1e-3
 """Density of a wet wall, ng/µm³: two thirds water, one third polysaccharides of 1500 kg/m³."""
 _REPULSION = 1.2
-"""Contact force at the length of a spring, over the tension of the walls."""
+"""Contact force at the length of a spring, over the tension of the walls; it is not measured, but
+plant cells are stable in the widest range of states with it (docs/cells.md)."""
 _CUTOFF = 0.37
 """Reach of contacts, over the side of a plant cell."""
 _SMOOTHING = 0.22

@@ -68,6 +68,7 @@ def fluid_specific_volume(x, topology, constants, slope, volume):
     pairs = topology.fluid_pairs
     first = topology.walls
     h = constants.smoothing_length
+    # until the last loop `volume` holds densities; each begins with the particle itself, W(0)
     by_itself = constants.fluid_mass * spline(spread(0.0), h)
     for p in range(volume.shape[0]):
         store(by_itself, volume, p)
@@ -94,6 +95,7 @@ def add_sph_energy(x, topology, constants, slope, volume, energy):
     fluid_specific_volume(x, topology, constants, slope, volume)
     for p in range(volume.shape[0]):
         for lane in range(TILE):
+            # ln ρ = −ln V
             energy[0, lane] -= (
                 constants.fluid_mass * constants.sound_speed_squared * np.log(volume[p, lane])
             )

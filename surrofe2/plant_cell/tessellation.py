@@ -34,7 +34,7 @@ _APART = -0.1
 """Fraction of the way to their centroids by which points move if areas are to differ more;
 negative, since they move away from them."""
 _MOST_STRETCH = 40.0
-"""Largest stretch among which that with the elongation wanted is sought."""
+"""Largest ratio of principal stretches at which an elongation, 10 at most, is sought."""
 _CLOSE = 1e-6
 """Tolerance on the stretch, and on the length of the last move of points."""
 _SHORTEST = 1e-3
@@ -158,6 +158,8 @@ def edge_of(a: Corner, b: Corner) -> tuple[Edge, Shift, bool]:
 def _order(edge: Edge) -> tuple[int, ...]:
     """Return the key by which edges are sorted; of an edge's two directions the lesser is used."""
     v, w, (a, b) = edge
+    # from a vertex to its own image: the shift alone tells the directions apart, and the one to a
+    # later column or row is to be the lesser
     if v == w:
         return (v, w, -a, -b)
     return (v, w, a, b)

@@ -236,6 +236,7 @@ def _add_change(x, v, dx, dv, topology, constants, change):
         xx, xy, yy = fluid.stress
         by_dx = rim_product(dx, x, rim)
         by_dv = rim_product(dv, x, rim)
+        # δ(A L) has a part by the normals that turn with dx
         turned = rim_product(v, dx, rim)
         area = by_dx[0] + by_dx[3]
         dxx = by_dv[0] + turned[0] - fluid.L[0] * area

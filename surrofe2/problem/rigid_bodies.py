@@ -209,7 +209,7 @@ class RigidBody:
 
     @property
     def moves(self) -> bool:
-        """Whether the body follows an amplitude; else it rests or flies."""
+        """True if the body follows an amplitude; else it rests or flies freely."""
         return self.mass is None and any(self.displacement)
 
 

@@ -97,7 +97,7 @@ class Memory:
 
     @property
     def sound(self) -> bool:
-        """Whether the difference is small and fades fast against the period."""
+        """True if the difference is small and fades fast against the period."""
         fading = self.fading_time()
         forgotten = self.largest <= _NOISE * self.scale
         short = forgotten or (fading is not None and fading <= _SHORT * self.period)

@@ -145,7 +145,7 @@ class Grid:
 
     @property
     def has_laws(self) -> bool:
-        """Whether there are runs by more than one law."""
+        """True if there are runs by more than one law."""
         return len({row.facts["law"] for row in self.rows}) > 1
 
     @property

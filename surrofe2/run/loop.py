@@ -88,7 +88,7 @@ class Recorder(Protocol):
 
     @property
     def may_be_kept(self) -> bool:
-        """Whether a checkpoint may be taken upon an interrupt now."""
+        """True if a checkpoint may be taken upon an interrupt now."""
 
     def checkpoint(self) -> Any:
         """Return a state that carries the run on, in memory of its own."""

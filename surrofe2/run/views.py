@@ -130,7 +130,7 @@ class ViewedRun(Viewed):
 
     @property
     def is_rest(self) -> bool:
-        """Whether its curves are over the factor of the load instead of time."""
+        """True for a rest, whose curves are over the factor of the load instead of time."""
         return False
 
     @property

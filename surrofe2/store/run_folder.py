@@ -224,7 +224,7 @@ class StoredRun(ViewedRun):
 
     @property
     def is_rest(self) -> bool:
-        """Whether it is a rest, whose curves are over the factor of the load instead of time."""
+        """True for a rest, whose curves are over the factor of the load instead of time."""
         return is_rest(self.record)
 
     @property

@@ -1,4 +1,4 @@
-"""Where a surrogate may be used, and the bound of its error there.
+"""Domain in which a surrogate may be used, and the bound of its error there.
 
 Samples fill the box of the range, which the lookup tests. Where some have no stress, a failure
 boundary keeps every one of them outside: a surface in products of the scaled inputs to degree 4,

@@ -1,4 +1,4 @@
-"""From samples to a `SurrogateLaw`: polynomial by least squares, network by L-BFGS.
+"""Training of a `SurrogateLaw` by samples: polynomial by least squares, network by L-BFGS.
 
 The polynomial is fitted to stress, and to tangents where there are any: the normal equations are
 accumulated over blocks of samples; directions that the samples do not see get 0. A `Task` holds as

@@ -1,4 +1,4 @@
-"""Which plant cells and particles a tissue has, and where they lie in tiles.
+"""Plant cells and particles of a tissue, and the places where they lie in tiles.
 
 A tissue is cut from the RVE's own pattern, repeated: each period may have all of its plant cells,
 some or none. A period owns the particles that `plant_cell.arrangement` numbers. Walls around a
@@ -42,7 +42,7 @@ _ALIKE = (
     "outer_wall", "fluid", "arrangement", "cells", "arrangement_seed", "area_variation",
     "elongation", "elongation_direction",
 )  # fmt: skip
-"""What all types of plant cells of a tissue must share, so that their walls meet."""
+"""Fields that all types of plant cells of a tissue must share, so that their walls meet."""
 
 NOWHERE = 1e6
 """Coordinate of particles that do not exist, µm; far beyond every cut-off."""

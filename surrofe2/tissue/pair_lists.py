@@ -1,4 +1,4 @@
-"""Which particles of which plant cells interact, by what constants, and lists of those near now.
+"""Pairs of particles of a tissue that interact, their constants, and lists of those near now.
 
 A pair kind is (i, j, shift): own particle i of any period with own particle j of the period `shift`
 columns and rows further. Of two opposite shifts one is kept, so that no pair counts twice. Wall

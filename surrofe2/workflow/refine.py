@@ -93,7 +93,7 @@ class Round:
 
     @property
     def settled(self) -> bool:
-        """Whether no state was unknown and the audit holds."""
+        """True if no state was unknown and the audit found no larger error than the tolerance."""
         return self.unknown == 0 and (self.audit is None or self.audit <= self.tolerance)
 
     @property

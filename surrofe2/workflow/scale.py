@@ -44,7 +44,7 @@ class Particles:
 
     @property
     def is_possible(self) -> bool:
-        """Whether `surrofe2 tissue` takes the recipe."""
+        """True if `surrofe2 tissue` takes the recipe."""
         return not self.refusal
 
     @property

@@ -66,7 +66,7 @@ class TimeScales:
 
     @property
     def is_slow(self) -> bool:
-        """Whether the loads are so slow that the tissue is at rest under them at every time."""
+        """True if the loads are so slow that the tissue is at rest under them at every time."""
         return self.load > SLOW * self.swing
 
     @property
