@@ -298,6 +298,7 @@ class Conditions:
         for condition in self.problem.conditions:
             if isinstance(condition, InitialVelocity):
                 v[self.places(condition)] = condition.velocity
+        # a support wins over an initial velocity
         v[self.held] = 0.0
         return v
 

@@ -92,6 +92,7 @@ class TissueDynamics:
         shape = tissue.particles, 2
         self.free = np.ones(shape, dtype=np.bool_) if held is None else ~held
         self.loads = np.zeros((0, *shape)) if loads is None else loads
+        # own particles alone, until `_put` lays out local ones
         still = np.zeros(tissue.start.shape)
         self._particles = Particles(
             x=tissue.start,
@@ -149,6 +150,7 @@ class TissueDynamics:
         """
         driven = self.driven
         bodies = self.bodies
+        # all tiles but the last, which never changes
         self._particles.v[:-1, :, : self.tissue.own] = self.tissue.to_tiles(velocity)
         v_driven = rates[driven.motion] * driven.largest
         self._particles.v[tuple(driven.at.T)] = v_driven
@@ -192,6 +194,7 @@ class TissueDynamics:
             speeds = np.zeros((count, motions))
         steps: tuple[Array, ...] = np.stack([kicks, drifts], axis=1), amplitudes, speeds
         renewed = False
+        # a setting of the whole process, so it is restored at the end
         allowed = numba.get_num_threads()
         numba.set_num_threads(max(1, min(allowed, self.tissue.tiles // TILES_PER_THREAD)))
         try:
@@ -203,6 +206,7 @@ class TissueDynamics:
                     self.driven, bodies, outline, self._watch, steps, retained,
                 )  # fmt: skip
                 self.counts["force_evaluations"] += completed
+                # not even new lists bear one step
                 if renewed and completed == 0:
                     raise SimulationError("tissue: particles fly apart within a step")
                 steps = tuple(values[completed:] for values in steps)

@@ -359,6 +359,7 @@ def _drag(size, sliding, yielding, law):
     size: normal force, µN. sliding: velocity without friction, µm/µs. yielding: velocity per force.
     law: friction and slip speed.
     """
+    # nothing yields in a step without a kick: friction is then that at the present velocity
     w = 0.0 if yielding > 0.0 else sliding
     for _ in range(_ITERATIONS):
         drag, _, slope = friction(size, w, law)
@@ -391,6 +392,7 @@ def move_bodies(bodies, length, speed):
                 v_after = speed[bodies.motion[b]] * bodies.largest[b, axis]
                 bodies.work[BY_MOTION] += kick * 0.5 * (v_before + v_after) * force
             else:
+                # a body without mass and motion rests
                 v_after = 0.0
             bodies.v[b, axis] = v_after
             bodies.x[b, axis] += drift * v_after

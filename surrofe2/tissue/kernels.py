@@ -121,11 +121,13 @@ def leap(particles, lists, constants, cells, driven, bodies, outline, watch, ste
         for k in numba.prange(tiles):
             _sum_forces(cells.order[k], particles, lists, constants, cells)
             _measure_apart(cells.order[k], cells, watch)
+        # lists could miss a pair: the step begins anew with new lists, and with the forces of these
         if not _largest_motion(watch) <= cells.skin:
             return n
         kick = lengths[n, 0]
         amplitude = amplitudes[n]
         speed = speeds[n]
+        # with the velocities before this step, also of what is driven
         add_normal_contact(particles, bodies)
         add_outline_forces(particles, outline, amplitude)
         if kick != 0.0:
@@ -280,6 +282,7 @@ def _kick_and_drift(t, particles, lists, cells, watch, amplitude, step):
         new_y = load(x, t, 1, i) + drift * speed_y
         store(new_x, x, t, 0, i)
         store(new_y, x, t, 1, i)
+        # particles that do not exist never move, so they add nothing
         mean_x += new_x - load(watch.listed, t, 0, i)
         mean_y += new_y - load(watch.listed, t, 1, i)
     per_count = load(cells.per_count, t)
@@ -291,6 +294,8 @@ def _kick_and_drift(t, particles, lists, cells, watch, amplitude, step):
     for i in range(cells.particles):
         dx = load(x, t, 0, i) - load(watch.listed, t, 0, i) - mean_x
         dy = load(x, t, 1, i) - load(watch.listed, t, 1, i) - mean_y
+        # a position that is not finite spoils the mean, and so all squares: `_largest_motion` sees
+        # it
         square = (dx * dx + dy * dy) * load(cells.exists, t, i)
         largest = where_less(square, largest, largest, square)
     store(largest, watch.spread, t)

@@ -347,6 +347,7 @@ def make_tissue(
     types_of = _kinds_at(kind, column_row, lowest, members.cell, members.shift)
     type_of_particle = np.zeros((len(column_row), own), dtype=np.int64)
     # a wall between two types starts where that of the first of its plant cells does
+    # the first plant cell comes last here, so that it wins
     for row in reversed(range(len(members.particle))):
         is_there = types_of[:, row] >= 0
         type_of_particle[is_there, members.particle[row]] = types_of[is_there, row]
@@ -354,6 +355,7 @@ def make_tissue(
     shift = (column_row + lowest + np.array(origin)) @ references[0].lattice.T
     start = at_rest[type_of_particle, np.arange(own)] + shift[:, None]
     missing = mass == 0.0
+    # on the other side than images of nothing, which `dynamics` puts at +NOWHERE
     start[missing] = -NOWHERE - _APART * np.arange(missing.sum())[:, None]
     place_of, particle = np.nonzero(~missing)
     address = np.stack([place_of // TILE, particle, place_of % TILE], axis=1)

@@ -79,6 +79,7 @@ def on_outline(walls: Array, rings: list[Array]) -> Array:
             is on the left, µm.
         rings: corners of the outlines, as of `outlines`.
     """
+    # the outline, or a hole, that these particles are around
     ring = min(rings, key=lambda ring: _mean_distance(walls, ring))
     distance, way = _nearest(walls, ring)
     lengths = np.linalg.norm(np.roll(ring, -1, axis=0) - ring, axis=1)

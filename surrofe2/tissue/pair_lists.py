@@ -81,6 +81,7 @@ _RINGS_OF = abs(SHIFTS).max(axis=1)
 _AHEAD = len(SHIFTS) // 2 + 1
 """Number of `SHIFTS`, the first ones, that do not lead back."""
 _NUMBER = np.empty((2 * RINGS + 1, 2 * RINGS + 1), dtype=np.int64)
+# a shift to its index, by column and row counted from −RINGS
 _NUMBER[tuple((SHIFTS + RINGS).T)] = np.arange(len(SHIFTS))
 
 
@@ -161,6 +162,7 @@ class PairKinds:
         """Return (k,) the row of `Lines` of pair kinds, `_NO_LINE` off straight walls."""
         if not len(self.lines.key):
             return np.full(len(key), _NO_LINE)
+        # a key behind all others finds no place; the last one stands in, and is not equal
         nearest = np.minimum(np.searchsorted(self.lines.key, key), len(self.lines.key) - 1)
         return np.where(self.lines.key[nearest] == key, self.lines.row[nearest], _NO_LINE)
 
@@ -302,6 +304,8 @@ class PairConstants(NamedTuple):
 
     def times(self, factors: Factors) -> PairConstants:
         """Return the constants with factors on elastic ones and on those of dashpots, viscosity."""
+        # one row for each field of `Bond`, `Contact`, `FluidConstants` and `Sap`; where an elastic
+        # force is a product of two constants, one of them takes the factor
         elastic, damping = factors
         return self._replace(
             bonds=self.bonds * np.array([[elastic], [1.0], [damping]]),
@@ -627,6 +631,7 @@ class PairLister:
         place = tile * TILE + lane
         position = tissue.to_particles(x)
         # pairs of particles p, q that may be within reach
+        # the largest reach that any two rings have; each pair is measured against its own below
         farthest = tissue.cell.repulsion_cutoff + RINGS * self._skin
         pairs = scipy.spatial.cKDTree(position).query_pairs(farthest, output_type="ndarray")
         both_fluid = (own[pairs] >= walls).all(axis=1)
@@ -700,6 +705,7 @@ class PairLister:
         exists = cells.exists[:, None] > 0.0
         low = unpack(np.where(exists, x, np.inf).min(axis=2), len(filled))[filled]
         high = unpack(np.where(exists, x, -np.inf).max(axis=2), len(filled))[filled]
+        # no two periods are more rings apart than the tissue has columns or rows
         reach = tissue.cell.repulsion_cutoff + cells.skin * column_row.max()
         farthest = reach + float(np.hypot(*(high - low).T).max())
         tree = scipy.spatial.cKDTree(0.5 * (low + high))

@@ -53,7 +53,7 @@ _ROUGHLY = 1e-4
 _POWERS = 100
 """Power iterations for a largest eigenvalue."""
 _SHIFT = 1e-6
-"""Displacement of the differences that stiffness is estimated by, µm."""
+"""Displacement, µm, of the differences of forces by which stiffness is estimated."""
 
 _log = logging.getLogger(__name__)
 
@@ -185,6 +185,7 @@ def outlined_tissue(
         relative_area = float(areas[is_inside].sum()) / wanted
         if abs(relative_area - 1.0) < _SAME_SIZE:
             break
+        # lengths go as the root of areas
         ratio /= sqrt(relative_area)
         tissue = tissue_of(ratio)
     return tissue

@@ -245,6 +245,7 @@ class Recorder:
         conditions = self._conditions
         relaxed = dynamics.x
         self._started = clock()
+        # relaxation does not count
         dynamics.counts.clear()
         dynamics.forces()
         resting = self._forces(0.0, np.zeros(len(conditions.loads)))
@@ -485,6 +486,7 @@ def simulate_tissue(
 
     def steps() -> Iterator[float]:
         """Move from one output time to the next, record it, and yield it."""
+        # from the last output time that was recorded
         for start, end in pairwise(problem.output_times().tolist()[recorder.state.rows - 1 :]):
             recorder.record(*advance(dynamics, conditions, settings, start, end))
             yield end
@@ -717,7 +719,8 @@ def _check_filled(section: str, area: float, count: int, filled: float, hint: st
 _MARGIN = 2
 """RVEs around the extent of a mesh that may have plant cells within."""
 _ASIDE = np.array([1e-7, 0.7e-7])
-"""Shift of middles, in sides of a plant cell, so that none lies exactly on a side of a mesh."""
+"""Shift of middles, in sides of a plant cell, so that none lies exactly on a side of a mesh. Its
+components differ for the sake of diagonal sides."""
 _MOST_OFF = 0.02
 """Relative difference by which the area of plant cells may differ from that of the mesh."""
 _LEVEL = 1e-9
