@@ -19,7 +19,7 @@ class ForesightLaw(StressLaw, Protocol):
         """Learn at some of the points that `StressResponse.switched` marks.
 
         Args:
-            F, F_dot: (n, 2, 2) of the trial step.
+            F, F_dot: (n, 2, 2) deformation and rate at the end of the trial step.
             switched: (n,) codes why points must leave their branch, 0 where they need not.
 
         Returns:

@@ -214,7 +214,7 @@ def _without_stress(
     """Change the free entries of F and F_dot, in place, until P is zero there; return the response.
 
     Args:
-        rule: (base, weight) of Ḟ = (F − base)/weight of the free entries.
+        rule: (base, weight), by which the free entries have Ḟ = (F − base)/weight.
         state: the law's committed state.
         t: time, for messages, µs.
 
@@ -227,6 +227,7 @@ def _without_stress(
         answer = _checked(law.respond(F[None], F_dot[None], state, tangents=True), t)
         P = answer.first_piola(F[None])[0]
         assert answer.tangents is not None
+        # the rate follows F with 1/weight, as in a step of this length
         slope = answer.tangents.over_step(weight)[0]
         step = np.linalg.solve(slope[free][(slice(None), *free)], P[free])
         if abs(step).max() <= _TOLERANCE:

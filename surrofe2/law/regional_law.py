@@ -34,11 +34,12 @@ class RegionalLaw(Viewed):
     from steps in which no law rejects a point.
 
     Args:
-        laws: by name of the region.
-        points: by name of the region, (k,) numbers of its points; together 0 … n − 1, each once.
+        laws: the law of each region, by its name.
+        points: (k,) numbers of the points of each region, by its name; together 0 … n − 1, each
+            once.
 
     Attributes:
-        laws, points: those of the regions that have points.
+        laws, points: laws and points of the regions that have points.
         density: (n,) mass per reference area at each point, ng/µm².
 
     Raises:
@@ -164,6 +165,7 @@ class RegionalLaw(Viewed):
 
     def mark(self, t: float, state: Any) -> None:
         """Let the steps up to t (µs) stand, for all laws."""
+        # only asked where all laws are audited, see `is_audited`: one state for each of them
         states = (None,) * len(self._audited) if state is None else state
         for law, part in zip(self._audited, states, strict=True):
             law.mark(t, part)

@@ -29,13 +29,13 @@ class StressSamples(Viewed):
         stress: (n, 2, 2) Cauchy stress in µN/µm, finite where `status` is 0.
         status: (n,) int8 codes of `surrofe2.law.stress_law.Status`.
         cell: parameters of the plant cell.
-        initialisation: how the RVE was initialised.
+        initialisation: initialisation of the RVE, see `RveSettings`.
         range: bounds the points were drawn from.
         seed: seed of their sequence.
         rest_length: wall rest length in µm, if known.
         P_by_F: (n, 2, 2, 2, 2) ∂P/∂F in µN/µm as in `Tangents`, finite where `status` is 0; None
             where the samples have no tangents.
-        P_by_F_dot: the same by Ḟ, µN µs/µm; there if and only if `P_by_F` is.
+        P_by_F_dot: (n, 2, 2, 2, 2) ∂P/∂Ḟ in µN µs/µm; there if and only if `P_by_F` is.
         left_bifurcation: (n,) whether the RVE left its branch at a bifurcation: its stress is
             that of one of several stable equilibria. None: nowhere.
 

@@ -84,7 +84,7 @@ class Tangents:
 
     Attributes:
         P_by_F: (n, 2, 2, 2, 2), [point, a, b, c, d] = ∂P_ab/∂F_cd, µN/µm.
-        P_by_F_dot: the same by Ḟ_cd, µN µs/µm.
+        P_by_F_dot: (n, 2, 2, 2, 2), [point, a, b, c, d] = ∂P_ab/∂Ḟ_cd, µN µs/µm.
     """
 
     P_by_F: Array
@@ -107,10 +107,10 @@ class Tangents:
         return self.P_by_F if dt == np.inf else self.P_by_F + self.P_by_F_dot / dt
 
     def cauchy(self, F: Array, stress: Array) -> tuple[Array, Array]:
-        """Convert to derivatives of the Cauchy stress σ = P Fᵀ/det F, by the product rule.
+        """Convert to derivatives of the Cauchy stress σ = P Fᵀ/det F, by the product rule (A13).
 
         Args:
-            F: (n, 2, 2) where the tangents hold.
+            F: (n, 2, 2) deformation at which the tangents hold.
             stress: (n, 2, 2) Cauchy stress there.
 
         Returns:
@@ -155,7 +155,7 @@ class StressResponse:
         stress: (n, 2, 2) Cauchy stress in µN/µm; NaN where `status` is not 0.
         status: (n,) int8 codes of `Status`.
         state: warm start (or history) for the next call; opaque to everyone but its law.
-        effort: what the answer cost, by name, e.g. ``{"rve_solves": 80, "hits": 0}``; summable.
+        effort: cost of the answer by name, e.g. ``{"rve_solves": 80, "hits": 0}``; summable.
         tangents: derivatives of the stress, where they were asked for.
         switched: (n,) int8, None from laws of one branch. Not 0 where the law computed this stress
             by another branch (by an RVE, where the step began with the surrogate). The step then
@@ -163,7 +163,7 @@ class StressResponse:
         left_bifurcation: (n,) whether the point left its branch at a bifurcation on its way: the
             stress is that of a stable equilibrium, but other paths may lead to another one. None:
             nowhere.
-        reasons: by number of a point without stress, more words on it than those of `describe`.
+        reasons: more words on points without stress than those of `describe`, by number of a point.
             Some points have them, and the first one without stress does if any has.
         sources: a function that computes where the stress came from; None where all of it is the
             law's own.
@@ -184,7 +184,7 @@ class StressResponse:
         length.
 
         Args:
-            F: (n, 2, 2) for which the law was asked.
+            F: (n, 2, 2) deformation for which the law was asked.
 
         Returns:
             (n, 2, 2).
@@ -281,7 +281,7 @@ class StressLaw(Protocol):
         Args:
             F: (n, 2, 2) deformation gradient, det F > 0.
             F_dot: (n, 2, 2) its material rate, 1/µs.
-            state: what an earlier answer or acceptance for the same n points carried, or None.
+            state: state that an earlier answer or acceptance for the same points carried, or None.
             tangents: whether the answer shall carry the derivatives of the stress.
 
         Raises:
@@ -298,7 +298,7 @@ class StressLaw(Protocol):
             status: not 0 at a point whose answer the law rejects after all, because of a check that
                 is too expensive for every iteration (stability of an RVE). Then the law has
                 committed nothing, and the caller must discard the step.
-            state: what the next call of `respond` gets.
+            state: state that the next call of `respond` gets.
             stress: changed at points that begin the next step on another branch (of a cached law:
                 by an RVE instead of the surrogate), or at another equilibrium.
             left_bifurcation: (n,) whether a point lost stability in this step and was moved to
@@ -471,6 +471,7 @@ def _as_tensors(name: str, value: Any) -> Array:
         tensors = np.asanyarray(value)
     except (TypeError, ValueError):
         tensors = np.array(None)  # ragged lists make no array; this one is rejected below
+    # floating point, signed and unsigned integers
     if tensors.dtype.kind not in "fiu":
         raise InputError(f"{name}: {tensors.dtype}; it must be an array (n, 2, 2) of real numbers")
     if np.ma.isMaskedArray(tensors):

@@ -60,12 +60,12 @@ class AnswerError:
         of: number of all elements; where both are equal nothing is estimated from a sample.
         solved: number of points at which the true law was called.
         residual: largest entry of Δf, of the elements that were asked, µN.
-        displacement: (n, 2) of all nodes and bodies, µm; None of a sample.
-        watched: (2,) of the first watched point, µm.
+        displacement: (n, 2) error of the displacement of nodes and bodies, µm; None of a sample.
+        watched: (2,) error of the displacement of the first watched point, µm.
         watched_interval: (2,) half width of its interval of 95 % confidence, 0 where all elements
             were asked.
-        forces: (k, 2) of `System.force_names`, µN.
-        forces_interval: (k, 2) half width of theirs.
+        forces: (k, 2) errors of the forces that `System.force_names` lists, µN.
+        forces_interval: (k, 2) half widths of their intervals.
         stress: (n_points, 2, 2) error of the stress at ũ, µN/µm; 0 in elements that are not of the
             sample, where it is not known.
     """
@@ -101,7 +101,7 @@ def answer_error(
     """Estimate the error of a rest from stresses of the true law, at all elements or a sample.
 
     Args:
-        law: by which the rest was found.
+        law: law by which the rest was computed.
         most: points that the true law may be asked for; beyond them a random sample of elements is
             taken, at least `LEAST`; None: all.
         progress: called with the number of points that are solved, and of how many.

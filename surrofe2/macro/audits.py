@@ -30,9 +30,9 @@ class RunAudits:
     It must be made before the law is called for the first time, since the law counts from there on.
 
     Args:
-        equations: of the run, with the law.
-        law_state: what the law had committed where the run resumes; None at its start.
-        t: where that is, µs, or the factor of the load.
+        equations: equations of the run, with the law.
+        law_state: state that the law had committed where the run resumes; None at its start.
+        t: time at which it resumes, µs, or the factor of the load.
     """
 
     def __init__(self, equations: EquationsOfMotion, law_state: Any = None, t: float = 0.0) -> None:
@@ -71,7 +71,7 @@ class RunAudits:
         """Ask the law for its verdict, and return the state to go back to, if any.
 
         Args:
-            t: where the run stands.
+            t: time that the run has reached, µs, or the factor of the load.
             keep: called where the steps since the mark stand, to mark the end of the last one.
             go_back: called where they do not, when the law is back at the mark; returns the state.
             final: no step follows, or none can.

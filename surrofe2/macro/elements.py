@@ -174,7 +174,7 @@ def points_by_region(
     mesh.
 
     Args:
-        names: of the regions.
+        names: names of the regions.
         where: name of the entry, for messages.
 
     Raises:

@@ -49,10 +49,10 @@ class Evaluation(NamedTuple):
         internal: (n, 2) internal force, µN.
         forces: (k, n, 2) the other forces of the system, µN.
         residual: (m,) forces − internal − what prescribed accelerations take, µN.
-        powers: of all that acts, pJ/µs.
-        rate: (2 m,) of y.
+        powers: powers of all that acts, pJ/µs.
+        rate: (2 m,) rate of y.
         F, F_dot: (n_points, 2, 2).
-        response: of the stress law.
+        response: answer of the stress law.
     """
 
     t: float
@@ -130,7 +130,7 @@ class EquationsOfMotion:
         piece: number of the piece that is computed now.
         within: a time in its middle, µs.
         tally: cost of the run.
-        law_state: what the stress law committed last.
+        law_state: state that the stress law committed last.
         is_committing: whether the law may have committed more than was recorded of the run.
     """
 
@@ -249,7 +249,7 @@ class EquationsOfMotion:
         there.
 
         Args:
-            law_state: what the law had committed there.
+            law_state: state that the law had committed there.
             drags: friction of the springs there, µN/µm, by name of the body; for a run in time.
         """
         u, v = self.system.spread(y, t, self.within)

@@ -52,7 +52,7 @@ class Force(Protocol):
     """A force on nodes and rigid bodies, of which there are n in all.
 
     Attributes:
-        name: of the condition it comes from.
+        name: name of the condition that it comes from.
     """
 
     @property
@@ -74,7 +74,7 @@ class LinearForce:
     """A force f = A(t) (f₀ − K u − C v): dead loads, follower pressure, springs and dashpots.
 
     Attributes:
-        name: of the condition.
+        name: name of the condition.
         dead: (n, 2) f₀, µN.
         amplitude: A.
         slopes_at_one: K and C (2 n, 2 n) where A is 1, µN/µm and µN µs/µm; None: both are zero.
@@ -230,14 +230,14 @@ class Contact:
     """The contact force of one rigid body with p points of a boundary.
 
     Attributes:
-        name: of the body.
+        name: name of the body.
         shape: its outline.
-        position: (2,) at t = 0, µm.
+        position: (2,) its position at t = 0, µm.
         relative: (p, n) matrix from the displacement of nodes and bodies to that of the points
             relative to the body.
         by_component: that matrix for both components (`for_components`), and its transpose.
         points: (p, 2) reference positions, µm.
-        lengths: (p,) of side that each point stands for, µm.
+        lengths: (p,) length of side that each point stands for, µm.
         side: mean length of a side, µm.
         stiffness: k, µN/µm².
         smoothing: δ, µm.
@@ -532,7 +532,7 @@ def make_contact(
 
     Args:
         row: number of the body among the n rows of nodes and bodies.
-        modulus, density: of the tissue, µN/µm and ng/µm², from which defaults follow.
+        modulus, density: those of the tissue, µN/µm and ng/µm², from which defaults follow.
     """
     mesh = problem.mesh
     facets = boundary(mesh, body.on, f"{body.name}.on")

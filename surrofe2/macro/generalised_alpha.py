@@ -65,7 +65,7 @@ class Solved(NamedTuple):
     Attributes:
         now: its evaluation.
         a: (m,) algorithmic acceleration, µm/µs².
-        residual: (m,) that Newton left, µN.
+        residual: (m,) residual with which Newton's method ended, µN.
         solve: S⁻¹ of the last correction, applied to (m,).
     """
 

@@ -79,10 +79,10 @@ class MassFactor(NamedTuple):
     the end to every access.
 
     Attributes:
-        begins: (n + 1,) where the columns of L begin.
+        begins: (n + 1,) places in `rows` and `values` at which the columns of L begin.
         rows, values: the entries of L below its diagonal, column by column.
-        inverse_diagonal: (n,) of D, 1/ng.
-        places: (n,) where P moves each row of M.
+        inverse_diagonal: (n,) inverse of the diagonal D, 1/ng.
+        places: (n,) row to which P moves each row of M.
     """
 
     begins: NDArray[np.uint32]

@@ -113,7 +113,7 @@ class RestState(RunState):
     """An equilibrium on the way to a load: all that carries it on, and all it has recorded.
 
     Attributes:
-        factor: of all loads and prescribed motions.
+        factor: factor of all loads and prescribed motions.
         u: (n, 2) displacement of nodes and bodies, µm; from `System.rest` where there is one.
         stress: (n_points, 2, 2) Cauchy stress, µN/µm.
         acts: (k + 2, n, 2) internal force, k other forces and reaction, µN.
@@ -127,7 +127,7 @@ class RestState(RunState):
         law_seconds: time inside the stress law, s.
         journal: at each load step, from factor 0 on: ``rows`` (s, c), the columns of `columns_of`
             with the factor instead of the time; ``frames.…`` as of `Frames`, in the same way.
-        rest: as `System.rest`; (0, 2) of None.
+        rest: displacement that `System.rest` has, µm; (0, 2) where there is none.
         law_state: the state that the law has committed.
         mark: the state to go back to if the load steps after it do not stand; None: there is none.
             It is without the law's state, which the law itself keeps.
@@ -161,11 +161,12 @@ class Rest(RestState):
     Attributes:
         system: mesh, mass and forces.
         F: (n_points, 2, 2) deformation gradient.
-        stiffness, damping: (m, m) of the free unknowns, as of `EquationsOfMotion.tangents`.
-        residuals: of Newton's iterations in the last load step, relative to the largest force.
+        stiffness, damping: (m, m) K and C of the free unknowns, see `EquationsOfMotion.tangents`.
+        residuals: residual of each Newton iteration in the last load step, relative to the largest
+            force.
         finished: whether the factor asked for was reached.
         cache: report of an audited law on this rest; None of other laws.
-        decisions: those of an audited law on windows of load steps; None of other laws.
+        decisions: decisions of an audited law on windows of load steps; None of other laws.
     """
 
     system: System
@@ -317,7 +318,7 @@ def find_rest(
     Args:
         problem: as of `simulate`. Its amplitudes in time do not count.
         law: a law with tangents.
-        factor: of all loads and prescribed motions; 0 is the tissue without load.
+        factor: factor of all loads and prescribed motions; 0 is the tissue without load.
         load_steps: load steps to begin with.
         progress: called with the factor of each equilibrium on the way, and the last one; True: a
             line of the standard error shows it.
@@ -395,9 +396,9 @@ class Loading:
     """The way from no load to a factor of it.
 
     Attributes:
-        newton: finds an equilibrium.
-        audits: of an audited law.
-        factor: of the last equilibrium.
+        newton: finder of an equilibrium.
+        audits: windows and verdicts of an audited law.
+        factor: factor of the loads at which the way ends.
         longest: length of the first load step, and the longest of all.
         rest: the last equilibrium; None before there is one.
     """
@@ -732,7 +733,7 @@ class Newton:
 
         Args:
             last: the equilibrium before; None: there is none, and all begins without displacement.
-            next_step: of the result.
+            next_step: `RestState.next_step` of the result.
 
         Raises:
             NoStress: there is no such equilibrium.

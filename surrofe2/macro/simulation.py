@@ -45,7 +45,7 @@ class MacroRun(ViewedRun):
 
     Attributes:
         curve: displacement of the first watched point at the output times.
-        curves: those of all watched points by name.
+        curves: displacements of all watched points by name.
         energies: by name, (m,) arrays in pJ at the output times:
 
             kinetic: kinetic energy.
@@ -74,7 +74,7 @@ class MacroRun(ViewedRun):
             run, from which all others count, µm; (0, 2) without.
         frames: whole fields at a few times; of those that `keep_frame` took the times alone.
         met: extremes of deformation and rate.
-        largest_displacement: of all nodes at ends of steps, µm.
+        largest_displacement: largest displacement of any node at the end of a step, µm.
         wall_time: seconds, `total`, `law` (inside the stress law) and `macro` (the rest); and
             `cpu`, of all threads of this process.
         counts: `steps` accepted that stand, on the way to them `rejected_steps` as too inaccurate,
@@ -84,10 +84,10 @@ class MacroRun(ViewedRun):
         effort: sums of what the law's answers cost, those for dissipation included.
         rolled_back: the same counts and sums, over what an audited law took back.
         cache: report of an audited law on this run, as of its end; None of other laws.
-        decisions: those of an audited law on windows of steps of this run; None of other laws.
+        decisions: decisions of an audited law on windows of steps of this run; None of other laws.
         threads: number that numba could use.
         finished: whether the end of the problem was reached.
-        problem, law, settings: those of the call of `simulate`.
+        problem, law, settings: arguments of the call of `simulate`.
     """
 
     nodes: Array

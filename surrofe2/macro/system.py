@@ -50,10 +50,10 @@ class Works(NamedTuple):
     The works of all forces and of the supports, less the internal one, are that of inertia.
 
     Attributes:
-        internal: of the internal force, which the tissue takes up.
-        forces: (k,) of each of `System.forces`.
-        motion: of the forces that move supports.
-        inertia: of M ü, the gain of kinetic energy.
+        internal: work of the internal force, which the tissue takes up.
+        forces: (k,) work of each of `System.forces`.
+        motion: work of the forces that move supports.
+        inertia: work of M ü, the gain of kinetic energy.
         impulses: (2 b,) x and y of the impulse of each of b bodies on the tissue, µN µs, or of
             their forces, µN; empty at rest. They are no works, but are summed in the same way.
     """
@@ -79,18 +79,18 @@ class System:
     """A discrete problem: what does not change during a step.
 
     Attributes:
-        problem: what it is made of.
+        problem: the problem that it is made of.
         discretisation: its finite elements.
         mass_of: mass (2 n_nodes, 2 n_nodes) of a fraction (n_el,) of each element and its sides,
             ng.
         mass: (2 n, 2 n) ng, of n nodes and bodies.
-        free_mass: (m, m) that between the free unknowns.
+        free_mass: (m, m) mass between the free unknowns, ng.
         free: (m,) unknowns that move freely, increasing.
-        supports: what holds or moves the others.
-        forces: besides the tissue's own.
+        supports: supports, which hold or move the other unknowns.
+        forces: all forces besides the tissue's own; that of free sides is the last.
         solve_mass: inverse of the mass of the free unknowns, applied to (m,).
         initial_velocity: (n, 2) µm/µs.
-        outer_sides: those of the tissue, which may meet.
+        outer_sides: outer sides of the tissue, which may meet.
         probes: (k, n) weights of the displacements that are recorded: of watched points, and of
             means of boundaries that are acted on, by unloaded length.
         probe_names: (k,) their names.
@@ -312,7 +312,7 @@ class System:
 
         Args:
             forces: (f, n, 2) all forces.
-            reaction: (n, 2) of all supports.
+            reaction: (n, 2) force of all supports, µN.
         """
         holding = self.holding
         held = np.zeros((len(holding), 2 * self.n_rows))
@@ -378,6 +378,7 @@ def system_of(problem: Problem, law: StressLaw) -> System:
 def _modulus(law: StressLaw, n_points: int) -> float:
     """Compute the largest modulus of uniaxial strain at rest of any point, µN/µm."""
     moduli = [0.0]
+    # a difference of two answers, since a law need not have tangents
     still = np.zeros((n_points, 2, 2))
     for k in (0, 1):
         F = np.tile(np.eye(2), (n_points, 1, 1))
@@ -398,7 +399,7 @@ def make_system(
 
     Args:
         density: mass per reference area, ng/µm², one or (n_points,).
-        modulus: of the tissue, µN/µm, for the defaults of contact.
+        modulus: modulus of the tissue, µN/µm, from which defaults of contact follow.
 
     Raises:
         InputError: a condition names what the mesh has not, or two hold the same component.

@@ -171,7 +171,7 @@ class SlabLaw:
         cell: one square plant cell, or the name of a preset.
         settings: initialisation and tolerance; the solver must be direct.
         initialisation: initialisation that replaces that of the settings.
-        rows: plant cells across the slab; from 6 on the law does not depend on it.
+        rows: plant cells across the slab; from 6 on the law hardly depends on it.
         reference: the cell's settled reference state; None: it is settled here.
 
     Raises:

@@ -95,6 +95,7 @@ class TabulatedSurface:
         outside = np.flatnonzero(~valid)
         if outside.size and self.beyond is not None:
             answer = self.beyond().respond(stretch[outside], rate[outside], tangents=tangents)
+            # tension, tangent and rate tangent are the fields, in this order
             values[:, outside] = answer[: len(values)]
         return SurfaceResponse(*values)
 
@@ -164,6 +165,7 @@ def _coefficients(law: SlabLaw, stretch: tuple[float, float], rate: float, p: in
     nodes = np.meshgrid(low + 0.5 * (high - low) * (x + 1.0), rate * y, indexing="ij")
     stretches, rates = nodes
     tension = _tensions(law, stretches.ravel(), rates.ravel()).reshape(p, q)
+    # C of T_x C T_yᵀ = tension: one variable after the other
     by_x = np.linalg.solve(chebvander(x, p - 1), tension)
     return np.ascontiguousarray(np.linalg.solve(chebvander(y, q - 1), by_x.T).T)
 
