@@ -31,7 +31,7 @@ class SurfaceResponse(NamedTuple):
 
     @property
     def valid(self) -> Flags:
-        """(n,) flags: where there is an answer."""
+        """True where there is an answer, (n,)."""
         return ~np.isnan(self.tension)
 
 

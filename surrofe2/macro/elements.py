@@ -85,7 +85,7 @@ class Discretisation(NamedTuple):
 
     @property
     def areas(self) -> Array:
-        """(n_el,) reference areas, µm²."""
+        """Reference areas of the elements, (n_el,), µm²."""
         if self.pressure_apart:
             return np.asarray(self.weights[:, -1])  # the last point stands for the whole element
         return np.asarray(self.weights.sum(axis=1))

@@ -71,7 +71,7 @@ class Evaluation(NamedTuple):
 
     @property
     def acceleration(self) -> Array:
-        """(m,) ü of the free unknowns, µm/µs²."""
+        """Acceleration ü of the free unknowns, (m,), µm/µs²."""
         return self.rate[self.y.size // 2 :]
 
 

@@ -121,7 +121,7 @@ def pressure_load(mesh: skfem.Mesh, facets: Index, pressure: float) -> tuple[Arr
     """
 
     def work(u: Any, v: Any, w: Any) -> Any:
-        """The integrand of B: the power of the pressure on cof(∇u) n."""
+        """Return the integrand of B: the power of the pressure on cof(∇u) n."""
         (xx, xy), (yx, yy) = u.grad
         return -pressure * (v[0] * (yy * w.n[0] - yx * w.n[1]) + v[1] * (xx * w.n[1] - xy * w.n[0]))
 

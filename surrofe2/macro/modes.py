@@ -38,22 +38,22 @@ class Modes:
 
     @property
     def frequencies(self) -> Array:
-        """(m,) ω/2π, 1/µs."""
+        """Frequencies ω/2π, (m,), 1/µs."""
         return self.eigenvalues.imag / (2.0 * np.pi)
 
     @property
     def periods(self) -> Array:
-        """(m,) 2π/ω, µs."""
+        """Periods 2π/ω, (m,), µs."""
         return 1.0 / self.frequencies
 
     @property
     def decrements(self) -> Array:
-        """(m,) logarithmic decrement per period, 2π δ/ω."""
+        """Logarithmic decrements per period, 2π δ/ω, (m,)."""
         return -self.eigenvalues.real * self.periods
 
     @property
     def damping_ratios(self) -> Array:
-        """(m,) δ/|λ|."""
+        """Damping over critical damping, δ/|λ|, (m,)."""
         return -self.eigenvalues.real / abs(self.eigenvalues)
 
     @property

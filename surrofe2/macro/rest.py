@@ -189,7 +189,7 @@ class Rest(RestState):
 
     @property
     def forces(self) -> Array:
-        """(k, 2) forces on the tissue at the end, of `System.force_names`, µN."""
+        """Forces on the tissue at the end, (k, 2), in the order of `System.force_names`, µN."""
         columns = self.columns
         names = (f"force {name} {axis}" for name in self.system.force_names for axis in "xy")
         return np.array([columns[name][-1] for name in names]).reshape(-1, 2)
@@ -206,22 +206,22 @@ class Rest(RestState):
 
     @property
     def displacement(self) -> Array:
-        """(2 n_nodes,) displacement as a nodal vector of `basis`, µm."""
+        """Displacement as a nodal vector of `basis`, (2 n_nodes,), µm."""
         return self.u[: len(self.system.discretisation.nodes)].ravel()
 
     @property
     def element_stress(self) -> Array:
-        """(n_el, 2, 2) mean Cauchy stress of each element, µN/µm; see `element_mean_stress`."""
+        """Mean Cauchy stress of each element, (n_el, 2, 2), µN/µm; see `element_mean_stress`."""
         return element_mean_stress(self.system.discretisation, self.F, self.stress)
 
     @property
     def element_F(self) -> Array:
-        """(n_el, 2, 2) mean deformation gradient of each element; see `element_mean_F`."""
+        """Mean deformation gradient of each element, (n_el, 2, 2); see `element_mean_F`."""
         return element_mean_F(self.system.discretisation, self.F)
 
     @property
     def path(self) -> Array:
-        """(steps + 1, 3) factor and displacement of the first watched point, µm."""
+        """Factor and displacement of the first watched point, µm, (steps + 1, 3)."""
         return self.journal["rows"][:, :3]
 
     @property
@@ -248,7 +248,7 @@ class Rest(RestState):
 
     @property
     def watched(self) -> Array:
-        """(2,) displacement of the watched point, µm."""
+        """Displacement of the first watched point at the end, (2,), µm."""
         return self.path[-1, 1:]
 
     def relation(self, name: str, against: str) -> Array:

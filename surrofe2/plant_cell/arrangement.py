@@ -64,7 +64,7 @@ class Arrangement:
         tessellation: polygons of the plant cells.
         wall_position: (walls, 2) where wall particles start, µm; the first at the origin.
         bonds: (b, 4) pairs of wall particles i, j, and the lattice shift (a, b) of j.
-        rims: for each plant cell (k, 3) wall particles around it, and their shifts (a, b).
+        rims: wall particles around each plant cell, and their shifts (a, b), (k, 3) each.
         fluid_counts: SPH particles of each plant cell; empty with a uniform fluid.
         wall_edge: (walls,) number of the edge that each wall particle is counted to.
         outer: (walls,) `_LOWER_SIDE` or `_UPPER_SIDE` along the free sides of a slab, else 0.

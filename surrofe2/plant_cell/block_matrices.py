@@ -349,9 +349,9 @@ def _update(a, panel, width, count, row, row_width, multipliers, begin, target, 
 
 @kernel
 def _subtract_pair(a, line, width, factors, target, row_width, columns):
-    """a[target + j] −= Σ_m a[factors + m] a[line + m · width + j] over m < 2 and j < columns.
+    """Set a[target + j] −= Σ_m a[factors + m] a[line + m · width + j] over m < 2, j < columns.
 
-    The same for the row `row_width` further on, with its own factors.
+    It does the same for the row `row_width` further on, with its own factors.
     """
     f0 = load(a, factors)
     f1 = load(a, factors + 1)
@@ -583,7 +583,7 @@ def _with_block(lu, row, y, unknown, pattern, g, c, transposed):
 
 @kernel
 def _gather(lu, start, y, unknown, first, count):
-    """y[:, unknown] −= Σ_j lu[start + j] y[:, first + j] over j < count."""
+    """Set y[:, unknown] −= Σ_j lu[start + j] y[:, first + j] over j < count."""
     s0 = load(y, 0, unknown)
     s1 = load(y, 1, unknown)
     s2 = load(y, 2, unknown)
@@ -602,7 +602,7 @@ def _gather(lu, start, y, unknown, first, count):
 
 @kernel
 def _spread(lu, start, y, unknown, first, count):
-    """y[:, first + j] −= lu[start + j] y[:, unknown] for j < count."""
+    """Set y[:, first + j] −= lu[start + j] y[:, unknown] for j < count."""
     s0 = load(y, 0, unknown)
     s1 = load(y, 1, unknown)
     s2 = load(y, 2, unknown)

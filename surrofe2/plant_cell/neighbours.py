@@ -33,11 +33,12 @@ SKIN = 0.2
 """Distance beyond the cut-off up to which contacts are listed, in cut-offs."""
 BESIDE = 1.4
 """Distance in the reference, in cut-offs, up to which two walls have a block in matrices if they
-bound no plant cell of SPH fluid together."""
+bound no plant cell of SPH fluid together. Farther ones meet where tissue is crushed by 29 %."""
 BESIDE_UNIFORM = 1.2
 """The same with a uniform fluid. Walls beyond it meet only where tissue is crushed by a sixth."""
 FARTHEST = 3.0
-"""Distance in the reference, in cut-offs, beyond which two walls are never listed."""
+"""Distance in the reference, in cut-offs, beyond which two walls are never listed: they would meet
+only where tissue is crushed to a third."""
 PIECE = 4
 """Most wall particles in a group where the fluid is uniform. With nine Voronoi cells, groups of 6
 take a third more multiplications, and smaller groups no fewer."""
@@ -108,7 +109,7 @@ class Near:
     Attributes:
         topology: the topology with the listed contacts alone.
         every: the topology with all contacts.
-        listed: (k,) which of all contacts are listed.
+        listed: (k,) True for those of all contacts that are listed.
         F: (tiles, 2, 2, TILE) deformation at which they were listed.
         z: (tiles, 2, own, TILE) material positions at which they were listed, x = F z, µm.
         reach: µm.

@@ -442,7 +442,7 @@ def _rim_of(
 
     Args:
         chains: particles along each wall.
-        position: (n, 2) of the particles, µm.
+        position: (n, 2) positions of the particles, µm.
         length: length of a spring, µm.
 
     Raises:

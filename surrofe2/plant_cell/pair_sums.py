@@ -108,13 +108,13 @@ def add_pair(f, i, j, fx, fy):
 
 @pair_law
 def add_to(array, row, value):
-    """array[row] += value; array (rows, TILE)."""
+    """Set array[row] += value; array (rows, TILE)."""
     store(load(array, row) + value, array, row)
 
 
 @pair_law
 def add_at(array, row, column, value):
-    """array[row, column] += value; array (rows, columns, TILE)."""
+    """Set array[row, column] += value; array (rows, columns, TILE)."""
     store(load(array, row, column) + value, array, row, column)
 
 

@@ -27,7 +27,7 @@ FLUIDS = ("sph", "uniform")
 USUAL_FLUID = {"square": "sph", "hexagon": "uniform", "voronoi": "uniform"}
 """Fluid that "auto" stands for in each arrangement."""
 FEWEST_VORONOI = 4
-"""Fewest Voronoi cells of an RVE."""
+"""Fewest Voronoi cells of an RVE; among fewer, some are neighbours of their own images."""
 _ARRANGEMENT = ("arrangement", "cells", "arrangement_seed")
 _UNIFORM = ("fluid", "sap_bulk_modulus")
 _SHAPE = ("area_variation", "elongation", "elongation_direction")
@@ -35,7 +35,8 @@ _SHAPE = ("area_variation", "elongation", "elongation_direction")
 _AS_LAID_OUT = {"area_variation": 0.0, "elongation": 1.0, "elongation_direction": 0.0}
 """Values of the fields of a shape that leave Voronoi cells as they are laid out."""
 LEAST_VARIATION = 0.1
-"""Smallest variation of areas, beside 0, that can be asked for."""
+"""Smallest variation of areas, beside 0, that can be asked for: not every seed comes below 0.06,
+however often its points move to centroids."""
 
 
 def _constant(default: Any, unit: str, about: str, section: str = "6", **bounds: Any) -> Any:

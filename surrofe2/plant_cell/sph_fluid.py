@@ -211,9 +211,10 @@ def add_pair_row(array, row, column_i, column_j, gx, gy):
 
 @kernel
 def add_product(A, B, values, begin, width):
-    """values[begin + m · width + n] += Σ_s A[m, s] B[s, n]; A (·, ·, TILE), B (·, even, TILE).
+    """Set values[begin + m · width + n] += Σ_s A[m, s] B[s, n].
 
-    Two columns are summed at a time, so that each entry of A is read half as often.
+    A: (·, ·, TILE). B: (·, even, TILE). Two columns are summed at a time, so that each entry of A
+    is read half as often.
     """
     for m in range(A.shape[0]):
         row = begin + m * width

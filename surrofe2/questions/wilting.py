@@ -70,7 +70,7 @@ class Wilting:
 
     @property
     def size(self) -> Array:
-        """(n,) length of a side over that of the reference: the root of the area."""
+        """Length of a side over that of the reference, (n,): the root of the area."""
         return np.asarray(np.sqrt(np.linalg.det(self.F)))
 
     def rows(self) -> list[dict[str, Any]]:

@@ -49,7 +49,7 @@ class Response:
 
     @property
     def stress(self) -> Array | None:
-        """(m,) nominal stress, MPa; None without one thickness, or on a single node."""
+        """Nominal stress, (m,), MPa; None without one thickness, or on a single node."""
         area = self.area
         return None if area is None else self.force / area
 
@@ -62,7 +62,7 @@ class Response:
 
     @property
     def strain(self) -> Array:
-        """(m,) nominal strain."""
+        """Nominal strain, (m,)."""
         return self.displacement / self.length
 
     @property

@@ -77,7 +77,8 @@ EVEN = 1e-5
 """Difference of the energies on the two sides of a saddle, over their fall, up to which they count
 as equal."""
 DOWN = 0.4
-"""Longest displacement of a particle in one step down, µm."""
+"""Longest displacement of a particle in one step down, µm: that of a Newton step,
+`newton.LONGEST_STEP`."""
 PAIRED = 0.02
 """Distance of fluid particles below which they count as one, µm."""
 LEAST = 1e-12

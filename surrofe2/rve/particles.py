@@ -47,7 +47,7 @@ class Particles:
             pairs of two fluid particles.
         is_wall: (p,) whether a particle is a wall particle.
         fluid_cell: (f,) plant cell of the fluid.
-        rims: for each plant cell (k, 3) wall particles around it, and their shifts (a, b).
+        rims: wall particles around each plant cell, and their shifts (a, b), (k, 3) each.
         lattice: (2, 2) periods of the reference, its columns, µm; they move along with F.
     """
 

@@ -297,7 +297,7 @@ def is_far(F: Array) -> Flags:
 def _newton(solved: Solved, renewed: Flags | bool = False) -> None:
     """Solve lanes that are open by Newton's method, and check the stability of all it solves.
 
-    renewed: (tiles,) which tiles get new factors, and are checked, in any case.
+    renewed: (tiles,) True for tiles that get new factors, and are checked, in any case.
     """
     failed = solved.answer.iterations < 0
     solved.newton_solves += int(unpack(failed, solved.start.points).sum())

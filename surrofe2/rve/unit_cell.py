@@ -48,7 +48,8 @@ RELAXED = 1e-10
 SAME_ENERGY = 1e-7
 """Equilibria whose energies differ relatively by less are the same or images of each other."""
 _FIRST_GUESS = 0.5
-"""First guess of l₀ of one square cell, over the length of a spring."""
+"""First guess of l₀ of one square cell, over the length of a spring. It is 0.55 with `printed` and
+0.93 with `water`."""
 _TRIALS = 200
 """Most evaluations of the stress in the search for l₀ and the box."""
 _DIFFERENCE = 1e-5

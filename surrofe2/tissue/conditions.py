@@ -169,7 +169,8 @@ class Conditions:
         """Return the bodies at t = 0, before they move.
 
         Args:
-            offset: (particles, 2) from a particle to its place on the outline that bodies meet, µm.
+            offset: (particles, 2) vectors from particles to their places on the outline that bodies
+                meet, µm.
         """
         bodies = self.problem.bodies
         if not bodies:
@@ -249,7 +250,7 @@ class Conditions:
 
         Args:
             relaxed: (particles, 2) positions at rest without load, µm.
-            offset: (particles, 2) from a particle to its place on the outline, µm.
+            offset: (particles, 2) vectors from particles to their places on the outline, µm.
         """
         bonds = [np.empty((0, 2), dtype=np.int64)]
         loads_of_bonds: list[int] = []

@@ -60,16 +60,16 @@ class TissueDynamics:
 
     Args:
         tissue: the particles.
-        skin: how far pair lists reach beyond the cut-off, µm; it changes the cost only.
-        held: (particles, 2) which components do not move by their forces; None: none.
+        skin: reach of pair lists beyond the cut-off, µm; it changes the cost only.
+        held: (particles, 2) True for components that do not move by their forces; None: none.
         loads: (loads, particles, 2) dead loads at amplitude 1, µN; None: none.
         driven: prescribed motion of components that are held.
 
     Attributes:
         counts: `force_evaluations` and `list_builds` so far.
-        free: (particles, 2) which components move freely.
+        free: (particles, 2) True for components that move freely.
         mass: (particles,) ng.
-        loads, driven: see the arguments.
+        loads, driven: arguments of the same names.
         bodies, outline: rigid bodies, and forces on the outline; at first there are none.
     """
 

@@ -57,7 +57,8 @@ class OutlineForces(NamedTuple):
         pressure: (k,) pressure on each bond at amplitude 1, µN/µm.
         offset: (2k, 2) added to the positions of the ends of bonds, µm.
         home: (e − 2k, 2) positions at which springs are at rest, µm.
-        stiffness, damping: (e − 2k, 2) of springs in both components, µN/µm and µN µs/µm.
+        stiffness, damping: (e − 2k, 2) constants of springs in both components, µN/µm and
+            µN µs/µm.
         force: (e, 2) forces in the last step, µN.
         before: (e, 2) velocities before it, scratch.
         total: (loads, 2) total force of each load in the last step, µN.

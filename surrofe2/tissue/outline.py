@@ -14,7 +14,7 @@ from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.problem.mesh import facet_nodes
 
 _CORNER = 0.3
-"""Sine of the turn from which on a vertex of an outline is a corner."""
+"""Sine of the turn, 17°, from which on a vertex of an outline is a corner."""
 _LEVEL = 1e-9
 """Distance from the outline, over its extent, up to which particles lie on it."""
 _HAIR = 1e-6

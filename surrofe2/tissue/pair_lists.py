@@ -370,7 +370,7 @@ class Cells(NamedTuple):
         fluid_tiles: number of tiles, the first ones, that have fluid.
         order: (tiles,) order in which threads take the tiles: those with and without fluid are
             evenly mixed, so that equal parts take equal time.
-        skin: how far particles of neighbouring periods may move against one another, µm.
+        skin: distance that particles of neighbouring periods may move against one another, µm.
     """
 
     place: Index
@@ -435,7 +435,7 @@ class PairLister:
     """Maker of `PairLists` for one tissue, and of the constants of their pairs.
 
     Args:
-        skin: how far beyond the cut-off pairs of neighbouring periods are listed, µm.
+        skin: distance beyond the cut-off up to which pairs of neighbouring periods are listed, µm.
     """
 
     def __init__(self, tissue: Tissue, skin: float) -> None:

@@ -32,7 +32,8 @@ LIMIT = 200_000
 HALVINGS = 4
 """Most halvings of a step that turns out unstable."""
 _STEP = 0.36
-"""Step times √(k/m) of the wall; undamped springs are stable up to 1."""
+"""Step times √(k/m) of the wall. Undamped springs alone are stable up to 1; contacts and fluid add
+to their stiffness."""
 _FIRST_DRAG = 0.02
 """First drag over √(k/m)."""
 _LEAST_DRAG = 1e-4

@@ -121,7 +121,8 @@ class ParticleFrames:
 class Particles(NamedTuple):
     """The particles that fields belong to.
 
-    position: (particles, 2) in the unloaded equilibrium, µm. bonds: (b, 2) bonded wall particles.
+    position: (particles, 2) positions in the unloaded equilibrium, µm.
+    bonds: (b, 2) bonded wall particles.
     is_wall: (particles,) whether a particle is a wall particle.
     """
 
@@ -436,7 +437,7 @@ def simulate_tissue(
     """Simulate the motion of all particles of a tissue, which is first relaxed without load.
 
     Args:
-        problem: what acts on the tissue. The mesh counts as its outline alone; a rectangle of
+        problem: mesh, loads and supports. The mesh counts as its outline alone; a rectangle of
             square cells must hold whole cells. A boundary is the wall particles on its sides, a
             region the plant cells whose middles it holds, a watched point the nearest particle.
         cell: the plant cell that the tissue is made of, or several of one size and arrangement.
@@ -621,7 +622,7 @@ def _step_sentence(
     Args:
         modulus: bulk modulus of the sap, MPa.
         limit: longest stable step with it, µs.
-        drained: those without it, of each type.
+        drained: longest stable steps of each type without it, µs.
     """
     return (
         f"tissue.micro_step: {settings.micro_step:.3g} µs; undrained sap (sap_bulk_modulus "
@@ -707,7 +708,7 @@ def _check_filled(section: str, area: float, count: int, filled: float, hint: st
     Args:
         area: area of the mesh, µm².
         count, filled: number of the plant cells, and their area, µm².
-        hint: what to do.
+        hint: end of the message, which says what to do.
     """
     if abs(filled - area) > _MOST_OFF * area:
         raise InputError(

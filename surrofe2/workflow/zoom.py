@@ -63,7 +63,7 @@ class Zoom(Viewed):
 
     @property
     def t(self) -> Array:
-        """(n,) times, µs; of a rest factors of the load."""
+        """Times of the path, (n,), µs; of a rest factors of the load."""
         return self.motion.t
 
     def extremes(self) -> dict[str, Array]:
