@@ -24,8 +24,15 @@ _SPRING = 2.5
 
 
 class Constants(NamedTuple):
-    """Constants of the pair laws by `CellParameters`, ready for use in kernels (µm, µs, ng).
+    """Constants of the pair laws by `CellParameters`, ready for use in kernels.
 
+    wall_stiffness, rest_length, wall_damping: k_w, µN/µm, l₀, µm, and γ, µN µs/µm, of (1).
+    repulsion, cutoff: λ, µN µm⁶, and x₀, µm, of (2).
+    contact_damping: 2 √(6 λ m_w) ζ_c of (2), µN µs µm^(5/2).
+    smoothing_length, fluid_mass: h, µm, and mass of an SPH particle, ng.
+    sound_speed_squared: c_s², µm²/µs².
+    sap_modulus: K of (A49), µN/µm.
+    viscosity: µ, ng/µs.
     scale: factor of the lengths that bound the steps of solvers. With a uniform fluid, the length
         of a wall spring over the paper's; with SPH fluid 1, for its particles would meet otherwise.
     """

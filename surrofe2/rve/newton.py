@@ -360,7 +360,7 @@ def chord(drive, z, before, factors, topology, constants, tolerance, answer):
     drive: F and Ḟ of all tiles.
     z: (tiles, 2, n, TILE), known at the `Drive` before.
     factors: (tiles,) addresses of the kept factors, which are read only.
-    answer: stress, residual and iterations are filled.
+    answer: stress and iterations are filled.
     """
     for t in numba.prange(z.shape[0]):
         _chord_tile(

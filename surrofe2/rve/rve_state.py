@@ -383,7 +383,7 @@ class Answer(NamedTuple):
     """Results of a solver for all tiles, which it fills in; or for one tile, without that axis.
 
     stress: (tiles, 2, 2, TILE) Cauchy stress, µN/µm.
-    residual: (tiles, 1, TILE) mean force, µN.
+    residual: (tiles, 1, TILE) mean force, µN; `iterate` and `stress_at` alone fill it.
     iterations: (tiles, TILE) states of the lanes, or evaluations of forces; see the table above.
     stable: (tiles, TILE) whether the elastic Hessian is positive definite.
     """
