@@ -179,6 +179,7 @@ class GeneralisedAlpha:
         u, v = np.split(start.y, 2)
         u_known = u + h * v + h**2 * (0.5 - w.beta) * a
         v_known = v + h * (1.0 - w.gamma) * a
+        # the part of (A26) that the start of the step gives
         before = w.alpha_m * (self._mass @ a) - w.alpha_f * start.residual
         a_end = guess
         for iteration in range(MAX_ITERATIONS + 1):
@@ -186,6 +187,7 @@ class GeneralisedAlpha:
             now = equations.evaluate(t, y, tangents=True)
             inertia = self._inertia @ a_end
             residual = before + inertia - (1.0 - w.alpha_f) * now.residual
+            # once in any case, since the error of the step is filtered by it
             if iteration == 0:
                 solve, floor = self._factorised(now, h)
             forces = (now.internal, now.forces, inertia, before)

@@ -512,6 +512,7 @@ def _initial_velocity(problem: Problem, supports: tuple[Support, ...], n: int) -
     for k, body in enumerate(problem.bodies):
         if body.mass is not None:
             velocity[problem.mesh.p.shape[1] + k] = body.velocity
+    # what moves jumps from this velocity to that of its motion; what is held has none
     for support in supports:
         velocity.ravel()[support.unknowns[support.largest == 0.0]] = 0.0
     return velocity

@@ -182,8 +182,10 @@ def add_central_stiffness_rates(workspace, u, f, pairs, weight, is_bond, constan
         b = acting * (stiffness - elastic * inverse)
         across = b * rate * inverse
         along = -across
+        # a spring has t″ = 0
         if not is_bond:
             along += acting * contact_bend(inverse, constants) * rate
+        # b ṅ
         turn_x = b * (pair.wx - rate * nx) * inverse
         turn_y = b * (pair.wy - rate * ny) * inverse
         for m in range(FIELDS):

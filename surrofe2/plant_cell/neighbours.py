@@ -457,6 +457,7 @@ def _contacts(
         inside = np.repeat(np.arange(first, last), len(rim))[:, None]
         with_fluid.append(np.hstack([inside, np.tile(rim, (last - first, 1))]))
     every = np.concatenate([pairs, *with_fluid]).astype(np.int32)
+    # fluid may come to any wall around it, so that every pair with it has a block
     return every, np.append(has_block, np.ones(len(every) - len(pairs), dtype=np.bool_))
 
 

@@ -284,6 +284,7 @@ def add_sph_rates(workspace, f_rate, volume_rate, topology, constants):
     pairs = topology.fluid_pairs
     first = topology.walls
     fluid_specific_volume(workspace.x, topology, constants, slope, volume)
+    # densities first: the rate of a force takes V̇ of both particles, which all pairs add to
     volume_rate[:] = 0.0
     for k in range(pairs.shape[0]):
         i = pairs[k, 0]

@@ -226,6 +226,7 @@ def _with_variation(points: Array, lattice: Array, wanted: float) -> Array:
     """
     reached = _variation(points, lattice)
     is_too_large = reached > wanted
+    # at their centroids points have polygons that are alike; away from them these differ more
     move = 1.0 if is_too_large else _APART
     for _ in range(_MOST_STEPS):
         after = _moved(points, lattice, move)

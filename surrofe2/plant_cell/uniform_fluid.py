@@ -280,6 +280,7 @@ def add_uniform_gradients(workspace, weights, by_x, by_v, topology, constants):
                 gx, gy = normal_at(workspace.x, rim, k)
                 hx, hy = normal_at(workspace.v, rim, k)
                 nx, ny = normal_at(field, rim, k)
+                # Ŝ is [[Syy, −Sxy], [−Sxy, Sxx]]
                 fx = along * gx + txx * hx + txy * hy + syy * nx - sxy * ny
                 fy = along * gy + txy * hx + tyy * hy + sxx * ny - sxy * nx
                 add_vector(to_x, rim[k], fx, fy)

@@ -146,6 +146,8 @@ def _integrate(u, w, drive, dt, X, mass, topology, constants):
         first = drive_of(drive, 2 * step)
         middle = drive_of(drive, 2 * step + 1)
         last = drive_of(drive, 2 * step + 2)
+        # stages of u̇ = w, ẇ = a(t, u, w): the rates of u are w and w2 to w4, those of w are a1 to
+        # a4
         _accelerations(u, w, first, X, mass, topology, constants, workspace, a1)
         w2 = w + half * a1
         _accelerations(u + half * w, w2, middle, X, mass, topology, constants, workspace, a2)

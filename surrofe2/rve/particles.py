@@ -137,15 +137,18 @@ def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Arr
         force[:] -= _summed(pairs.j, forces, topology.particles)
         return np.einsum("nki,nkj->nkij", forces, pairs.r) / area[:, None]
 
+    # walls, (1)
     bonds = pairs_of(topology.bonds)
     tension = cell.wall_stiffness * (bonds.length - unit.rest_length)
     tension += unit.constants.wall_damping * bonds.rate
     bond_stress = act(bonds, (tension / bonds.length)[:, :, None] * bonds.r).sum(axis=1)
 
+    # contacts, (2)
     contacts = pairs_of(topology.contacts)
     tension_over_length = _contact_tension(unit, contacts) / contacts.length
     pushes = tension_over_length[:, :, None] * contacts.r
     contact_stress = act(contacts, pushes)
+    # walls are numbered before fluid
     between_walls = np.maximum(contacts.i, contacts.j) < topology.walls
 
     starts = topology.fluid_start.astype(np.int64)

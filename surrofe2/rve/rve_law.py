@@ -209,6 +209,7 @@ class RveLaw(Viewed):
         points = len(F)
         if points == 0:
             return StressResponse(np.empty((0, 2, 2)), np.empty(0, np.int8), state, {})
+        # from F = I, with new factors
         cold = state is None
         if cold:
             state = self.rest_state(points)

@@ -202,6 +202,7 @@ def _pulled_back(by_x, by_v, f, drive, topology):
     for n in range(COLUMNS):
         a, b = component(n)
         for row in range(0, free, 2):
+            # v follows z by the rate, and component (a, b) has f_a as its slope by z_b
             vx = load(load_v, n, row)
             vy = load(load_v, n, row + 1)
             gx = load(rate, 0, 0) * vx + load(rate, 1, 0) * vy

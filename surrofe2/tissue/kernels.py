@@ -367,6 +367,7 @@ def elastic_energy(x, lists, constants, cells, energy):
                 for lane in range(TILE):
                     mass = constants.fluid[row, _FLUID_MASS, lane]
                     weight = mass * constants.fluid[row, _SOUND_SPEED_SQUARED, lane]
+                    # a particle that does not exist has a density, too, that of itself
                     weight *= cells.exists[t, cells.walls + p, lane]
                     energy[t, lane] -= weight * np.log(volume[p, lane])
             for k in range(cells.rim_start.shape[0] - 1):

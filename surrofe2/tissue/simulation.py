@@ -556,6 +556,7 @@ def outlined_conditions(
     middles = [centroid(tessellation.corners(k)) for k in range(len(tessellation.polygons))]
     within = are_within(np.array(middles), rings)
     inside = outlined.is_cell & within
+    # enclosed air; the outside is on the left of a clockwise way, whose area is negative
     spaces = ~outlined.is_cell & within & (tessellation.areas > 0.0)
     width, height = 0.5 * tessellation.lattice.diagonal()
     _check_filled(
