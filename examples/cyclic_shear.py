@@ -22,6 +22,7 @@ from surrofe2 import (
 
 WIDTH, HEIGHT, SHEAR = 40.0, 1.0, 0.005
 FREQUENCIES = (0.1, 0.2, 0.4)  # 1/µs
+COLOURS = ("#0072B2", "#D55E00", "#009E73")
 
 
 def loop_of(law, frequency, steps=100):
@@ -64,14 +65,16 @@ def main():
     law = RveLaw(CellParameters.preset("printed"), initialisation="slow-manifold")
     figure = Figure(figsize=(5.0, 3.6), layout="constrained")
     axes = figure.subplots()
-    print("frequency (1/µs), storage and loss modulus from the loop, from the tangents (µN/µm)")
-    for frequency in FREQUENCIES:
+    print("frequency (1/µs), storage and loss modulus from the loop, from the tangents (MPa)")
+    thickness = law.cell.tissue_thickness
+    for frequency, colour in zip(FREQUENCIES, COLOURS, strict=True):
         shear, stress = loop_of(law, frequency)
-        found, exact = moduli_of(shear, stress), tangent_moduli(law, frequency)
-        print(f"{frequency:g}", *(f"{value:.4g}" for value in (*found, *exact)))
-        axes.plot(100.0 * shear, stress, label=f"{frequency:g} /µs")
+        moduli = (*moduli_of(shear, stress), *tangent_moduli(law, frequency))
+        print(f"{frequency:g}", *(f"{modulus / thickness:.4g}" for modulus in moduli))
+        axes.plot(100.0 * shear, stress / thickness, color=colour, label=f"{frequency:g} /µs")
     axes.set_xlabel("shear (%)")
-    axes.set_ylabel("shear stress (µN/µm)")
+    axes.set_ylabel("shear stress (MPa)")
+    axes.grid(alpha=0.25)
     axes.legend(title="frequency")
     figure.savefig(Path(__file__).with_name("cyclic-shear.png"), dpi=300)
 

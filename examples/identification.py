@@ -62,11 +62,16 @@ def main():
     figure = Figure(figsize=(5.0, 3.6), layout="constrained")
     axes = figure.subplots()
     t = np.linspace(0.0, DURATION, len(data))
-    axes.plot(t, data, ".", color="0.7", ms=3.0, label="test, 1 % of noise")
-    for given, label in ((GUESS, "guess"), (values, "identified")):
-        axes.plot(t, pulled(given, len(data) - 1)[1].first_piola[:, 0, 0], label=label)
+    thickness = CellParameters.preset("water").tissue_thickness  # stresses over it are in MPa
+    axes.plot(t, data / thickness, ".", color="0.7", ms=3.0, label="test, 1 % of noise")
+    curves = ((GUESS, "guess", "#0072B2"), (values, "identified", "#D55E00"))
+    for constants, label, colour in curves:
+        _, path = pulled(constants, len(data) - 1)
+        stress = path.first_piola[:, 0, 0] / thickness
+        axes.plot(t, stress, color=colour, label=label)
     axes.set_xlabel("time (µs)")
-    axes.set_ylabel("nominal stress (µN/µm)")
+    axes.set_ylabel("nominal stress (MPa)")
+    axes.grid(alpha=0.25)
     axes.legend()
     figure.savefig(Path(__file__).with_name("identification.png"), dpi=300)
 

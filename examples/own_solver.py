@@ -55,12 +55,24 @@ def solve(law, mesh=MESH, pull=PULL, element=ELEMENT, intorder=4, tolerance=1e-9
     return basis, u, residuals
 
 
-if __name__ == "__main__":
-    basis, u, residuals = solve(RveLaw(CellParameters.preset("printed")))
-    print("residuals:", *(f"{each:.1e}" for each in residuals))
+def draw(basis, u):
+    """The mesh before and at rest, clamped on its left, and the direction of its load."""
     moved = skfem.MeshQuad1(basis.mesh.p + 50.0 * u[basis.nodal_dofs], basis.mesh.t)
     axes = basis.mesh.draw(linewidth=0.5, color="0.6")
     moved.draw(ax=axes, linewidth=1.5, color="#0072B2")
+    axes.plot([0, 0], [0, 100], color="0.15", linewidth=5)
+    for y in (20, 50, 80):
+        arrow = {"arrowstyle": "-|>", "color": "#D55E00"}
+        axes.annotate("", (232, y - 2.5), (212, y), arrowprops=arrow)
     axes.axis("on")
-    axes.set(xlabel="x (µm)", ylabel="y (µm)", title="grey: before; blue: at rest, moved 50-fold")
+    axes.set(xlabel="x (µm)", ylabel="y (µm)", xlim=(-8, 236))
+    axes.set_title(
+        "grey: before; blue: at rest, displacements 50-fold; arrows: the load", fontsize=9
+    )
     axes.figure.savefig(Path(__file__).with_name("own-solver.png"), dpi=200, bbox_inches="tight")
+
+
+if __name__ == "__main__":
+    basis, u, residuals = solve(RveLaw(CellParameters.preset("printed")))
+    print("residuals:", *(f"{each:.1e}" for each in residuals))
+    draw(basis, u)

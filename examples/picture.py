@@ -1,9 +1,11 @@
 """Draws the picture of an example: a recipe from Python, `python examples/picture.py NAME …`.
 
 A curve, the whole specimen when the curve is highest, and the plant cells where the stress is.
+Where the stress is the same all over the specimen, it is coloured by its displacement.
 """
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,7 @@ from surrofe2 import RegionalLaw, load_recipe, simulate
 from surrofe2.report.figures import (
     Colours,
     box,
+    draw_borders,
     draw_cells,
     draw_tissue,
     drawn_bodies,
@@ -23,18 +26,20 @@ from surrofe2.store.fields import DISPLACEMENT_NAME, StoredFields
 from surrofe2.workflow.laws import law_by_region, true_law
 
 FOLDER = Path(__file__).parent
-TIME = "time", 1.0, "Time (µs)"
+TIME = "time", 1.0, "time (µs)"
+# Stresses that differ by less than this fraction of the largest are one colour.
+UNIFORM = 0.05
 CURVES = {  # name: over and of what: (column, sign that makes it positive, words)
     "block-between-plates": (
-        ("mean displacement top y", -1.0, "Shortening of the block (µm)"),
-        ("force upper y", -1.0, "Force of the plate on half the block (µN)"),
+        ("mean displacement top y", -1.0, "shortening of the block (µm)"),
+        ("force upper y", -1.0, "force of the plate on half the block (µN)"),
     ),
-    "drop-on-plate": (TIME, ("force plate y", 1.0, "Force of the plate on half the drop (µN)")),
-    "tensile-strip": (TIME, ("force clamp x", -1.0, "Force at the clamp, half the strip (µN)")),
-    "notched-leaf": (TIME, ("force clamp x", -1.0, "Force at the clamp (µN)")),
-    "hexagons-in-tension": (TIME, ("force grip x", 1.0, "Force at the grip, half the strip (µN)")),
-    "voronoi-in-tension": (TIME, ("force grip x", 1.0, "Force at the grip, half the strip (µN)")),
-    "skin-over-parenchyma": (TIME, ("displacement tip y", -1.0, "Deflection of the tip (µm)")),
+    "drop-on-plate": (TIME, ("force plate y", 1.0, "force of the plate on half the drop (µN)")),
+    "tensile-strip": (TIME, ("force clamp x", -1.0, "force at the clamp, half the strip (µN)")),
+    "notched-leaf": (TIME, ("force clamp x", -1.0, "force at the clamp (µN)")),
+    "hexagons-in-tension": (TIME, ("force grip x", 1.0, "force at the grip, half the strip (µN)")),
+    "voronoi-in-tension": (TIME, ("force grip x", 1.0, "force at the grip, half the strip (µN)")),
+    "skin-over-parenchyma": (TIME, ("displacement tip y", -1.0, "deflection of the tip (µm)")),
 }
 
 
@@ -58,7 +63,30 @@ def law_at(law, element, elements):
     )
 
 
-def draw(name, run, law, bodies, path):
+def stresses(frames, k, thickness):
+    """The principal stress of largest size of each element at frame k, MPa."""
+    principal = np.linalg.eigvalsh(frames.stress[k])
+    largest = abs(principal).argmax(axis=1)[:, None]
+    return np.take_along_axis(principal, largest, axis=1)[:, 0] / thickness
+
+
+def coloured(stress, displacement, elements):
+    """Values by which the specimen is coloured, their colours, and words where it has one stress.
+
+    Args:
+        stress: (e,) MPa.
+        displacement: (n, 2) of the nodes, µm.
+    """
+    if np.ptp(stress) > UNIFORM * abs(stress).max():
+        return stress, Colours.of("principal stress of largest size (MPa)", stress), ""
+    axis = int(np.ptp(displacement, axis=0).argmax())
+    moved = displacement[elements].mean(axis=1)[:, axis]
+    colours = Colours.of(f"displacement $u_{'xy'[axis]}$ (µm)", moved)
+    words = f"{stress.mean():.3g}".replace("-", "−")
+    return moved, colours, f"\nstress everywhere {words} MPa"
+
+
+def draw(name, run, law, problem, path):
     """The picture of an example from its run."""
     over, what = CURVES[name]
     x, value = (sign * column(run, which) for which, sign, _ in (over, what))
@@ -68,8 +96,8 @@ def draw(name, run, law, bodies, path):
     )
     peak = run.curve.t[value.argmax()]
     k = int(abs(frames.t - peak).argmin())
-    largest = np.linalg.eigvalsh(frames.stress[k])
-    stress = np.take_along_axis(largest, abs(largest).argmax(axis=1)[:, None], axis=1)[:, 0]
+    rves = list(law.laws.values()) if isinstance(law, RegionalLaw) else [law]
+    stress = stresses(frames, k, rves[0].cell.tissue_thickness)
     element = int(abs(stress).argmax())
 
     low, high = box(fields.points, ())
@@ -83,10 +111,12 @@ def draw(name, run, law, bodies, path):
     curve.set(xlabel=over[2], ylabel=what[2])
     curve.grid(alpha=0.25)
 
-    colours = Colours.of("Principal stress of largest size (µN/µm)", stress)
-    shown = drawn_bodies(bodies, run.curve.t, run.history, fields)
-    drawn = draw_tissue(place, fields, k, stress, colours, bodies=shown)
-    place.set_title(f"at the dot, {frames.t[k]:.3g} µs", fontsize=9)
+    values, colours, words = coloured(stress, frames.displacement[k], run.elements)
+    shown = drawn_bodies(problem.bodies, run.curve.t, run.history, fields)
+    drawn = draw_tissue(place, fields, k, values, colours, bodies=shown)
+    if isinstance(law, RegionalLaw):
+        draw_borders(place, fields, k, list(problem.mesh.subdomains.values()))
+    place.set_title(f"at the dot, {frames.t[k]:.4g} µs{words}", fontsize=9)
     colours.bar(place, drawn, "bottom")
 
     rve = law_at(law, element, len(run.elements))
@@ -116,6 +146,8 @@ if __name__ == "__main__":
         recipe = load_recipe(FOLDER / f"{name}.toml")
         problem = recipe.problem()
         law = law_by_region(recipe, problem.mesh, true_law)
-        run = simulate(problem, law, recipe.macro)
-        draw(name, run, law, problem.bodies, FOLDER / f"{name}.png")
+        # a frame at each output, so that there is one when the curve is highest
+        outputs = len(problem.output_times())
+        run = simulate(problem, law, replace(recipe.macro, frames=outputs))
+        draw(name, run, law, problem, FOLDER / f"{name}.png")
         print(name)

@@ -10,10 +10,12 @@ meshes, each with half the elements of the next, the first is taken out by Aitke
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import pairwise
 
 from surrofe2.report.study import NamedCell, Study
 from surrofe2.report.tables import Table
+from surrofe2.run.charts import Curve
 from surrofe2.rve import INITIALISATIONS
 from validation.case import (
     FE2,
@@ -21,7 +23,9 @@ from validation.case import (
     TISSUE,
     Case,
     Row,
+    Run,
     Setting,
+    apart_panel,
     compare,
     curves_panel,
     off_panel,
@@ -72,21 +76,36 @@ def bar(of: NamedCell, method: str, mesh: int = 0, n: int = 16, *, linear: bool 
 
 
 def figure_8(setting: Setting) -> Study:
-    """The full tissue and FE² with each initialisation, a panel for each mesh."""
+    """The full tissue and FE² with each initialisation, a column for each mesh; below, how far FE²
+    is from the tissue.
+    """
     of, meshes = setting.of, setting.meshes or (4, 8)
     cases = [bar(of, method, mesh) for mesh in meshes for method in INITIALISATIONS]
-    runs = setting.runs([bar(of, TISSUE), *cases])
+    tissue, *others = setting.runs([bar(of, TISSUE), *cases])
+    above = []
+    below = []
+    for mesh in meshes:
+        compared = [tissue, *(run for run in others if run.case.elements == (mesh, mesh))]
+        above.append(curves_panel(compared, f"FE² on {mesh} × {mesh} elements"))
+        below.append(apart_panel(compared, "", partial(_lag_and_decrement, tissue)))
     return Study(
         title="Figure 8: bending bar of 400 × 400 µm",
-        panels=tuple(
-            curves_panel(
-                [run for run in runs if run.case.elements in (None, (mesh, mesh))],
-                f"FE² on {mesh} × {mesh} elements",
-            )
-            for mesh in meshes
-        ),
-        table=Table(ROWS, compare(runs)),
+        panels=(*above, *below),
+        columns=len(meshes),
+        table=Table(ROWS, compare([tissue, *others])),
     )
+
+
+def _lag_and_decrement(tissue: Run, run: Run) -> str:
+    """How much later than the tissue's five periods of a run end, and how much more it damps."""
+    fit = tissue.fit.first
+    words = Curve(run.case.method, run.t, run.u).words
+    if run is tissue:
+        return f"{words}: period {fit.period:.4g} µs, decrement {fit.decrement:.3g}"
+    lag = 5.0 * (run.fit.first.period - fit.period)
+    damping = 100.0 * (run.fit.first.decrement / fit.decrement - 1.0)
+    text = f"{words}: {lag:+.1f} µs in 5 periods, decrement {damping:+.0f} %"
+    return text.replace("-", "−")
 
 
 def scales(setting: Setting) -> Study:
@@ -99,11 +118,16 @@ def scales(setting: Setting) -> Study:
     ]
     rows = with_limits(compare(setting.runs(cases)))
     return Study(
-        title="FE² against the full tissue as the bar grows\n(strains alike)",
-        panels=tuple(off_panel(f"slow manifold: {name}", rows, name) for name in cases[0].measures),
+        title="FE² (slow manifold) against the full tissue as the bar grows, strains alike",
+        panels=tuple(off_panel(name, rows, name, _mesh) for name in cases[0].measures),
         columns=len(cases[0].measures),
         table=Table(ROWS, rows),
     )
+
+
+def _mesh(row: Row) -> str:
+    """The mesh of a row, in words."""
+    return row.run_name if row.run_name == LIMIT else row.run_name.removeprefix("slow manifold, ")
 
 
 def with_limits(rows: Sequence[Row]) -> list[Row]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -32,6 +32,7 @@ from surrofe2.tissue import simulate_tissue
 from surrofe2.workflow.laws import law_by_region
 from surrofe2.workflow.tissue import tissue_of
 from validation.damped_fit import DampedFit, first_minimum, fit_damped_modes
+from validation.sketch import draw_sketch
 
 Array = NDArray[np.float64]
 
@@ -240,32 +241,72 @@ def compare(runs: Sequence[Run]) -> list[Row]:
     return rows
 
 
-def curves_panel(runs: Iterable[Run], title: str) -> Panel:
-    """What is watched over time, a line for each run."""
+def watched_of(case: Case) -> str:
+    """What is watched, in words with its unit."""
+    if case.force:
+        return f"force at the {case.force} (µN)"
+    return f"displacement $u_{'xy'[case.axis]}$ (µm)"
+
+
+def curves_panel(runs: Iterable[Run], title: str, width: float = 1.0) -> Panel:
+    """What is watched over time, a line for each run; `apart_panel` names the lines."""
     runs = list(runs)
-    case = runs[0].case
-    shown = (
-        f"force at the {case.force} (µN)"
-        if case.force
-        else f"displacement $u_{'xy'[case.axis]}$ (µm)"
-    )
     curves = (Curve(run.case.method, run.t, run.u, run.case.run_name, False) for run in runs)
-    return Panel("time (µs)", shown, tuple(curves), title)
+    shown = watched_of(runs[0].case)
+    return Panel("time (µs)", shown, tuple(curves), title, width=width, has_legend=False)
+
+
+def apart_panel(
+    runs: Iterable[Run],
+    title: str,
+    name: Callable[[Run], str] = lambda run: run.case.run_name,
+    width: float = 1.0,
+) -> Panel:
+    """Each run minus the full tissue, which is the first of them, over time.
+
+    Args:
+        name: words for the legend.
+    """
+    first, *others = runs
+    nothing = np.zeros(2)
+    curves = [Curve(TISSUE, first.t[[0, -1]], nothing, name(first), False)]
+    for run in others:
+        apart = run.u - np.interp(run.t, first.t, first.u)
+        curves.append(Curve(run.case.method, run.t, apart, name(run), False))
+    shown = watched_of(first.case)
+    return Panel("time (µs)", f"minus tissue: {shown}", tuple(curves), title, width=width)
 
 
 def curves_of(runs: Sequence[Run], shown: Iterable[tuple[str, int]]) -> list[Panel]:
-    """A panel for each (problem, plant cells across)."""
+    """A panel with a legend for each (problem, plant cells across)."""
+    panels = []
+    for problem, n in shown:
+        chosen = [run for run in runs if (run.case.problem, run.case.across) == (problem, n)]
+        panel = curves_panel(chosen, f"{problem}, {n} plant cells across")
+        panels.append(replace(panel, has_legend=True))
+    return panels
+
+
+def compared_panels(runs: Sequence[Run], problem: str, n: int) -> list[Panel]:
+    """The sketch of a specimen, what is watched of it over time, and how far FE² is from it."""
+    chosen = [run for run in runs if (run.case.problem, run.case.across) == (problem, n)]
+    # the tissue first
+    chosen.sort(key=lambda run: run.case.method != TISSUE)
+    sketch = partial(draw_sketch, problem=chosen[0].case.recipe.problem())
+    title = f"{problem}, {n} plant cells across"
     return [
-        curves_panel(
-            [run for run in runs if (run.case.problem, run.case.across) == (problem, n)],
-            f"{problem}, {n} plant cells across",
-        )
-        for problem, n in shown
+        Panel("", "", (), title, width=0.7, sketch=sketch),
+        curves_panel(chosen, "", width=0.85),
+        apart_panel(chosen, "", width=0.85),
     ]
 
 
 def off_panel(
-    title: str, rows: Iterable[Row], measure: str, name: Callable[[Row], str] | None = None
+    title: str,
+    rows: Iterable[Row],
+    measure: str,
+    name: Callable[[Row], str] | None = None,
+    width: float = 0.8,
 ) -> Panel:
     """Distance of a measure from the tissue over plant cells across, a line for each name."""
     lines: dict[str, list[tuple[float, float]]] = {}
@@ -284,6 +325,7 @@ def off_panel(
         log_x=True,
         x_ticks=tuple(sorted({x for line in lines.values() for x, _ in line})),
         zero=True,
+        width=width,
     )
 
 

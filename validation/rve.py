@@ -11,8 +11,7 @@ orders 0, 1, 1, 2.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from textwrap import wrap
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +43,8 @@ _COMPONENTS = {"xy": (0, 1), "xx": (0, 0)}
 EXPECTED = {"cauchy-born": 0, "elastic": 1, "constrained-runs": 1, "slow-manifold": 2}
 """Order in the rate of the error of each initialisation."""
 SLOWNESS = (1.0, 2.0, 4.0, 8.0)
+THICKNESS = CellParameters().tissue_thickness
+"""µm, of the presets: stresses of the plane over it are in MPa."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,59 +128,47 @@ FIGURE_5: tuple[Quantity[tuple[ShearSteps, str]], ...] = (
 )
 
 
+_AGAINST = {INTEGRATED: "the RVE integrated in time", "elastic": "elastic relaxation"}
+
+
 def figure_5(setting: Setting) -> Study:
     """σ over shear at rest and at a rate."""
     return describe_shear([shear_steps(setting.of.cell, rate) for rate in (0.0, SHEAR_RATE)])
 
 
-def merged_curves(curves: Sequence[Curve], within: float = 0.01) -> tuple[Curve, ...]:
-    """Curves over the same x, those closer than a share of the span as one with all their names."""
-    every = [curve.y for curve in curves]
-    span = np.nanmax(every) - np.nanmin(every)
-    groups: list[list[Curve]] = []
-    for curve in curves:
-        close = (g for g in groups if np.nanmax(abs(curve.y - g[0].y)) <= within * span)
-        group = next(close, None)
-        groups.append([curve]) if group is None else group.append(curve)
-    found = []
-    for first, *others in groups:
-        names = ", ".join(each.label or each.name for each in (first, *others))
-        label = "\n".join(wrap(names, 30, break_on_hyphens=False))
-        one = Curve("reference", first.x, first.y, label, markers=False)
-        found.append(one if others else first)
-    return tuple(found)
-
-
 def describe_shear(runs: Sequence[ShearSteps]) -> Study:
-    """σ_xy above, σ_xx below, a column for each rate; then the differences where one integrated."""
-    panels = [
+    """σ_xy and σ_xx above, at the last rate; below, how far they are from the RVE integrated in
+    time, or from elastic equilibrium.
+
+    Stresses at other rates are in the table alone: they differ by less than the width of a line.
+    """
+    run = runs[-1]
+    apart = {name: run.difference(name) for name in INITIALISATIONS}
+    above = [
         Panel(
-            title=rf"$\dot F_{{xy}}$ = {run.rate:g} µs$^{{-1}}$",
             x_label="shear $F_{xy}$",
-            y_label=rf"$\sigma_{{{label}}}$ (µN/µm)",
-            curves=merged_curves([Curve(k, run.shear, s[:, a, b]) for k, s in run.stress.items()]),
+            y_label=rf"$\sigma_{{{label}}}$ (MPa)",
+            curves=tuple(
+                Curve(name, run.shear, stress[:, a, b] / THICKNESS, markers=False)
+                for name, stress in run.stress.items()
+            ),
         )
         for label, (a, b) in _COMPONENTS.items()
-        for run in runs
     ]
-    for run in runs:
-        if run.reference != INTEGRATED:
-            continue
-        apart = {name: run.difference(name) for name in INITIALISATIONS}
-        panels += [
-            Panel(
-                title=rf"against integrated, $\dot F_{{xy}}$ = {run.rate:g} µs$^{{-1}}$",
-                x_label="shear $F_{xy}$",
-                y_label=rf"$|\Delta\sigma_{{{label}}}|$ (µN/µm)",
-                curves=tuple(Curve(name, x, e[:, a, b]) for name, (x, e) in apart.items()),
-                log_y=True,
-            )
-            for label, (a, b) in _COMPONENTS.items()
-        ]
+    below = [
+        Panel(
+            title=f"distance from {_AGAINST[run.reference]}",
+            x_label="shear $F_{xy}$",
+            y_label=rf"$|\Delta\sigma_{{{label}}}|$ (MPa)",
+            curves=tuple(Curve(name, x, e[:, a, b] / THICKNESS) for name, (x, e) in apart.items()),
+            log_y=True,
+        )
+        for label, (a, b) in _COMPONENTS.items()
+    ]
     return Study(
-        title="Figure 5: stress of one RVE over shear steps",
-        panels=tuple(panels),
-        columns=len(runs),
+        title=f"Figure 5: stress of one RVE over shear steps at rate {run.rate:g}/µs",
+        panels=(*above, *below),
+        columns=2,
         table=Table(
             FIGURE_5, [(r, name) for r in runs for name in r.stress if name != r.reference]
         ),
@@ -241,17 +230,26 @@ def rates(setting: Setting) -> Study:
         Quantity("expected order", "", "d", EXPECTED.get),
         Quantity("largest error", "µN/µm", ".3g", lambda name: float(errors.error[name].max())),
     )
+    curves = []
+    for name, error in errors.error.items():
+        curve = Curve(name, errors.rate, error / THICKNESS)
+        label = f"{curve.words}, order {abs(errors.order(name)):.2f}"
+        curves.append(replace(curve, label=label))
+    slopes = []
+    # halfway to the next curve, so that the slope is seen beside that of the errors
+    for order, beside in ((1, "elastic"), (2, "slow-manifold")):
+        middle = 2.2 * errors.error[beside][0] / THICKNESS
+        rate = errors.rate[::-1]  # the note stands at the largest
+        line = middle * (rate / rate[-1]) ** order
+        slopes.append(Curve("guide", rate, line, markers=False, note=f"slope {order}"))
     panel = Panel(
-        x_label=r"largest rate $|\dot F|$ (µs$^{-1}$)",
-        y_label="largest stress error (µN/µm)",
-        curves=tuple(
-            Curve(name, errors.rate, error, f"{name}, order {abs(errors.order(name)):.2f}")
-            for name, error in errors.error.items()
-        ),
+        x_label=r"largest rate $|\dot F|$ ($10^{-3}$ µs$^{-1}$)",
+        y_label="largest stress error (MPa)",
+        curves=(*curves, *slopes),
         log_x=True,
         log_y=True,
         x_ticks=tuple(errors.rate),
-        x_names=tuple(f"{rate:.2g}" for rate in errors.rate),
+        x_names=tuple(f"{1000.0 * rate:.2g}" for rate in errors.rate),
     )
     return Study(
         title="Error of each initialisation against the RVE integrated in time,\n"
@@ -384,7 +382,11 @@ FIGURE_6: tuple[Quantity[tuple[str, Relaxation]], ...] = (
 def figure_6(setting: Setting) -> Study:
     """Error of the state at the left, mean force at the right."""
     solvers = relaxations(setting.of.cell)
-    error, force = "error of the state [x; v] (µm, µm/µs)", "mean particle force (µN)"
+    error, force = "error of the state / initial error", "mean particle force (µN)"
+
+    def relative(way: Relaxation) -> Array:
+        """The error over that with which all begin: a number, though x and v differ in unit."""
+        return way.error / way.error[0]
 
     def panel(label: str, values: Callable[[Relaxation], Array]) -> Panel:
         curves = []
@@ -397,7 +399,7 @@ def figure_6(setting: Setting) -> Study:
 
     return Study(
         title="Figure 6: from the undeformed RVE to shear 0.1 at rate 0.01/µs",
-        panels=(panel(error, lambda way: way.error), panel(force, lambda way: way.mean_force)),
+        panels=(panel(error, relative), panel(force, lambda way: way.mean_force)),
         columns=2,
         table=Table(FIGURE_6, tuple(solvers.items())),
     )

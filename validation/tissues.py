@@ -25,7 +25,7 @@ from validation.case import (
     Case,
     Setting,
     compare,
-    curves_of,
+    compared_panels,
     off_panel,
 )
 
@@ -39,6 +39,12 @@ DURATION, RAMP, BENDING = 60.0, 45.0, 18.75
 WEIGHT = 0.4
 """µm/µs² times plant cells across: acceleration of the cantilever."""
 STRIP, BLOCK, SKINNED = "tensile strip", "block between plates", "skin over parenchyma"
+OVER_SIZE = {
+    "held force": "force of strip and block",
+    "first minimum": "first minimum of the cantilever",
+    "period": "period of the cantilever",
+}
+"""Measures drawn over the number of plant cells across, with the titles of their panels."""
 PULLED, CANTILEVER = "strip, pulled", "cantilever"
 BENT, MOST_ELEMENTS = 4, 16
 """Plant cells across the thin cantilever; elements each way."""
@@ -127,11 +133,13 @@ def problems(setting: Setting) -> Study:
     runs = setting.runs(problem_cases(setting.of, setting.sizes or SIZES))
     rows = compare(runs)
     largest = {run.case.problem: run.case.across for run in runs}
-    forces = off_panel("force of strip and block", rows, "held force", lambda row: row.case.problem)
+    panels = [panel for name, n in largest.items() for panel in compared_panels(runs, name, n)]
+    for measure, title in OVER_SIZE.items():
+        panels.append(off_panel(title, rows, measure, lambda row: row.case.problem))
     return Study(
         title="FE² against the full tissue: strip, plates and skin",
-        panels=(forces, *curves_of(runs, largest.items())),
-        columns=2,
+        panels=tuple(panels),
+        columns=3,
         table=Table(ROWS, rows),
     )
 
@@ -175,11 +183,14 @@ def thin(setting: Setting) -> Study:
     runs = setting.runs(thin_cases(setting.of, sizes, setting.meshes or ()))
     rows = compare(runs)
     pulled = [row for row in rows if row.case.problem == PULLED]
-    periods = off_panel("period of pulled strips", pulled, "period", lambda row: row.case.method)
     drawn = [(PULLED, sizes[0]), (CANTILEVER, BENT), *((BAR, n) for n in setting.meshes or ())]
+    panels = [panel for name, n in drawn for panel in compared_panels(runs, name, n)]
+    for measure in ("period", "decrement"):
+        title = f"{measure} of pulled strips"
+        panels.append(off_panel(title, pulled, measure, lambda row: row.case.method))
     return Study(
         title="Thin tissue: FE² with and without the surface law of its free sides",
-        panels=(periods, *curves_of(runs, drawn)),
-        columns=1 + len(drawn),
+        panels=tuple(panels),
+        columns=3,
         table=Table(ROWS, rows),
     )

@@ -30,20 +30,20 @@ def path(t):
 
 
 def stress_along(name, times):
-    """(m, 2, 2) µN/µm by an initialisation, each point from the state of the one before."""
+    """(m, 2, 2) MPa by an initialisation, each point from the state of the one before."""
     law, state, found = RveLaw(CELL, initialisation=name), None, []
     for t in times:
         F, F_dot = path(t)
         answer = law.respond(F[None], F_dot[None], state)
         state = answer.state
-        found.append(answer.stress[0])
+        found.append(answer.stress[0] / CELL.tissue_thickness)
     return np.array(found)
 
 
 def draw_errors():
     """Shear stress over time, and the error of each initialisation."""
     times = np.linspace(0.0, 0.75 * PERIOD, 121)
-    exact = integrate_rve(RveLaw(CELL), path, times, 1e-3)
+    exact = integrate_rve(RveLaw(CELL), path, times, 1e-3) / CELL.tissue_thickness
     late = times > 2.0  # the integrated RVE starts at rest
     stress = {name: stress_along(name, times) for name in INITIALISATIONS}
     errors = {name: np.linalg.norm(s - exact, axis=(1, 2))[late] for name, s in stress.items()}
@@ -54,12 +54,12 @@ def draw_errors():
     )
     below = (Curve(name, times[late], error, markers=False) for name, error in errors.items())
     panels = (
-        Panel("time (µs)", "shear stress (µN/µm)", above),
-        Panel("time (µs)", "error of the stress (µN/µm)", tuple(below), log_y=True),
+        Panel("time (µs)", "shear stress (MPa)", above),
+        Panel("time (µs)", "error of the stress (MPa)", tuple(below), log_y=True),
     )
     (DOCS / "initialisations.png").write_bytes(encoded(draw_panels(panels, 2), "png"))
     for name, error in errors.items():
-        print(f"{name:17} largest error {error.max():.2g} µN/µm")
+        print(f"{name:17} largest error {error.max():.2g} MPa")
 
 
 def draw_particles():
@@ -76,13 +76,14 @@ def draw_particles():
         axes.quiver(*x.T, *own.T, color=GREEN, scale=VELOCITY / 2.0, **ARROW)
         axes.quiver(*x.T, *f.T, color=VERMILION, scale=FORCE / 2.0, **ARROW)
         mean = np.linalg.norm(f, axis=1).mean()
-        axes.set_title(f"{name}\nmean force {mean:.1f} µN", fontsize=9)
+        words = Curve(name, np.zeros(0), np.zeros(0)).words
+        axes.set_title(f"{words}\nmean force {mean:.1f} µN", fontsize=9)
         print(f"{name:17} mean force {mean:.2g} µN, own velocity {np.abs(own).max():.2g} µm/µs")
     for colours, drawn in bars:
         colours.bar(places, drawn)
     figure.supxlabel(
         f"arrows of 2 µm: green, a velocity of {VELOCITY:g} µm/µs beside that of the tissue; "
-        f"red, a force of {FORCE:g} µN",
+        f"vermilion, a force of {FORCE:g} µN",
         fontsize=9,
     )
     (DOCS / "initialisations-particles.png").write_bytes(encoded(figure, "png"))

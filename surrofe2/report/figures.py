@@ -13,7 +13,6 @@ from matplotlib.collections import Collection, LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.markers import CARETRIGHT, CARETUP
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import MaxNLocator
 
 from surrofe2.base.arrays import Array
 from surrofe2.problem.conditions import Condition, Fixed, PointForce, PrescribedMotion
@@ -100,10 +99,20 @@ class Colours:
         assert figure is not None
         look: Any = {"label": self.label, "shrink": 0.8, "aspect": 25, "location": location}
         bar = figure.colorbar(drawn, ax=places, **look)
-        bar.locator = MaxNLocator(5)
-        bar.update_ticks()
+        bar.set_ticks(self.ticks())
         bar.ax.ticklabel_format(useOffset=False)
         bar.ax.tick_params(labelsize=8)
+
+    def ticks(self) -> list[float]:
+        """Return values at even distances from limit to limit, with as few digits as may be.
+
+        Limits of both signs have 0 among them.
+        """
+        span = self.high - self.low
+        counts = (4, 6) if self.low < 0.0 < self.high else (5, 4, 6, 3)
+        many = min(counts, key=lambda count: len(f"{span / count:.6g}"))
+        values: list[float] = np.linspace(self.low, self.high, many + 1).tolist()
+        return values
 
 
 def draw_scale_bar(axes: Axes, low: Array, high: Array) -> None:
@@ -284,8 +293,12 @@ def draw_tissue(
     sides = _held_sides(fields)
     copies = _with_mirror_images(fields, sides, position)
     low, high = box(np.concatenate(copies), bodies)
+    width, height = (high - low).tolist()
+    window = Rectangle((low[0], low[1]), width, height, transform=axes.transData)
     for body in bodies:
-        axes.fill(*body.at(k, factor).T, facecolor="0.85", edgecolor="0.4", linewidth=1.0)
+        # what is far away would fill the room of the scale bar
+        (shape,) = axes.fill(*body.at(k, factor).T, facecolor="0.85", edgecolor="0.4", lw=1.0)
+        shape.set_clip_path(window)
     order = rim(fields)
     for copy in copies:
         corners = [*copy[fields.cells[:, order]]]
@@ -335,6 +348,32 @@ def _draw_node(axes: Axes, node: DrawnNode, position: Array, size: float) -> Non
         tip_x, tip_y = position + size * node.pull / length
         arrow = {"arrowstyle": "-|>", "color": "0.15"}
         axes.annotate("", (tip_x, tip_y), (x, y), arrowprops=arrow)
+
+
+def draw_borders(axes: Axes, fields: StoredFields, k: int, regions: Sequence[Array]) -> None:
+    """Draw the lines between regions over the tissue at time k, in the half that is computed.
+
+    Args:
+        regions: numbers of the elements of each region.
+    """
+    number = np.full(len(fields.cells), -1)
+    for region, elements in enumerate(regions):
+        number[elements] = region
+    position = fields.points + fields.displacement[k]
+    corners = fields.cells[:, rim(fields)]
+    # a side of six-node triangles is two, which the middle node joins
+    sides = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 2)
+    of_side = np.repeat(number, corners.shape[1])
+    ends = np.sort(sides, axis=1)
+    ends, which = np.unique(ends, axis=0, return_inverse=True)
+    # the lowest and the highest number of the elements at each side
+    least = np.full(len(ends), len(regions))
+    most = np.full(len(ends), -1)
+    np.minimum.at(least, which, of_side)
+    np.maximum.at(most, which, of_side)
+    borders = ends[least < most]
+    lines = LineCollection([*position[borders]], colors="0.1", linewidths=1.6)
+    axes.add_collection(lines)
 
 
 # How a side on the boundary moves; 0 and 1: along a line of symmetry, with this component held.
@@ -466,6 +505,25 @@ def draw_cells(
     return (walls, drawn), (fluid, inside)
 
 
+def times_that_differ(F: Array, count: int) -> Array:
+    """Choose at most so many times, in order, at which F (n, 2, 2) differs most.
+
+    The first is among them. Each further one is that whose F is farthest from all before it, so
+    that an oscillation is not seen at one phase again and again.
+    """
+    flat = F.reshape(len(F), 4)
+    chosen = [0]
+    distance = np.linalg.norm(flat - flat[0], axis=1)
+    while len(chosen) < min(count, len(F)):
+        # where nothing moves, times at even distances are as good as any
+        farthest = int(distance.argmax())
+        if distance[farthest] == 0.0:
+            return np.unique(np.linspace(0, len(F) - 1, min(count, len(F))).round().astype(int))
+        chosen.append(farthest)
+        distance = np.minimum(distance, np.linalg.norm(flat - flat[farthest], axis=1))
+    return np.sort(chosen)
+
+
 def cell_figure(
     title: str,
     seen: Particles,
@@ -489,7 +547,7 @@ def cell_figure(
     """
     t = fields.t
     clock = "load factor {:.4g}" if is_rest else "t = {:.4g} µs"
-    chosen = np.unique(np.linspace(0, len(t) - 1, min(_PANELS, len(t))).round().astype(int))
+    chosen = times_that_differ(seen.F, _PANELS)
     columns = min(3, len(chosen))
     rows = int(np.ceil(len(chosen) / columns))
     figure = Figure(figsize=(3.0 * columns + 1.8, 3.0 * rows + 2.6), layout="constrained")

@@ -85,7 +85,7 @@ class Study:
         if not self.panels:
             return self.table.to_csv()
         rows = (
-            (panel.title, panel.x_label, panel.y_label, curve.label or curve.name, x, y)
+            (panel.title, panel.x_label, panel.y_label, curve.words, x, y)
             for panel in self.panels
             for curve in panel.curves
             for x, y in zip(curve.x, curve.y, strict=True)

@@ -5,7 +5,7 @@ matplotlib is loaded where a chart is drawn.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from textwrap import wrap
@@ -44,10 +44,22 @@ _STYLES: dict[str, dict[str, Any]] = {
     "micro-integration": _REFERENCE,
     "tissue": _REFERENCE,
     "reference": _REFERENCE,
+    "guide": {"color": "0.45", "linestyle": (0, (1, 1.5)), "linewidth": 1.0, "zorder": 1},
+    "point": {"color": "black", "linestyle": "none", "marker": "+", "markersize": 9.0, "mew": 1.8},
+    "outline": {"color": "black", "linewidth": 1.4},
     "stable": _AREA | {"color": BLUE},
     "stable after leaving a bifurcation": _AREA | {"color": "#C6DBEF"},
-    "no stable state found": _AREA | {"color": ORANGE},
-    "solve failed": _AREA | {"color": "black"},
+    "no stable state found": _AREA | {"color": "#F6DDB5"},
+    "solve failed": _AREA | {"color": "0.82"},
+}
+# Words for the names of curves that have no label of their own.
+_WORDS = {
+    "cauchy-born": "Cauchy–Born",
+    "elastic": "elastic relaxation",
+    "constrained-runs": "constrained runs",
+    "slow-manifold": "slow manifold",
+    "micro-integration": "integrated in time",
+    "tissue": "full tissue",
 }
 # Marker and dash of curves in turn; the next pair where the colours begin again.
 _TURNS = (("o", "-"), ("s", "--"), ("^", ":"))
@@ -72,10 +84,11 @@ class Curve:
         name: decides colour, dash and marker, so that a name looks alike in all figures.
         x, y: (m,) values in the units of the panel's axes; NaN leaves a gap, as does a value that a
             logarithm does not show.
-        label: for the legend; empty: the name.
+        label: for the legend; empty: the name, in words.
         markers: whether single points are marked.
         colour: number of the colour of a curve without a style; None: the next one.
         dash: of matplotlib; empty: that of the name or of the colour.
+        note: text beside its last point, in place of an entry in the legend.
     """
 
     name: str
@@ -85,6 +98,12 @@ class Curve:
     markers: bool = True
     colour: int | None = None
     dash: str = ""
+    note: str = ""
+
+    @property
+    def words(self) -> str:
+        """What a legend calls it."""
+        return self.label or _WORDS.get(self.name, self.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +119,9 @@ class Panel:
         x_names: texts there instead of the numbers.
         zero: whether the line y = 0 is drawn and in sight.
         height: of the panel, relative to the usual.
+        width: of the panel, relative to the usual; a column has that of its widest panel.
+        has_legend: whether its lines are named; False where another panel names them.
+        sketch: draws a sketch instead of curves, without axes; None: there are curves.
     """
 
     x_label: str
@@ -112,6 +134,9 @@ class Panel:
     x_names: tuple[str, ...] = ()
     zero: bool = False
     height: float = 1.0
+    width: float = 1.0
+    has_legend: bool = True
+    sketch: Callable[[Axes], None] | None = None
 
 
 def draw_panels(
@@ -131,13 +156,16 @@ def draw_panels(
     figure.set_layout_engine("constrained")
     if not heights:
         return figure
-    axes = figure.subplots(len(heights), columns, squeeze=False, height_ratios=heights)
+    widths = [max(panel.width for panel in panels[k::columns] or panels) for k in range(columns)]
+    axes = figure.subplots(
+        len(heights), columns, squeeze=False, height_ratios=heights, width_ratios=widths
+    )
     for place in axes.flat[len(panels) :]:
         place.axis("off")
-    width = max(_PANEL_SIZE[0] * columns, 6.4 if title else 0.0)  # a title needs some room
-    for place, panel in zip(axes.flat, panels, strict=False):
-        _draw_panel(place, panel, int(11 * width / columns))
-    legend = _draw_legends(figure, width, columns)
+    width = max(_PANEL_SIZE[0] * sum(widths), 6.4 if title else 0.0)  # a title needs some room
+    for k, (place, panel) in enumerate(zip(axes.flat, panels, strict=False)):
+        _draw_panel(place, panel, int(11 * width * widths[k % columns] / sum(widths)))
+    legend = _draw_legends(figure, panels, width, columns)
     letters = int(11 * width)  # about eleven of them take an inch
     lines = [part for line in title.split("\n") for part in wrap(in_words(line), letters)]
     figure.set_size_inches(width, sum(heights) + legend + _TITLE_ROW * len(lines))
@@ -183,6 +211,11 @@ def _draw_panel(axes: Axes, panel: Panel, letters: int) -> None:
     """Draw the curves of a panel; its title has lines of so many letters."""
     from matplotlib.ticker import MaxNLocator
 
+    axes.set_title("\n".join(wrap(panel.title, letters)), fontsize=10)
+    if panel.sketch is not None:
+        axes.axis("off")
+        panel.sketch(axes)
+        return
     others = 0
     for curve in panel.curves:
         style: dict[str, Any] = {"linewidth": 1.3, "markersize": 4.5, "fillstyle": "none"}
@@ -199,10 +232,14 @@ def _draw_panel(axes: Axes, panel: Panel, letters: int) -> None:
         if curve.dash:
             style["linestyle"] = curve.dash
         y = np.where(np.asarray(curve.y) > 0.0, curve.y, np.nan) if panel.log_y else curve.y
-        axes.plot(curve.x, y, label=in_words(curve.label or curve.name), **style)
+        label = "_nolegend_" if curve.note else in_words(curve.words)
+        axes.plot(curve.x, y, label=label, **style)
+        if curve.note:
+            end = (curve.x[-1], y[-1])
+            look: Any = {"xytext": (-4, 3), "textcoords": "offset points", "fontsize": 8}
+            axes.annotate(curve.note, end, ha="right", va="bottom", color="0.3", **look)
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
-    axes.set_title("\n".join(wrap(panel.title, letters)), fontsize=10)
     if not panel.log_x:
         axes.xaxis.set_major_locator(MaxNLocator(6))
     elif any(bool(np.any(np.asarray(curve.x) == 0.0)) for curve in panel.curves):
@@ -220,7 +257,7 @@ def _draw_panel(axes: Axes, panel: Panel, letters: int) -> None:
     axes.margins(x=0.03)
 
 
-def _draw_legends(figure: Figure, width: float, columns: int) -> float:
+def _draw_legends(figure: Figure, panels: Sequence[Panel], width: float, columns: int) -> float:
     """Draw legends where there is more than one line.
 
     Where most panels have the same lines there is one legend below all axes, else one for each.
@@ -229,8 +266,12 @@ def _draw_legends(figure: Figure, width: float, columns: int) -> float:
         The height in inches of the legend below all axes; 0 without one.
     """
     handles: dict[str, Any] = {}
-    labels = []
-    for place in figure.axes:
+    labels: list[set[str]] = []
+    places = []
+    for place, panel in zip(figure.axes, panels, strict=False):
+        if not panel.has_legend:
+            continue
+        places.append(place)
         handles_of_place, labels_of_place = place.get_legend_handles_labels()
         handles = dict(zip(labels_of_place, handles_of_place, strict=True)) | handles
         labels.append({*labels_of_place})
@@ -245,7 +286,7 @@ def _draw_legends(figure: Figure, width: float, columns: int) -> float:
             frameon=False, fontsize=9, handlelength=2.4,
         )  # fmt: skip
         return _LEGEND_ROOM + _LEGEND_ROW * -(-len(handles) // in_a_row)
-    for place, names in zip(figure.axes, labels, strict=True):
+    for place, names in zip(places, labels, strict=True):
         where: dict[str, Any] = {"loc": "best", "framealpha": 0.8}
         if columns > 1:
             in_a_row = 1 if max(map(len, names), default=0) > _LONG else 2

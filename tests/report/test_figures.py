@@ -17,10 +17,12 @@ from surrofe2 import (
 )
 from surrofe2.report.figures import (
     Colours,
+    draw_borders,
     draw_cells,
     draw_tissue,
     drawn_nodes,
     fields_at_rest,
+    times_that_differ,
 )
 from surrofe2.rve import RveLaw
 from surrofe2.store.fields import DISPLACEMENT_NAME, StoredFields
@@ -41,6 +43,38 @@ def test_limits_are_round_and_signs_diverge(values, low, high, name):
     colours = Colours.of("", np.array(values))
     assert (colours.low, colours.high) == (pytest.approx(low), pytest.approx(high))
     assert colours.name == name
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "ticks"),
+    [
+        (1.28, 1.6, [1.28, 1.36, 1.44, 1.52, 1.6]),
+        (-1.0, 1.0, [-1.0, -0.5, 0.0, 0.5, 1.0]),
+        (120.0, 170.0, [120.0, 130.0, 140.0, 150.0, 160.0, 170.0]),
+    ],
+)
+def test_the_limits_are_among_the_ticks_and_so_is_zero_between_them(low, high, ticks):
+    assert Colours("", low, high, "viridis").ticks() == pytest.approx(ticks)
+
+
+def test_times_of_an_oscillation_are_of_different_phases():
+    """Every tenth time is at the same phase."""
+    phase = 2.0 * np.pi * np.arange(51) / 10.0
+    F = np.eye(2) + 0.1 * np.sin(phase)[:, None, None]
+    chosen = times_that_differ(F, 5)
+    assert chosen[0] == 0
+    assert (np.diff(chosen) > 0).all()
+    values = np.sort(np.sin(phase[chosen]))
+    assert np.diff(values).min() > 0.2
+    assert times_that_differ(np.tile(np.eye(2), (5, 1, 1)), 3).tolist() == [0, 2, 4]
+
+
+def test_the_border_of_two_regions_is_their_common_side():
+    axes = Figure().subplots()
+    fields = strip()
+    draw_borders(axes, fields, 0, [np.array([1])])
+    (line,) = axes.collections[0].get_segments()
+    np.testing.assert_allclose(np.sort(line, axis=0), [[10.0, 0.0], [10.0, 5.0]])
 
 
 def strip():
