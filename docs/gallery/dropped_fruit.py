@@ -91,9 +91,9 @@ def plate_below(points):
         shape=Plane(normal=(0.0, 1.0)),
         on="rim",
         position=(0.0, float(points[:, 1].min()) - 5.0),
-        # the defaults follow the bulk modulus of water, beside which the flesh is very soft
+        # the default stiffness follows the bulk modulus of water; the flesh is very soft
         stiffness=0.4,  # µN/µm²
-        smoothing=10.0,  # µm
+        smoothing=10.0,  # µm, as deep as the plate is penetrated
         damping=0.1,  # µN µs/µm²
     )
 

@@ -526,13 +526,21 @@ def contact_gap(points: int, side: float) -> float:
 
 
 def make_contact(
-    problem: Problem, body: RigidBody, row: int, n: int, modulus: float, density: float
+    problem: Problem,
+    body: RigidBody,
+    row: int,
+    n: int,
+    modulus: float,
+    density: float,
+    onset_modulus: float | None = None,
 ) -> Contact:
     """Make the contact of a body with a boundary of the tissue.
 
     Args:
         row: number of the body among the n rows of nodes and bodies.
         modulus, density: those of the tissue, µN/µm and ng/µm², from which defaults follow.
+        onset_modulus: modulus that replaces it for the onset of a contact of stated stiffness,
+            µN/µm; None: the same.
     """
     mesh = problem.mesh
     facets = boundary(mesh, body.on, f"{body.name}.on")
@@ -547,6 +555,13 @@ def make_contact(
     relative.eliminate_zeros()
     stiffness = MODULI * modulus / side if body.stiffness is None else body.stiffness
     critical = 2.0 * np.sqrt(stiffness * density * side / np.sqrt(12.0))
+    smoothing = body.smoothing
+    if smoothing is None:
+        # A stated stiffness is one for this tissue. Where volume does not change, tissue yields by
+        # its shape, and an onset by the modulus of its volume would be far too wide.
+        if body.stiffness is None or onset_modulus is None:
+            onset_modulus = modulus
+        smoothing = ONSET * onset_modulus / stiffness
     points = np.asarray(basis.global_coordinates()).reshape(2, -1).T
     sticks = body.slip_speed is None
     return Contact(
@@ -559,7 +574,7 @@ def make_contact(
         lengths=basis.dx.ravel(),
         side=side,
         stiffness=stiffness,
-        smoothing=ONSET * modulus / stiffness if body.smoothing is None else body.smoothing,
+        smoothing=smoothing,
         damping=float(DAMPING * critical if body.damping is None else body.damping),
         friction=body.friction,
         slip_speed=body.slip_speed,

@@ -18,13 +18,18 @@ from surrofe2.base.arrays import Array, Flags, Index
 from surrofe2.base.errors import InputError, shortened
 from surrofe2.problem.amplitude import ONE, Amplitude, Constant, Proportional
 from surrofe2.problem.conditions import (
+    BodyForce,
     Condition,
     DrivenCondition,
     Fixed,
+    Foundation,
     InitialVelocity,
+    PointForce,
     PrescribedMotion,
+    Pressure,
     Surface,
     Symmetry,
+    Traction,
 )
 from surrofe2.problem.mesh import (
     NodeAt,
@@ -414,6 +419,56 @@ def without_overlap(
             )
         )
     return tuple(disjoint)
+
+
+def check_loads(
+    problem: Problem, supports: Sequence[Support], places_of: Callable[[Condition], Index]
+) -> None:
+    """Check that loads and initial velocities act on something that supports leave free.
+
+    Args:
+        supports: all supports of the problem.
+        places_of: returns the places, nodes or particles, on which a condition acts.
+
+    Raises:
+        InputError: supports hold or move every component that a condition acts on.
+    """
+    held = set[int]()
+    for support in supports:
+        held.update(support.unknowns.tolist())
+    for condition in problem.conditions:
+        components = [k for k in (0, 1) if _acts_along(condition)[k]]
+        if not components:
+            continue
+        unknowns = (2 * places_of(condition)[:, None] + components).ravel()
+        if held.issuperset(unknowns.tolist()):
+            is_velocity = isinstance(condition, InitialVelocity)
+            effect = "it can have no initial velocity" if is_velocity else "the load does nothing"
+            raise InputError(
+                f"{label(condition)}.on: {condition.on or 'everywhere'}; supports hold or move all "
+                f"of it, so {effect}; free a component there, or leave the condition out"
+            )
+
+
+def _acts_along(condition: Condition) -> tuple[bool, bool]:
+    """Return whether a load or an initial velocity acts along x and y; a support along neither."""
+    match condition:
+        case InitialVelocity():
+            vector = condition.velocity
+        case Traction():
+            vector = condition.traction
+        case PointForce():
+            vector = condition.force
+        case BodyForce():
+            vector = condition.acceleration
+        case Pressure():
+            vector = (condition.pressure, condition.pressure)  # the normal turns with the side
+        case Foundation():
+            return "x" in condition.components, "y" in condition.components
+        case _:
+            return False, False
+    x, y = vector
+    return x != 0.0, y != 0.0
 
 
 def _normal_component(mesh: skfem.Mesh, condition: Symmetry) -> int:

@@ -27,6 +27,7 @@ from surrofe2.macro import MetRange, find_rest, simulate
 from surrofe2.macro.forces import check_bodies
 from surrofe2.macro.history import NO_EXTREMES, widen_extremes
 from surrofe2.macro.settings import RestSettings
+from surrofe2.macro.system import check_conditions
 from surrofe2.plant_cell.measurements import DETERMINED, measurements_of
 from surrofe2.plant_cell.parameters import CellParameters, LivingTissue
 from surrofe2.problem import Problem
@@ -114,9 +115,10 @@ def study_faults(recipe: Recipe, kinds: Sequence[str], *, fresh: bool = False) -
 
 
 def _check_problem(recipe: Recipe) -> None:
-    """Check mesh and names, and that bodies begin outside the tissue."""
+    """Check mesh and names, supports and loads, and that bodies begin outside the tissue."""
     problem = recipe.problem()
     with recipe.named(InputError):
+        check_conditions(problem)
         check_bodies(problem)
 
 

@@ -5,9 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2 import Fixed, NodeAt, PointForce, PrescribedMotion, Problem, Traction, rectangle
+from surrofe2 import (
+    BodyForce,
+    Fixed,
+    Foundation,
+    InitialVelocity,
+    NodeAt,
+    PointForce,
+    PrescribedMotion,
+    Pressure,
+    Problem,
+    Symmetry,
+    Traction,
+    rectangle,
+)
 from surrofe2.base.errors import InputError
 from surrofe2.macro import MacroSettings, find_rest, simulate
+from surrofe2.macro.system import check_conditions, make_system
 from surrofe2.workflow.run import problem_record
 from tests.laws import KelvinVoigt
 
@@ -104,3 +118,54 @@ def test_wrong_places_get_a_sentence(kind, on, sentence):
     entries = {PointForce: {"force": (1.0, 0.0)}, PrescribedMotion: {"displacement": (1.0, 0.0)}}
     with pytest.raises(InputError, match=sentence):
         kind(on=on, **entries.get(kind, {}))
+
+
+ON_CORNER = NodeAt((200.0, 0.0))
+HELD = (Fixed(on="left"), Fixed(on=ON_CORNER, components="y"))
+
+
+@pytest.mark.parametrize(
+    ("load", "place"),
+    [
+        (PointForce(on=ORIGIN, force=(1.0, 0.0)), "point_force at 0 0.on: at 0 0"),
+        (PointForce(on=ON_CORNER, force=(0.0, 1.0)), "point_force at 200 0.on: at 200 0"),
+        (Traction(on="left", traction=(0.0, 1.0)), "traction left.on: left"),
+        (Pressure(on="left", pressure=1.0), "pressure left.on: left"),
+        (Foundation(on="left", stiffness=1.0), "foundation left.on: left"),
+        (InitialVelocity(on="left", velocity=(1.0, 0.0)), "initial_velocity left.on: left"),
+    ],
+)
+def test_what_acts_on_nothing_but_what_is_held_is_an_error(load, place):
+    for check in (check_conditions, lambda problem: make_system(problem, 1.0)):
+        with pytest.raises(InputError, match=f"{place}; supports hold or move all of it"):
+            check(replace(BLOCK, conditions=(*HELD, load)))
+    moved = PrescribedMotion(on="left", displacement=(1.0, 2.0))
+    if load.on == "left":
+        with pytest.raises(InputError, match="supports hold or move all of it"):
+            check_conditions(replace(BLOCK, conditions=(moved, load)))
+
+
+@pytest.mark.parametrize(
+    "load",
+    [
+        PointForce(on=ON_CORNER, force=(1.0, 0.0)),
+        PointForce(on=ORIGIN, force=(0.0, 0.0)),
+        Traction(on="bottom", traction=(0.0, 1.0)),
+        Pressure(on="right", pressure=1.0),
+        Foundation(on="bottom", stiffness=1.0, components="y"),
+        BodyForce(acceleration=(0.0, 1.0)),
+    ],
+)
+def test_loads_that_act_on_a_free_component_pass(load):
+    check_conditions(replace(BLOCK, conditions=(*HELD, load)))
+    # a mirror holds no motion along it
+    check_conditions(replace(BLOCK, conditions=(Symmetry(on="top"), load)))
+
+
+def test_one_component_of_a_node_is_not_held_and_moved_at_once():
+    moved = PrescribedMotion(on=ORIGIN, displacement=(1.0, None))
+    told = (
+        r"prescribed_motion at 0 0: component x of the node at \(0, 0\) µm; fixed left prescribes"
+    )
+    with pytest.raises(InputError, match=told):
+        check_conditions(replace(BLOCK, conditions=(*HELD, moved)))

@@ -5,17 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2 import Corner, Fixed, Plane, Problem, RigidBody
+from surrofe2 import Corner, Fixed, Plane, Problem, RigidBody, RveLaw, living_cell
 from surrofe2.base.errors import InputError
 from surrofe2.macro import find_rest
+from surrofe2.macro.elements import n_points_of
 from surrofe2.macro.forces import (
     FEWEST_POINTS,
     MOST_POINTS,
+    ONSET,
     check_bodies,
     contact_gap,
     make_contact,
     points_per_side,
 )
+from surrofe2.macro.system import _modulus, system_of
 from surrofe2.problem.mesh import rectangle
 from surrofe2.workflow.run import problem_record, sharp_notes
 from tests.laws import KelvinVoigt
@@ -90,3 +93,34 @@ def test_a_mesh_that_is_too_coarse_is_warned_of():
     assert sharp == {"blade": [0.1, pytest.approx(gap)]}
     assert "contact: blade has a rounding of 0.1 µm" in warning
     assert f"make the elements there {gap / 0.1:.1f} times smaller" in warning
+
+
+@pytest.mark.parametrize("stiffness", [None, 5.0])
+def test_contact_with_undrained_sap_sets_in_over_a_distance_as_with_drained_sap(stiffness):
+    """And drained over 1/25 of the modulus of uniaxial strain, to the bit."""
+    problem = under_a_blade(60.0)
+    (blade,) = problem.bodies
+    problem = replace(problem, bodies=(replace(blade, stiffness=stiffness),))
+
+    def contact_of(law):
+        (contact,) = system_of(problem, law).contacts
+        return contact
+
+    drained = KelvinVoigt()
+    contact = contact_of(drained)
+    modulus = _modulus(drained, n_points_of(problem.mesh))
+    assert contact.smoothing == ONSET * modulus / contact.stiffness
+    undrained = contact_of(KelvinVoigt(lame=drained.lame + 22000.0))
+    assert 0.5 < undrained.smoothing / contact.smoothing < 2.0
+
+
+def test_contact_of_plant_cells_with_undrained_sap_sets_in_as_with_drained_sap():
+    problem = under_a_blade(60.0)
+    (blade,) = problem.bodies
+    problem = replace(problem, bodies=(replace(blade, stiffness=0.4),))
+    distances = []
+    for sap_bulk_modulus in (0.0, 2200.0):
+        cell = living_cell("apple", arrangement="hexagon", sap_bulk_modulus=sap_bulk_modulus)
+        (contact,) = system_of(problem, RveLaw(cell)).contacts
+        distances.append(contact.smoothing)
+    assert 0.5 < distances[1] / distances[0] < 2.0
