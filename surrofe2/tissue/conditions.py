@@ -24,7 +24,7 @@ from surrofe2.problem.conditions import (
     Traction,
 )
 from surrofe2.problem.mesh import boundary
-from surrofe2.problem.problem import Problem, Support, supports_of, without_overlap
+from surrofe2.problem.problem import Problem, Support, check_loads, supports_of, without_overlap
 from surrofe2.problem.rigid_bodies import RigidBody
 from surrofe2.tissue.external_forces import (
     NO_BODIES,
@@ -105,8 +105,9 @@ class Conditions:
 
     @cached_property
     def supports(self) -> tuple[Support, ...]:
-        """Components of particles that are held or moved."""
+        """The components of particles that are held or moved, beside which every load acts."""
         supports = supports_of(self.problem, self.places)
+        check_loads(self.problem, supports, self.places)
         return without_overlap(supports, self.outline_places, "particle")
 
     @property
@@ -191,6 +192,7 @@ class Conditions:
             x=np.array([body.position for body in bodies]),
             v=np.array([body.velocity if body.mass else (0.0, 0.0) for body in bodies]),
             force=np.zeros((len(bodies), 2)),
+            impulse=np.zeros((len(bodies), 2)),
             stored=np.zeros(len(bodies)),
             depth=np.zeros(len(bodies)),
             per_mass=np.array([1.0 / body.mass if body.mass else 0.0 for body in bodies]),

@@ -31,10 +31,12 @@ TILES_PER_THREAD = 4
 
 
 class Works(NamedTuple):
-    """Works since they were last taken, pJ.
+    """Works, pJ, and impulses since they were last taken.
 
     Attributes:
         loads: (loads,) work of each load.
+        impulses: (2 b,) x and y of the impulse of each body on the tissue, µN µs. They are no
+            works, but are summed in the same way.
         bodies: work of the acceleration of bodies, such as gravity.
         motion: work of what moves supports and bodies.
         contact_dissipated: energy lost in contact.
@@ -42,6 +44,7 @@ class Works(NamedTuple):
     """
 
     loads: Array
+    impulses: Array
     bodies: float = 0.0
     motion: float = 0.0
     contact_dissipated: float = 0.0
@@ -49,10 +52,9 @@ class Works(NamedTuple):
 
     @property
     def row(self) -> Array:
-        """All of them in the order of the fields, (loads + 4,)."""
-        return np.array(
-            [*self.loads, self.bodies, self.motion, self.contact_dissipated, self.dissipated]
-        )
+        """The works of loads, then the other works, then the impulses, (loads + 4 + 2 b,)."""
+        others = self.bodies, self.motion, self.contact_dissipated, self.dissipated
+        return np.array([*self.loads, *others, *self.impulses])
 
 
 class TissueDynamics:
@@ -120,15 +122,20 @@ class TissueDynamics:
         return self.tissue.to_particles(self._particles.f)
 
     def take_works(self) -> Works:
-        """Return the works since they were last taken, without what is lost in the tissue."""
+        """Return the works and impulses since they were last taken.
+
+        What is lost in the tissue is not in them.
+        """
         works = Works(
             loads=self._particles.work.sum(axis=(1, 2)) + self.outline.work,
+            impulses=self.bodies.impulse.flatten(),
             bodies=self.bodies.work[BY_PULL],
             motion=self.bodies.work[BY_MOTION] + self.driven.work[0],
             contact_dissipated=self.bodies.work[LOST],
         )
         for part in (self._particles, self.driven, self.bodies, self.outline):
             part.work[:] = 0.0
+        self.bodies.impulse[:] = 0.0
         return works
 
     def place(self, x: Array, v: Array | None = None) -> None:

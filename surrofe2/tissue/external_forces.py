@@ -100,6 +100,7 @@ class BodyContacts(NamedTuple):
         rubs: whether any body has friction.
         x, v: (b, 2) position and velocity, µm and µm/µs.
         force: (b, 2) force on the tissue in the last step, µN.
+        impulse: (b, 2) impulse on the tissue so far, µN µs.
         stored: (b,) energy stored in contact, pJ.
         depth: (b,) largest penetration, µm.
         per_mass: (b,) 1/mass, 1/ng; 0 where the motion is prescribed.
@@ -122,6 +123,7 @@ class BodyContacts(NamedTuple):
     x: Array
     v: Array
     force: Array
+    impulse: Array
     stored: Array
     depth: Array
     per_mass: Array
@@ -168,6 +170,7 @@ NO_BODIES = BodyContacts(
     x=_NO_VECTORS,
     v=_NO_VECTORS,
     force=_NO_VECTORS,
+    impulse=_NO_VECTORS,
     stored=_NO_NUMBERS,
     depth=_NO_NUMBERS,
     per_mass=_NO_NUMBERS,
@@ -373,7 +376,7 @@ def _drag(size, sliding, yielding, law):
 
 @kernel
 def move_bodies(bodies, length, speed):
-    """Move the bodies by one step under `bodies.force`, and add to their works.
+    """Move the bodies by one step under `bodies.force`, and add to their works and impulses.
 
     length: (2,) kick and drift, µs. speed: (motions,) mean rate of each amplitude, 1/µs.
     """
@@ -384,6 +387,7 @@ def move_bodies(bodies, length, speed):
         for axis in range(2):
             v_before = bodies.v[b, axis]
             force = bodies.force[b, axis]
+            bodies.impulse[b, axis] += kick * force
             if moves_freely:
                 pull = bodies.pull[b, axis]
                 v_after = v_before + kick * (pull - force * bodies.per_mass[b])

@@ -63,7 +63,7 @@ Cells = CellParameters | Sequence[CellParameters]
 References = ReferenceState | Sequence[ReferenceState]
 
 DEFAULTS = TissueSettings()
-_STATE = 4
+_STATE = 5
 """Version of the contents of a state; a run is not resumed from one of another version."""
 _ROUNDING = 1e-12
 """Relative difference up to which two times are the same, but for rounding."""
@@ -154,7 +154,8 @@ class TissueRun(ViewedRun):
               integration.
         history: other results by name, (m,), as in a finite-element run: forces on the tissue
             since the unloaded equilibrium, µN, mean displacement of boundaries, position and
-            penetration of bodies, µm.
+            penetration of bodies, µm, impulses of bodies on the tissue since t = 0, summed over the
+            steps, µN µs.
         position: (particles, 2) positions in the unloaded equilibrium, µm; walls first.
         bonds: (b, 2) bonded wall particles.
         is_wall: (particles,) whether a particle is a wall particle.
@@ -203,7 +204,8 @@ def columns_of(conditions: Conditions) -> list[str]:
     both = [f"{name} {axis}" for name in vectors for axis in "xy"]
     energies = ["kinetic", "elastic", "contact", *loads, *_WORKS]
     depths = [f"penetration {name}" for name in bodies]
-    return [*both, *depths, *(f"energy.{name}" for name in energies)]
+    impulses = [f"impulse {name} {axis}" for name in bodies for axis in "xy"]
+    return [*both, *depths, *(f"energy.{name}" for name in energies), *impulses]
 
 
 class Recorder:
@@ -266,7 +268,11 @@ class Recorder:
             seconds={"relaxation": self._started - self._created},
             counts={},
         )
-        self.record(0, Works(loads=np.zeros(len(conditions.loads)), motion=work_of_impulse))
+        nothing = Works(
+            loads=np.zeros(len(conditions.loads)),
+            impulses=np.zeros(2 * len(conditions.problem.bodies)),
+        )
+        self.record(0, nothing._replace(motion=work_of_impulse))
 
     def restore(self, state: TissueState) -> None:
         """Continue from `state`, a checkpoint of this run."""
@@ -290,7 +296,7 @@ class Recorder:
         x = dynamics.x
         v = dynamics.v
         u = x - before.relaxed
-        # rows end with the works since t = 0; the first has none before it
+        # rows end with the works and impulses since t = 0; the first has none before it
         works_since_last = works.row
         total = before.journal["rows"][-1:, -works_since_last.size :].sum(axis=0)
         total = total + works_since_last
@@ -329,7 +335,7 @@ class Recorder:
         Args:
             t: time, µs.
             u: (particles, 2) displacements, µm.
-            works: (loads + 4,) works since t = 0, pJ.
+            works: (loads + 4 + 2 b,) works and impulses of b bodies since t = 0, see `Works.row`.
         """
         dynamics = self._dynamics
         bodies = self._dynamics.bodies

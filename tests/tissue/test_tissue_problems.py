@@ -116,6 +116,12 @@ def test_free_body_and_tissue_keep_their_momentum_and_energy(reference, run_tiss
     assert abs(energies["balance"]).max() < 1e-3 * start
     assert done.history["position upper y"][0] == pytest.approx(0.0, abs=1e-12)
     assert energies["contact"].max() > 0.0
+    # what the body gave away is what the tissue has, at every output time and not by samples
+    total = np.einsum("p,kpi->ki", dynamics.mass, done.frames.velocity)
+    impulse = np.stack([done.history[f"impulse upper {axis}"] for axis in "xy"], axis=1)
+    at_frames = np.searchsorted(done.curve.t, done.frames.t - 1e-9)
+    np.testing.assert_allclose(impulse[at_frames], total, rtol=0, atol=1e-11 * 30.0)
+    assert abs(impulse[-1, 1]) > 0.1 * 30.0
     lost = energies["contact dissipated"]
     assert np.diff(lost).min() > -1e-9
     assert (lost[-1] > 0.01 * start) if rough else (lost[-1] == 0.0)
