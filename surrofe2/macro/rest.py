@@ -55,6 +55,7 @@ from surrofe2.problem.conditions import DrivenCondition, PrescribedMotion
 from surrofe2.problem.problem import Problem
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.journal import (
+    BEYOND,
     FRAME_TIMES,
     Journal,
     RunState,
@@ -120,6 +121,8 @@ class RestState(RunState):
         next_step: factor by which the next load step is larger.
         extremes: (2, 4, 2, 2) as in `MacroState`, of the equilibria on the way.
         drags: friction at all points of a body's contact, µN/µm, by name of the body.
+        grip_u, grip_drags: displacement and friction of the equilibrium before, from which points
+            of contact stick or slip to this one. The tangents depend on them.
         counts: load steps, halvings, factorisations by Newton's method; steps that were repeated
             because points left their branch of the law; stresses asked for.
         effort: sums of what the law's answers cost.
@@ -144,6 +147,8 @@ class RestState(RunState):
     next_step: float
     extremes: Array
     drags: dict[str, Array]
+    grip_u: Array
+    grip_drags: dict[str, Array]
     counts: dict[str, int]
     effort: dict[str, int]
     rolled_back: dict[str, int]
@@ -586,9 +591,18 @@ class Loading:
         """
         place = f"load factor {self.rest.factor:.4g}"
         if isinstance(failure, OutOfBalance | ToleranceError):
-            return (
+            text = (
                 f"; Newton's method for the tissue gave up beyond {place}, where the plant cells "
-                "of every point have a stress: a run in time may carry on"
+                "of every point have a stress"
+            )
+            beyond = self.rest.columns[BEYOND][-1]
+            # where the law cannot tell it is NaN
+            if not beyond > 0.0:
+                return f"{text}: a run in time may carry on"
+            return (
+                f"{text}; {beyond:.0f} of {len(self.rest.F)} points have left a bifurcation, at "
+                "which the stress of plant cells has a corner that Newton's method may not cross: "
+                "a run in time may carry on, or another mesh"
             )
         if failure.status == Status.UNSTABLE:
             return (
@@ -740,16 +754,17 @@ class Newton:
         """
         equations = self.equations
         if last is None:
-            start = np.zeros((equations.system.n_rows, 2))
+            grip_u = np.zeros((equations.system.n_rows, 2))
             # At rest points stick by all bodies, those with a slip speed included.
             contacts = equations.system.contacts
-            self._grip(
-                start, {contact.name: np.zeros(contact.lengths.size) for contact in contacts}
-            )
-            now, residuals, slopes = self.balanced(factor, partial(equations.system.pick, start))
+            grip_drags = {contact.name: np.zeros(contact.lengths.size) for contact in contacts}
+            begin = partial(equations.system.pick, grip_u)
         else:
-            self._grip(last.u, last.drags)
-            now, residuals, slopes = self.balanced(factor, partial(self.predicted, factor, last))
+            grip_u = last.u
+            grip_drags = last.drags
+            begin = partial(self.predicted, factor, last)
+        self._grip(grip_u, grip_drags)
+        now, residuals, slopes = self.balanced(factor, begin)
         equations.tally.counts["load_steps"] += factor != 0.0
         system = equations.system
         reaction = equations.reaction(now)
@@ -787,6 +802,8 @@ class Newton:
             next_step=next_step,
             extremes=extremes,
             drags={contact.name: contact.drag(now.u, now.v) for contact in system.contacts},
+            grip_u=grip_u,
+            grip_drags=grip_drags,
             **_spent(equations.tally),
             rolled_back={} if last is None else last.rolled_back,
             mark=None if last is None else last.mark,
@@ -807,7 +824,7 @@ class Newton:
             NoStress, Switched: as `EquationsOfMotion.evaluate`.
         """
         equations = self.equations
-        self._grip(state.u, state.drags)
+        self._grip(state.grip_u, state.grip_drags)
         now = evaluation_at(equations, state)
         K, C = equations.tangents(now)
         tally = equations.tally

@@ -10,8 +10,9 @@ from surrofe2.base.errors import SimulationError
 from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.macro import MacroSettings, find_rest
 from surrofe2.macro.answer_error import answer_error, corrected
+from surrofe2.macro.rest import RestState
 from surrofe2.problem.mesh import rectangle
-from surrofe2.problem.rigid_bodies import Plane
+from surrofe2.problem.rigid_bodies import Circle, Plane
 from tests.cache.tables import LOAD_CASE, cached
 from tests.laws import KelvinVoigt, Truth, failing, shear_error
 
@@ -163,3 +164,32 @@ def test_a_law_of_some_points():
         "right": [1, 2],
     }
     assert [*law.at(np.array([8])).points] == ["right"]
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_a_rest_in_contact_that_resumes_at_its_end_has_the_same_error_to_the_bit(friction):
+    """Its tangents are those of the last load step, in which points of a disc stuck and turned."""
+    disc = RigidBody(
+        name="disc",
+        shape=Circle(radius=20.0),
+        position=(30.0, 60.0),
+        on="top",
+        displacement=(1.5, -3.0),
+        friction=friction,
+    )
+    problem = replace(PRESSED, bodies=(disc,))
+    states = []
+    whole = find_rest(
+        problem, wrong(), TIGHT, load_steps=3, checkpoint=states.append, checkpoint_interval=0.0
+    )
+    error = answer_error(whole, wrong(), true_stress)
+    assert [state.factor for state in states][-1] == 1.0
+    for state in states:
+        law = wrong()
+        written = RestState.from_arrays(state.to_arrays())
+        resumed = replace(written, law_state=state.law_state)
+        again = find_rest(problem, law, TIGHT, load_steps=3, resume=resumed)
+        np.testing.assert_array_equal(again.u, whole.u)
+        of_resumed = answer_error(again, law, true_stress)
+        np.testing.assert_array_equal(of_resumed.displacement, error.displacement)
+        np.testing.assert_array_equal(of_resumed.forces, error.forces)

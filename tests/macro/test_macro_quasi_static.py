@@ -28,7 +28,7 @@ from surrofe2.problem import (
     rectangle,
 )
 from surrofe2.rve import RveLaw
-from tests.laws import Fibres, KelvinVoigt, LinearFirstPiola, Memoryless, failing
+from tests.laws import Fibres, KelvinVoigt, LinearFirstPiola, Memoryless, PointStates, failing
 from tests.macro.bars import SQUARE
 from tests.macro.meshes import plate, sides_of
 
@@ -311,6 +311,26 @@ def test_the_end_of_a_path_says_who_failed(status, verdict):
         find_rest(SQUARE, law, SETTINGS, factor=factor, load_steps=4)
     assert "no limit of the plant cells" not in str(caught.value)
     assert re.search("use the path up to there|a run in time may carry on", str(caught.value))
+
+
+def test_newtons_end_beyond_a_bifurcation_is_said_with_its_likely_reason():
+    """The stress of a buckled RVE has corners, which no smaller load step makes smooth."""
+
+    class Buckles(Yields):
+        def respond(self, F, F_dot, state=None, **entries):
+            answer = super().respond(F, F_dot, state, **entries)
+            return replace(answer, state=PointStates(F.copy(), leaves_above=1.0))
+
+        def beyond_bifurcation(self, state):
+            return state.left_points
+
+    with pytest.raises(SimulationError, match="Newton's method for the tissue gave up") as caught:
+        find_rest(SQUARE, Buckles(), SETTINGS, factor=40.0, load_steps=4)
+    at_end = caught.value.partial
+    buckled = int((at_end.F[:, 0, 0] > 1.0).sum())
+    assert 0 < buckled < len(at_end.F)
+    reason = f"; {buckled} of {len(at_end.F)} points have left a bifurcation"
+    assert reason in str(caught.value)
 
 
 def test_a_motion_past_a_limit_point_is_not_advised_again():
