@@ -63,11 +63,6 @@ _SETTLING_LIMIT = 300_000
 _SETTLED = {"square": 1.0, "hexagon": 1.0, "voronoi": 1e-4}
 """Mean force, µN, at which Newton's method takes over. It must stay in the basin of the equilibrium
 that particles approach, and irregular cells have many."""
-_CHECK = (
-    "check fluid_particle_mass, wall_stiffness and repulsion_strength, or take another "
-    "arrangement_seed"
-)
-_NOT_FREE = f"cell: no wall rest length and box free the undeformed RVE of stress; {_CHECK}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +190,7 @@ def settle_reference(cell: CellParameters) -> ReferenceState:
     several = irregular and not cell.has_uniform_fluid
     starts = [start_positions(cell, k) for k in range(STARTS if several else 1)]
     equilibria = equilibria_in(cell, lattice, guess, np.array(starts))
-    best = lowest(equilibria) if several else 0
+    best = lowest(equilibria, cell) if several else 0
     return _free_of_stress(cell, equilibria.z[best], guess, irregular)
 
 
@@ -298,14 +293,31 @@ def relax(
     return Equilibria(z, stress, energy, iterations, is_solved, stable)
 
 
-def lowest(equilibria: Equilibria) -> int:
+def _advice(cell: CellParameters) -> str:
+    """Say what to change where an undeformed RVE has no rest.
+
+    The seed decides where irregular plant cells come to rest; the others depend on constants.
+    """
+    if cell.arrangement == "voronoi":
+        advice = f"take another arrangement_seed than {cell.arrangement_seed}, or more cells"
+        return advice if cell.has_uniform_fluid else f'{advice}, or fluid = "uniform"'
+    if cell.has_uniform_fluid:
+        return (
+            "check fluid_particle_mass and wall_stiffness, of living tissue turgor and wall_modulus"
+        )
+    return "check fluid_particle_mass, wall_stiffness, repulsion_strength and the damping ratios"
+
+
+def lowest(equilibria: Equilibria, cell: CellParameters) -> int:
     """Return the number of the stable equilibrium of least energy; of equal ones the first.
 
     Raises:
         InputError: none is stable.
     """
     if not equilibria.stable.any():
-        raise InputError(f"cell: no stable equilibrium of the undeformed RVE was found; {_CHECK}")
+        raise InputError(
+            f"cell: no stable equilibrium of the undeformed RVE was found; {_advice(cell)}"
+        )
     energy = np.where(equilibria.stable, equilibria.energy, np.inf)
     is_lowest = energy <= energy.min() + SAME_ENERGY * abs(energy.min())
     return int(np.flatnonzero(is_lowest)[0])
@@ -338,8 +350,7 @@ def _settled(
     if not is_at_rest.any():
         raise InputError(
             "cell: the undeformed RVE does not come to rest "
-            f"(mean force {answer.residual.min():.3g} µN); check fluid_particle_mass, "
-            "wall_stiffness and the damping ratios"
+            f"(mean force {answer.residual.min():.3g} µN); {_advice(cell)}"
         )
     return np.swapaxes(unpack(x, len(starts)), 1, 2)[is_at_rest]
 
@@ -364,6 +375,9 @@ def _free_of_stress(
     tolerance = FREE_OF_STRESS * cell.density * cell.sound_speed**2
     # where the next solve begins: at the equilibrium of the last
     z_start = z[None].copy()
+    not_free = (
+        f"cell: no wall rest length and box free the undeformed RVE of stress; {_advice(cell)}"
+    )
 
     def shape(u: Array) -> Array:
         """Return the deformation F (2, 2) of the box."""
@@ -376,7 +390,7 @@ def _free_of_stress(
         constants = make_constants(cell, u[0] * cell.spring_length)
         equilibrium = relax(topology, constants, z_start, shape(u)[None])
         if not equilibrium.found[0]:
-            raise InputError(_NOT_FREE)
+            raise InputError(not_free)
         z_start[:] = equilibrium.z
         s = equilibrium.stress[0]
         return np.array([s[0, 0] + s[1, 1], s[0, 0] - s[1, 1], s[0, 1] + s[1, 0]])[: len(u)]
@@ -392,7 +406,7 @@ def _free_of_stress(
             "positive: lower fluid_particle_mass or sound_speed, or raise wall_stiffness"
         )
     if not np.abs(stress(u)).max() <= tolerance:
-        raise InputError(_NOT_FREE)
+        raise InputError(not_free)
     F = shape(u)
     l0 = float(u[0] * cell.spring_length)
     # the deformed box becomes the reference, at F = I
@@ -401,5 +415,5 @@ def _free_of_stress(
     topology = make_neighbours(cell, relaxed, box).topology
     final = relax(topology, make_constants(cell, l0), relaxed.T[None], np.eye(2)[None])
     # raises where it is not stable
-    lowest(final)
+    lowest(final, cell)
     return ReferenceState(cell.fingerprint, final.z[0].T.copy(), box, l0)
