@@ -123,9 +123,7 @@ def draw(name, run, law, problem, path):
     seen = rve.particles(frames.F[k, element][None], frames.F_dot[k, element][None])
     span = float(np.linalg.norm(seen.lattice, axis=0).max())
     cell = np.sqrt(abs(np.linalg.det(seen.lattice)) / (seen.fluid_cell.max() + 1))
-    (walls, lines), (fluid, dots) = draw_cells(
-        cells, seen, 0, rve.cell.tissue_thickness, max(0.75 * span, 1.6 * cell)
-    )
+    (walls, lines), (fluid, dots) = draw_cells(cells, seen, 0, max(0.75 * span, 1.6 * cell))
     walls.bar(cells, lines, "bottom")
     fluid.bar(cells, dots)
     cells.set_title("plant cells there", fontsize=9)

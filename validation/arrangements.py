@@ -112,7 +112,7 @@ def picture(cell: CellParameters) -> Figure:
     all_seen = [law(cell, *each, "elastic").particles(np.eye(2)[None], still) for each in SHOWN]
     half = 0.6 * max(float(abs(seen.lattice).sum(axis=1).max()) for seen in all_seen)
     for axes, seen, (arrangement, cells) in zip(places, all_seen, SHOWN, strict=True):
-        draw_cells(axes, seen, 0, cell.tissue_thickness, half)
+        draw_cells(axes, seen, 0, half)
         first = seen.position[0][seen.is_wall].mean(axis=0) - 0.25 * seen.lattice.sum(axis=1)
         box = first + np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) @ seen.lattice.T
         axes.plot(*box.T, "--", color="C3", linewidth=1.2)

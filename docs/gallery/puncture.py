@@ -145,12 +145,12 @@ if __name__ == "__main__":
     curve.grid(alpha=0.25)
     cells_at = [places["skin"], places["flesh"]]
     for axes, cells, name in zip(cells_at, seen, ("skin", "flesh"), strict=True):
-        (_, lines), (_, areas) = draw_cells(axes, cells, 0, THICKNESS, half=230.0)
+        (_, lines), (_, areas) = draw_cells(axes, cells, 0, half=230.0)
         STRETCH.paint(lines, lines.get_array())
         PRESSURE.paint(areas, areas.get_array())
         axes.set_title(f"cells of the {name}", fontsize=9)
         print(f"  {name}: walls stretched {cells.stretch.min():.3f} to {cells.stretch.max():.3f}")
-        print(f"  pressure {cells.pressure.max() / THICKNESS:.3f} MPa")
+        print(f"  pressure {cells.pressure.max():.3f} MPa")
     STRETCH.bar(cells_at, lines)
     PRESSURE.bar(cells_at, areas)
     Path(__file__).with_suffix(".png").write_bytes(encoded(figure, "png"))

@@ -97,7 +97,7 @@ if __name__ == "__main__":
                 stresses.append(stress)
             first = next(iter(laws.values()))
             seen = first.particles(pulled(first).F[:1], np.zeros((1, 2, 2)))
-            (walls, lines), (fluid, areas) = draw_cells(tissue, seen, 0, THICKNESS)
+            (walls, lines), (fluid, areas) = draw_cells(tissue, seen, 0)
             left, right = tissue.get_xlim()
             y = float(seen.position[0].mean(axis=0)[1])
             for x, direction in ((left, -1.0), (right, 1.0)):

@@ -72,7 +72,7 @@ def draw_particles():
         seen = RveLaw(CELL, initialisation=name).particles(F, F_dot)
         x, v, f = seen.position[0], seen.velocity[0], seen.force[0]
         own = v - x @ (F_dot[0] @ np.linalg.inv(F[0])).T
-        bars = draw_cells(axes, seen, 0, CELL.tissue_thickness, half=17.0)
+        bars = draw_cells(axes, seen, 0, half=17.0)
         axes.quiver(*x.T, *own.T, color=GREEN, scale=VELOCITY / 2.0, **ARROW)
         axes.quiver(*x.T, *f.T, color=VERMILION, scale=FORCE / 2.0, **ARROW)
         mean = np.linalg.norm(f, axis=1).mean()

@@ -41,7 +41,7 @@ def main():
     panels = [places["skin"], places["flesh"]]
     centres = places_of_cells(rest)
     for axes, seen, centre, name in zip(panels, cells, centres, laws, strict=True):
-        (_, lines), (_, areas) = draw_cells(axes, seen, 0, puncture.THICKNESS, half=230.0)
+        (_, lines), (_, areas) = draw_cells(axes, seen, 0, half=230.0)
         puncture.STRETCH.paint(lines, lines.get_array())
         puncture.PRESSURE.paint(areas, areas.get_array())
         axes.set_title(f"cells of the {name}", fontsize=9)

@@ -452,7 +452,7 @@ def _held_sides(fields: StoredFields) -> list[_HeldSide]:
 
 
 def draw_cells(
-    axes: Axes, seen: Particles, k: int, thickness: float, half: float = 0.0
+    axes: Axes, seen: Particles, k: int, half: float = 0.0
 ) -> tuple[tuple[Colours, Any], tuple[Colours, Any]]:
     """Draw RVE k with its neighbours: walls by stretch, fluid by pressure.
 
@@ -461,7 +461,6 @@ def draw_cells(
     Args:
         seen: RVEs at several times or points.
         k: number of the RVE.
-        thickness: thickness of the tissue, µm.
         half: half of the width of the window about its centre, µm; 0: the RVE and a little more.
 
     Returns:
@@ -469,8 +468,7 @@ def draw_cells(
         the collection that is drawn in them.
     """
     walls = Colours.of("wall length / rest length", seen.stretch)
-    pressure = seen.pressure / thickness
-    fluid = Colours.of("fluid pressure (MPa)", pressure, "Blues")
+    fluid = Colours.of("fluid pressure (MPa)", seen.pressure, "Blues")
     lattice = seen.F[k] @ seen.lattice
     x = seen.position[k]
     n_walls = int(seen.is_wall.sum())
@@ -494,7 +492,7 @@ def draw_cells(
         inside = axes.scatter(
             dots[:, 0], dots[:, 1], s=max(size, 2.0), edgecolors="0.5", linewidths=0.3
         )
-    fluid.paint(inside, np.tile(pressure[k], len(copies)))
+    fluid.paint(inside, np.tile(seen.pressure[k], len(copies)))
     drawn = LineCollection([*segments], linewidths=2.2, capstyle="round")
     axes.add_collection(walls.paint(drawn, np.tile(seen.stretch[k], len(copies))))
     centre = x[:n_walls].mean(axis=0) + 0.25 * lattice.sum(axis=1)
@@ -530,7 +528,6 @@ def cell_figure(
     fields: StoredFields,
     element: int,
     point: Sequence[float],
-    thickness: float,
     is_rest: bool = False,
 ) -> Figure:
     """Draw the plant cells at a point: where it is, wall stretch over time, and the cells at six
@@ -542,7 +539,6 @@ def cell_figure(
         fields: of the run.
         element: number of the element.
         point: position in the undeformed tissue, µm.
-        thickness: thickness of the tissue, µm.
         is_rest: whether the times are factors of the load of a rest.
     """
     t = fields.t
@@ -575,7 +571,7 @@ def cell_figure(
     half = 0.75 * float(abs(np.einsum("nij,jk->nki", seen.F, seen.lattice)).sum(axis=1).max())
     places = below.subplots(rows, columns, squeeze=False)
     for axes, k in zip(places.flat, chosen, strict=False):
-        bars = draw_cells(axes, seen, int(k), thickness, half)
+        bars = draw_cells(axes, seen, int(k), half)
         axes.set_title(clock.format(t[k]), fontsize=9)
     for axes in places.flat[len(chosen) :]:
         axes.axis("off")

@@ -32,14 +32,14 @@ class Particles:
         velocity: (n, p, 2) µm/µs.
         force: (n, p, 2) total force on each particle, zero but for the solver's tolerance, µN.
         density: (n, f) density of the fluid, ng/µm².
-        pressure: (n, f) pressure of the fluid, µN/µm.
+        pressure: (n, f) pressure of the fluid, MPa.
         bonds: (b, 2) own wall particles i, j that a wall spring joins.
         bond_shift: (b, 2) lattice shift of the image of j that is joined.
         tension: (n, b) tension of each spring, µN.
         stretch: (n, b) length of each spring over its rest length.
         contact_pressure: (n, walls) largest force of the fluid on one side of the wall particle
-            per length of wall, µN/µm. The length is that at rest with SPH fluid, whose particles
-            push at a few places; with a uniform fluid it is the stretched one, so that this is its
+            per area of wall, MPa. Its length is that at rest with SPH fluid, whose particles push
+            at a few places; with a uniform fluid it is the stretched one, so that this is its
             pressure but for viscosity.
         area_ratio: (n, cells) area within the walls over that in the reference.
         stress: (n, 2, 2) Cauchy stress as the virial of all pairs, µN/µm.
@@ -80,12 +80,12 @@ class Particles:
         return {
             "largest_wall_stretch": self.stretch.max(axis=1),
             "largest_wall_tension_uN": self.tension.max(axis=1),
-            "mean_fluid_pressure_uN_per_um": self.pressure.mean(axis=1),
-            "lowest_fluid_pressure_uN_per_um": self.pressure.min(axis=1),
-            "highest_fluid_pressure_uN_per_um": self.pressure.max(axis=1),
+            "mean_fluid_pressure_MPa": self.pressure.mean(axis=1),
+            "lowest_fluid_pressure_MPa": self.pressure.min(axis=1),
+            "highest_fluid_pressure_MPa": self.pressure.max(axis=1),
             "smallest_cell_area_ratio": self.area_ratio.min(axis=1),
             "largest_cell_area_ratio": self.area_ratio.max(axis=1),
-            "largest_contact_pressure_uN_per_um": self.contact_pressure.max(axis=1),
+            "largest_contact_pressure_MPa": self.contact_pressure.max(axis=1),
         }
 
 
@@ -171,12 +171,13 @@ def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Arr
         velocity=v,
         force=force,
         density=density,
-        pressure=pressure,
+        # in the plane pressures are forces per length; over the thickness of the tissue, in MPa
+        pressure=pressure / cell.tissue_thickness,
         bonds=np.stack([bonds.i, bonds.j], axis=1),
         bond_shift=bonds.shift,
         tension=tension,
         stretch=bonds.length / unit.rest_length,
-        contact_pressure=pushed,
+        contact_pressure=pushed / cell.tissue_thickness,
         area_ratio=rims / at_rest,
         stress=bond_stress + contact_stress.sum(axis=1) + fluid_stress,
         wall_stress=bond_stress + contact_stress[:, between_walls].sum(axis=1),

@@ -685,12 +685,11 @@ def split_unit(column: str) -> tuple[str, str]:
     return _SHORT.get(column, column), NONE
 
 
-def write_rve_fields(folder: Path, seen: Particles, t: Array, thickness: float) -> None:
+def write_rve_fields(folder: Path, seen: Particles, t: Array) -> None:
     """Write fields.xdmf, and the files that it names, of the RVE of `seen` at times t (n,), µs.
 
     Points are its particles as they are at the first time, with images where wall springs lead
-    across its boundary; lines are the springs. A uniform fluid is in plant-cells.xdmf. Pressures
-    are those of a tissue of this thickness, µm, in MPa.
+    across its boundary; lines are the springs. A uniform fluid is in plant-cells.xdmf.
     """
     is_uniform = bool(seen.is_wall.all())
     particles = seen.position.shape[1]
@@ -720,19 +719,19 @@ def write_rve_fields(folder: Path, seen: Particles, t: Array, thickness: float) 
         "displacement_um": now - now[0],
         "velocity_um_per_us": moved(seen.velocity, seen.F_dot @ seen.lattice),
         "force_uN": seen.force[:, owner],
-        PRESSURE_NAME: pressure[:, owner] / thickness,
-        "contact_pressure_MPa": contact[:, owner] / thickness,
+        PRESSURE_NAME: pressure[:, owner],
+        "contact_pressure_MPa": contact[:, owner],
         "wall": wall.astype(np.float64),
         "image": image.astype(np.float64),
     }
     if is_uniform:
         del at_points[PRESSURE_NAME]
-        _write_plant_cells(folder, seen, t, thickness)
+        _write_plant_cells(folder, seen, t)
     of_springs = {"wall_stretch": seen.stretch, "wall_tension_uN": seen.tension}
     write_series(folder, now[0], springs, t, at_points, of_springs)
 
 
-def _write_plant_cells(folder: Path, seen: Particles, t: Array, thickness: float) -> None:
+def _write_plant_cells(folder: Path, seen: Particles, t: Array) -> None:
     """Write plant-cells.xdmf: plant cells as triangles from their middles, with their pressure."""
     points = []
     triangles = []
@@ -750,7 +749,7 @@ def _write_plant_cells(folder: Path, seen: Particles, t: Array, thickness: float
     now = np.concatenate(points, axis=1)
     owner = np.concatenate(cell_of)
     in_cells = {
-        PRESSURE_NAME: seen.pressure[:, owner] / thickness,
+        PRESSURE_NAME: seen.pressure[:, owner],
         "cell_area_ratio": seen.area_ratio[:, owner],
     }
     motion = {DISPLACEMENT_NAME: now - now[0]}

@@ -49,7 +49,6 @@ class Zoom(Viewed):
         motion: fields of the run.
         seen: the RVE of the element at these times.
         is_rest: whether they are factors of the load of a rest.
-        thickness: thickness of the tissue, µm.
         cell: name of the plant cell.
     """
 
@@ -58,7 +57,6 @@ class Zoom(Viewed):
     motion: StoredFields
     seen: Particles
     is_rest: bool
-    thickness: float
     cell: CellName = None
 
     @property
@@ -68,7 +66,7 @@ class Zoom(Viewed):
 
     def extremes(self) -> dict[str, Array]:
         """Compute what bruises a tissue, (n,) each, by name with its unit; pressures in MPa."""
-        return in_megapascals(self.seen.extremes(), self.thickness)
+        return self.seen.extremes()
 
     def facts(self) -> Facts:
         """Return what a notebook shows of the plant cells."""
@@ -83,22 +81,6 @@ class Zoom(Viewed):
             "fluid pressure": f"{lowest:.3g} to {highest:.3g} MPa",
         }
         return facts if self.cell is None else {"plant cell": self.cell, **facts}
-
-
-def in_megapascals(columns: Mapping[str, Array], thickness: float) -> dict[str, Array]:
-    """Return columns of `Particles.extremes` with stresses of the plane as pressures, in MPa.
-
-    Args:
-        thickness: thickness of the tissue, µm, by which a stress of the plane is divided.
-    """
-    ending = "_uN_per_um"
-    converted = {}
-    for name, values in columns.items():
-        if name.endswith(ending):
-            converted[f"{name.removesuffix(ending)}_MPa"] = values / thickness
-        else:
-            converted[name] = values
-    return converted
 
 
 Point = tuple[float, float]
@@ -162,7 +144,6 @@ def zoom_into(folder: str | Path, point: Any) -> Zoom | list[Zoom]:
                 motion=motion,
                 seen=law.particles(F, F_dot, answer.state),
                 is_rest="rest" in record.recipe,
-                thickness=recipe.study().cell.parameters.tissue_thickness,
                 cell=name,
             )
         )
@@ -194,13 +175,12 @@ def write_zoom(
             zoom.motion,
             zoom.element,
             zoom.point,
-            zoom.thickness,
             zoom.is_rest,
         )
         write_bytes(out / f"zoom.{form}", encoded(figure, form))
         report(0.5, "tables and fields")
         write_columns(out / "zoom.csv", columns)
-        write_rve_fields(out, zoom.seen, zoom.t, zoom.thickness)
+        write_rve_fields(out, zoom.seen, zoom.t)
 
 
 def recipes_of(record: RunRecord) -> dict[CellName, Recipe]:
@@ -251,8 +231,7 @@ def add_cell_fields(folder: Path) -> int:
         for k, recipe in enumerate(recipes.values()):
             of_cell = numbers == k
             extremes = extremes_of(true_law(recipe.study()), F[:, of_cell], F_dot[:, of_cell])
-            thickness = recipe.study().cell.parameters.tissue_thickness
-            for name, column in in_megapascals(extremes, thickness).items():
+            for name, column in extremes.items():
                 whole = values.setdefault(name, np.full(F.shape[:2], np.nan))
                 whole[:, of_cell] = column
         add_to_elements(folder, values)

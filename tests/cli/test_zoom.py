@@ -24,7 +24,6 @@ from surrofe2.workflow.zoom import (
     FIELDS_OF_MOTION,
     cell_numbers,
     extremes_of,
-    in_megapascals,
     recipes_of,
     write_zoom,
     zoom_into,
@@ -92,9 +91,7 @@ def test_table_of_extremes(looked, seen):
     table = np.genfromtxt(looked[1] / "zoom.csv", delimiter=",", names=True)
     np.testing.assert_array_equal(table["t_us"], motion.t)
     for name, values in particles.extremes().items():
-        stored = table[name.replace("_uN_per_um", "_MPa")]
-        in_plane = stored * 10.0 if "pressure" in name else stored  # 10 µm thick
-        np.testing.assert_allclose(in_plane, values, rtol=1e-7)
+        np.testing.assert_allclose(table[name], values, rtol=1e-7)
     assert np.ptp(table["largest_wall_stretch"]) > 1e-4
 
 
@@ -116,7 +113,7 @@ def test_springs_for_paraview_have_their_length_across_the_boundary_too(looked, 
 
 def test_cell_fields_are_the_extremes_of_the_particles(study, seen):
     _, particles = seen
-    extremes = in_megapascals(particles.extremes(), 10.0)
+    extremes = particles.extremes()
     stored = read_fields(study[1], extremes)
     for name, values in extremes.items():
         assert stored.values[name].shape == (5, 4)
@@ -234,7 +231,7 @@ def test_a_uniform_fluid_fills_its_plant_cells(tmp_path):
     cell = CellParameters(arrangement="voronoi", cells=4)
     law, F = RveLaw(cell), np.array([np.eye(2), [[1.01, 0.02], [0.0, 0.98]]])
     seen = law.particles(F, 0.0 * F)
-    write_rve_fields(tmp_path, seen, np.array([0.0, 1.0]), 5.0)
+    write_rve_fields(tmp_path, seen, np.array([0.0, 1.0]))
     with meshio.xdmf.TimeSeriesReader(tmp_path / "plant-cells.xdmf") as reader:
         points, (triangles,) = reader.read_points_cells()
         _, at_points, in_cells = reader.read_data(1)
@@ -242,10 +239,10 @@ def test_a_uniform_fluid_fills_its_plant_cells(tmp_path):
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
     assert area.sum() == pytest.approx(2500.0 * np.linalg.det(F[1]), rel=1e-12)
-    pressure = 5.0 * np.ravel(in_cells["fluid_pressure_MPa"])
+    pressure = np.ravel(in_cells["fluid_pressure_MPa"])
     assert np.unique(pressure).size == 4
     assert (pressure * area).sum() == pytest.approx((seen.pressure[1] * areas_of(seen, 1)).sum())
-    bars = draw_cells(Figure().add_subplot(), seen, 1, 10.0)
+    bars = draw_cells(Figure().add_subplot(), seen, 1)
     areas = bars[1][1]
     assert isinstance(areas, PolyCollection)
     assert len(areas.get_paths()) == len(areas.get_array())

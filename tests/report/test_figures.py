@@ -147,7 +147,7 @@ def test_plant_cells_fill_the_window():
     seen = RveLaw(CELL, initialisation="cauchy-born").particles(
         np.eye(2)[None], np.zeros((1, 2, 2))
     )
-    (_, drawn), _ = draw_cells(Figure().subplots(), seen, 0, 10.0, half=60.0)
+    (_, drawn), _ = draw_cells(Figure().subplots(), seen, 0, half=60.0)
     ends = np.concatenate(drawn.get_segments())
     assert (ends.min(axis=0) < -45.0).all()
     assert (ends.max(axis=0) > 70.0).all()

@@ -132,7 +132,7 @@ def test_a_look_into_an_rve_agrees_with_the_kernels(name):
     assert abs(seen.force).max() < 1e-6
     assert seen.pressure.shape == seen.density.shape == seen.area_ratio.shape
     assert (seen.contact_pressure > 0.0).all()
-    assert seen.extremes()["highest_fluid_pressure_uN_per_um"].shape == (8,)
+    assert seen.extremes()["highest_fluid_pressure_MPa"].shape == (8,)
 
 
 def test_contact_pressure_is_the_pressure_beyond_the_wall():
@@ -153,7 +153,7 @@ def test_constitutive_law_of_the_sap():
     seen = undrained.particles(F, F_DOT)
     cell = undrained.cell
     osmotic = cell.sound_speed**2 * seen.density
-    expected = osmotic + 200.0 * cell.tissue_thickness * (1.0 / seen.area_ratio - 1.0)
+    expected = osmotic / cell.tissue_thickness + 200.0 * (1.0 / seen.area_ratio - 1.0)  # MPa
     np.testing.assert_allclose(seen.pressure, expected, rtol=1e-10)
     assert abs(seen.area_ratio / np.linalg.det(F)[:, None] - 1.0).max() < 0.01
     with pytest.raises(

@@ -7,8 +7,8 @@ import pytest
 
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.rve import ReferenceState, RveLaw
-from surrofe2.rve.unit_cell import make_unit_cell
+from surrofe2.rve import ReferenceState, RveLaw, unit_cell
+from surrofe2.rve.unit_cell import make_unit_cell, settle_reference
 from tests.plant_cell.twin import Twin
 from tests.rve import rves
 from tests.rve.rves import assert_balanced, deformations
@@ -62,6 +62,29 @@ def test_grid_of_fluid_that_is_no_stable_equilibrium_is_refused(preset):
     cell = CellParameters.preset(preset, fluid_particles_per_side=3, fluid_particle_mass=mass)
     with pytest.raises(InputError, match="no stable equilibrium of the undeformed RVE was found"):
         RveLaw(cell)
+
+
+@pytest.mark.parametrize("fluid", ["sph", "uniform"])
+def test_a_seed_without_a_rest_is_named_and_no_constant_of_the_cell(fluid, monkeypatch):
+    """Its constants may be those of a preset, and square plant cells come to rest with them."""
+    cell = CellParameters(arrangement="voronoi", cells=4, arrangement_seed=7, fluid=fluid)
+    settle_reference(replace(cell, arrangement="square", cells=1, arrangement_seed=1))
+    solved = unit_cell.relax
+
+    def none(topology, *entries):
+        answer = solved(topology, *entries)
+        nowhere = np.zeros_like(answer.found)
+        return answer._replace(found=nowhere, stable=nowhere)
+
+    monkeypatch.setattr(unit_cell, "relax", none)
+    monkeypatch.setattr(unit_cell, "_SETTLING_LIMIT", 30_000)
+    with pytest.raises(InputError) as refused:
+        settle_reference.__wrapped__(cell)
+    message = str(refused.value)
+    assert "take another arrangement_seed than 7, or more cells" in message
+    assert ('fluid = "uniform"' in message) == (fluid == "sph")
+    for name in ("fluid_particle_mass", "wall_stiffness", "repulsion_strength"):
+        assert name not in message
 
 
 def test_turgor_that_no_wall_can_balance_is_refused():
@@ -158,8 +181,9 @@ def test_fluid_pushes_on_the_walls_with_what_their_tension_carries():
     seen = law.particles(still, 0.0 * still)
     assert seen.area_ratio == pytest.approx(1.0, rel=1e-9)
     pushes = seen.contact_pressure[0, 1:]  # without the corner, which four plant cells push
-    assert pushes.mean() == pytest.approx(seen.tension.mean() / law.cell.cell_side, rel=0.15)
-    assert seen.extremes()["highest_fluid_pressure_uN_per_um"] >= seen.pressure.mean()
+    side = law.cell.cell_side * law.cell.tissue_thickness  # µm²; µN/µm² is MPa
+    assert pushes.mean() == pytest.approx(seen.tension.mean() / side, rel=0.15)
+    assert seen.extremes()["highest_fluid_pressure_MPa"] >= seen.pressure.mean()
 
 
 def test_a_point_without_stress_is_named():
