@@ -15,6 +15,7 @@ from math import nan
 from time import perf_counter, process_time
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
@@ -27,7 +28,7 @@ from surrofe2.cache import StressTable
 from surrofe2.law.samples import StressSamples
 from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
-from surrofe2.run.charts import Curve, Panel
+from surrofe2.run.charts import BLUE, GREEN
 from surrofe2.rve import RveLaw
 from surrofe2.surrogate import train
 from surrofe2.surrogate.features import input_scale
@@ -204,22 +205,38 @@ def learn_table(law: RveLaw, samples: StressSamples) -> StressTable:
 
 
 def describe(results: list[Result]) -> Study:
-    """Error over samples and error over cost, with the table for people."""
-    learning, costs = [], []
-    for name in CONTENDERS:
-        found = [result for result in results if result.contender == name and result.answered]
-        if found:
-            error = np.array([100.0 * result.rms for result in found])
-            learning.append(Curve(name, np.array([float(r.samples) for r in found]), error))
-            costs.append(Curve(name, np.array([found[-1].query]), error[-1:]))
-    counts, label = tuple(sorted({float(r.samples) for r in results})), "RMS error (% of spread)"
-    cost = f"time per query at {POINTS} points (µs), {counts[-1]:,.0f} samples"
+    """The table for people, and the picture."""
     return Study(
         title="Surrogate part by part, and what else there is",
-        panels=(
-            Panel("RVE samples", label, tuple(learning), log_x=True, log_y=True, x_ticks=counts),
-            Panel(cost, label, tuple(costs), log_x=True, log_y=True, x_ticks=TICKS),
-        ),
-        columns=2,
+        drawing=picture(results),
         table=Table(QUANTITIES, results),
     )
+
+
+def picture(results: list[Result]) -> Figure:
+    """Error by the fewest and the most samples, and cost of a query, a row for each contender."""
+    figure = Figure(figsize=(9.2, 3.9), layout="constrained")
+    errors, costs = figure.subplots(1, 2, width_ratios=(1.6, 1.0), sharey=True)
+    few, *_, many = sorted({result.samples for result in results})
+    names = [name for name in CONTENDERS if any(each.contender == name for each in results)]
+    for row, name in enumerate(names):
+        of = {each.samples: each for each in results if each.contender == name and each.answered}
+        colour = GREEN if name == "+ polynomial" else BLUE  # that of the recipe
+        ends = [100.0 * of[count].rms for count in (few, many) if count in of]
+        errors.plot(ends, [row] * len(ends), color=colour, linewidth=1.3)
+        errors.plot(ends[:1], [row], "o", color=colour, fillstyle="none", markersize=6.0)
+        errors.plot(ends[-1:], [row], "o", color=colour, markersize=6.0)
+        if many in of:
+            costs.plot([of[many].query], [row], "o", color=colour, markersize=6.0)
+    errors.set_yticks(range(len(names)), names)
+    errors.invert_yaxis()
+    errors.set(xscale="log", xlabel="RMS error (% of the stresses' standard deviation)")
+    errors.set_title(f"○ {few:,} samples, ● {many:,}; green: the recipe's own", fontsize=10)
+    costs.set(xscale="log", xlabel="time per query (µs)")
+    costs.set_title(f"{POINTS} points at once, one thread", fontsize=10)
+    costs.set_xticks(TICKS, [f"{tick:g}" for tick in TICKS])
+    costs.set_xticks([], minor=True)
+    costs.set_xlim(TICKS[0], max(10.0, *costs.get_xlim()))
+    for axes in (errors, costs):
+        axes.grid(alpha=0.25)
+    return figure

@@ -14,9 +14,10 @@ from matplotlib.figure import Figure
 from surrofe2.base.simd import TILE
 from surrofe2.plant_cell.arrangement import start_positions
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.report.figures import draw_cells
+from surrofe2.report.figures import Colours, draw_cells
 from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
+from surrofe2.run.charts import VERMILION
 from surrofe2.rve import RveLaw
 from surrofe2.rve.unit_cell import SAME_ENERGY, Equilibria, equilibria_in
 from validation.case import Setting
@@ -106,17 +107,26 @@ def distinct(equilibria: Equilibria) -> list[int]:
 
 def picture(cell: CellParameters) -> Figure:
     """The relaxed references with the copies around them, and the periodic boxes."""
-    figure = Figure(figsize=(11.5, 3.2), layout="constrained")
+    figure = Figure(figsize=(12.5, 3.2), layout="constrained")
     places = figure.subplots(1, len(SHOWN))
     still = np.zeros((1, 2, 2))
     all_seen = [law(cell, *each, "elastic").particles(np.eye(2)[None], still) for each in SHOWN]
     half = 0.6 * max(float(abs(seen.lattice).sum(axis=1).max()) for seen in all_seen)
+    # one scale for all, by which they can be compared
+    stretch = np.concatenate([seen.stretch[0] for seen in all_seen])
+    pressure = np.concatenate([seen.pressure[0] for seen in all_seen])
+    walls = Colours.of("wall length / rest length", stretch)
+    fluid = Colours.of("fluid pressure (MPa)", pressure, "Blues")
     for axes, seen, (arrangement, cells) in zip(places, all_seen, SHOWN, strict=True):
-        draw_cells(axes, seen, 0, half)
+        (_, lines), (_, inside) = draw_cells(axes, seen, 0, half)
+        walls.paint(lines, lines.get_array())
+        fluid.paint(inside, inside.get_array())
         first = seen.position[0][seen.is_wall].mean(axis=0) - 0.25 * seen.lattice.sum(axis=1)
         box = first + np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) @ seen.lattice.T
-        axes.plot(*box.T, "--", color="C3", linewidth=1.2)
+        axes.plot(*box.T, "--", color=VERMILION, linewidth=1.2)
         name = arrangement.capitalize() if arrangement == "voronoi" else arrangement
         unit = "cell" if cells == 1 else "cells"
         axes.set_title(f"{cells} {name} {unit}\n{len(seen.is_wall)} particles", fontsize=9)
+    fluid.bar(list(places), inside)
+    walls.bar(list(places), lines)
     return figure

@@ -273,8 +273,8 @@ def apart_panel(
     for run in others:
         apart = run.u - np.interp(run.t, first.t, first.u)
         curves.append(Curve(run.case.method, run.t, apart, name(run), False))
-    shown = watched_of(first.case)
-    return Panel("time (µs)", f"minus tissue: {shown}", tuple(curves), title, width=width)
+    unit = "µN" if first.case.force else "µm"
+    return Panel("time (µs)", f"FE² − tissue ({unit})", tuple(curves), title, width=width)
 
 
 def curves_of(runs: Sequence[Run], shown: Iterable[tuple[str, int]]) -> list[Panel]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -87,7 +88,7 @@ def moduli(
     """
     of = NamedCell.of(cell)
     if turgor is not None:
-        of = NamedCell(moduli_of.with_turgor(of.cell, turgor), of.name, of.source)
+        of = replace(of, cell=moduli_of.with_turgor(of.cell, turgor))
 
     names: tuple[str, ...] = ()
     if every or initialisation is not None:
@@ -101,10 +102,12 @@ def moduli(
         if out is None:
             make()
         console.done(out, f"at rest, of {of}")
+    ranges = {} if of.range is None else {of.name: of.range}
+    stability_map = partial(stability_of.stability, of.cell, ranges=ranges)
     questions: tuple[tuple[str, Path | None, dict[str, Any], Callable[..., Study]], ...] = (
         ("memory", memory, {"period": period}, partial(memory_of.memory_study, of.cell, period)),
         ("wilting", wilt, {}, partial(wilting_of.wilting_study, of.cell)),
-        ("stability", stability, {}, partial(stability_of.stability, of.cell)),
+        ("stability", stability, {}, stability_map),
     )
     for name, folder, asked, ask in questions:
         if folder is None:

@@ -8,11 +8,13 @@ stable state where there is one (`surrofe2.rve.continuation`); its stress is the
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from surrofe2.base.arrays import Array, Index
+from surrofe2.base.sampling import SamplingRange
 from surrofe2.law.stress_law import Status
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.study import Study
@@ -53,6 +55,9 @@ PLANES: Mapping[str, tuple[str, str, tuple[int, int], tuple[float, float]]] = {
     "shear": ("$F_{yy}$ = 1", "shear $F_{xy}$", (0, 1), SHEAR),
 }
 
+# Dashes of the outlines of ranges, in turn.
+_DASHES = ("-", "--", ":")
+
 COLUMNS: tuple[Quantity[Any], ...] = (
     Quantity("way", "", ""),
     Quantity("stable up to", "largest entry of F − I", ".4f"),
@@ -61,15 +66,22 @@ COLUMNS: tuple[Quantity[Any], ...] = (
 
 
 def stability(
-    cell: CellParameters, points: int = 41, *, progress: Callable[[float], None] = lambda _: None
+    cell: CellParameters,
+    points: int = 41,
+    *,
+    ranges: Mapping[str, SamplingRange] = MappingProxyType({}),
+    progress: Callable[[float], None] = lambda _: None,
 ) -> Study:
     """Classify RVEs on points × points deformations of two planes, and find the onset along each
     way.
+
+    Args:
+        ranges: ranges of surrogates, by name, which the map outlines.
     """
-    panels = []
+    planes = {}
     counts = {}
     done = 0
-    for name, (title, y_label, index, span) in PLANES.items():
+    for name, (_, _, index, span) in PLANES.items():
         F = np.tile(np.eye(2), (points, points, 1, 1))
         F[:, :, 0, 0] = np.linspace(*STRETCH, points)[:, None]
         F[:, :, *index] = np.linspace(*span, points)
@@ -81,11 +93,20 @@ def stability(
             progress(done / (len(PLANES) * len(F)))
         chosen = np.concatenate(parts) == np.arange(len(CATEGORIES))[:, None]
         counts[name] = dict(zip(CATEGORIES, chosen.sum(axis=1).tolist(), strict=True))
-        curves = (
+        planes[name] = [
             Curve(category, F[is_of_it, 0, 0], F[is_of_it][:, *index])
             for category, is_of_it in zip(CATEGORIES, chosen, strict=True)
-            if is_of_it.any()
-        )
+        ]
+    # a category that is met in one plane is named for both, so that they have one legend
+    met = {curve.name for curves in planes.values() for curve in curves if curve.x.size}
+    panels = []
+    for name, (title, y_label, _, _) in PLANES.items():
+        curves = [curve for curve in planes[name] if curve.name in met]
+        at_rest = np.array([PLANES[name][3][0] if name == "shear" else 1.0])
+        curves.append(Curve("point", np.ones(1), at_rest, "F = I"))
+        for k, (label, range_) in enumerate(ranges.items()):
+            x, y = outline(range_, name)
+            curves.append(Curve("outline", x, y, f"[range] of {label}", False, dash=_DASHES[k % 3]))
         panels.append(Panel("stretch $F_{xx}$", y_label, tuple(curves), title))
     rows = []
     for way, (direction, length) in WAYS.items():
@@ -100,6 +121,32 @@ def stability(
         table=Table(COLUMNS, rows),
         results={"counts": counts},
     )
+
+
+def outline(range_: SamplingRange, plane: str) -> tuple[Array, Array]:
+    """Return the line (k,) in a plane of the map about the deformations within a range."""
+    low, high = range_.stretch
+    if plane == "stretch":
+        return np.array([low, high, high, low, low]), np.array([low, low, high, high, low])
+    stretch = np.linspace(low, high, 101)
+    shear = np.linspace(*SHEAR, 1201)
+    F = np.zeros((len(stretch), len(shear), 2, 2))
+    F[..., 0, 0] = stretch[:, None]
+    F[..., 0, 1] = shear
+    F[..., 1, 1] = 1.0
+    # U = (C + √det C I) / √(tr C + 2 √det C), C = FᵀF
+    C = np.swapaxes(F, -1, -2) @ F
+    root = np.sqrt(np.linalg.det(C))[..., None, None]
+    trace = np.trace(C, axis1=-2, axis2=-1)[..., None, None]
+    U = (C + root * np.eye(2)) / np.sqrt(trace + 2.0 * root)
+    is_within = abs(U[..., 0, 1]) <= range_.shear
+    for axis in range(2):
+        is_within &= (U[..., axis, axis] >= low - 1e-12) & (U[..., axis, axis] <= high + 1e-12)
+    # stretches at which some shear is within it, and the largest
+    is_any = is_within.any(axis=1)
+    largest = shear[len(shear) - 1 - is_within[:, ::-1].argmax(axis=1)]
+    x = stretch[is_any]
+    return np.r_[x[0], x, x[-1]], np.r_[0.0, largest[is_any], 0.0]
 
 
 def categories(cell: CellParameters, F: Array) -> Index:

@@ -11,6 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from surrofe2.base.sampling import SamplingRange
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.report.tables import Table, to_csv
@@ -29,19 +30,21 @@ class NamedCell:
         cell: its parameters.
         name: name of the source.
         source: "preset" or "recipe".
+        range: `[range]` of the recipe; None: it has none.
     """
 
     cell: CellParameters
     name: str
     source: str = "preset"
+    range: SamplingRange | None = None
 
     @classmethod
     def of(cls, name: str) -> NamedCell:
         """Return the plant cell of a preset, or of a recipe where the name ends in .toml."""
         if not name.endswith(".toml"):
             return cls(CellParameters.preset(name), name)
-        recipe = load_recipe(name)
-        return cls(recipe.study().cell.parameters, Path(name).stem, "recipe")
+        study = load_recipe(name).study()
+        return cls(study.cell.parameters, Path(name).stem, "recipe", study.cell.range)
 
     def identity(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """Return all on which numbers about the cell depend.

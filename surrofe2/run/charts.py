@@ -277,7 +277,7 @@ def _draw_legends(figure: Figure, panels: Sequence[Panel], width: float, columns
         labels.append({*labels_of_place})
     if len(handles) < 2:
         return 0.0
-    if all(2 * len(names) > len(handles) for names in labels if len(names) > 1):
+    if all(3 * len(names) >= 2 * len(handles) for names in labels if len(names) > 1):
         longest = max(map(len, handles))
         # inches of a line with its gaps, and of a letter
         in_a_row = max(1, min(3, int(width / (0.6 + 0.075 * longest))))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from surrofe2.base.sampling import SamplingRange
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.questions import stability
 from surrofe2.questions.stability import CATEGORIES, LEFT, STABLE, WAYS
@@ -32,10 +33,22 @@ def test_categories_turn_at_the_onset_and_both_axes_are_alike():
 @pytest.mark.slow
 def test_map_names_every_deformation():
     study = stability.stability(WATER, points=3)
-    assert study.to_csv().count("\n") == 19
-    assert {curve.name for panel in study.panels for curve in panel.curves} <= {*CATEGORIES}
+    assert study.to_csv().count("\n") == 21  # with F = I in each plane
+    names = {curve.name for panel in study.panels for curve in panel.curves}
+    assert names <= {*CATEGORIES, "point"}
     assert sum(study.results["counts"]["stretch"].values()) == 9
     onset = {row["way"]: row for row in study.table.to_records()}
     assert onset["simple shear"] == {
         "way": "simple shear", "stable_up_to": 0.6, "loses_stability": False
     }  # fmt: skip
+
+
+def test_the_outline_of_a_range_is_its_box_and_its_largest_shear():
+    """In simple shear U₁₂ is γ / √(4 + γ²)."""
+    range_ = SamplingRange(stretch=(0.9, 1.2), shear=0.05, rate=0.01)
+    x, y = stability.outline(range_, "stretch")
+    assert (x.min(), x.max(), y.min(), y.max()) == (0.9, 1.2, 0.9, 1.2)
+    x, y = stability.outline(range_, "shear")
+    largest = 0.05 * 2.0 / np.sqrt(1.0 - 0.05**2)
+    assert np.interp(1.0, x[1:-1], y[1:-1]) == pytest.approx(largest, abs=1e-3)
+    assert y[0] == y[-1] == 0.0
