@@ -149,7 +149,8 @@ class RigidBody:
     )  # fmt: skip
     smoothing: float | None = setting(
         None, "penetration over which contact sets in; left out: where the pressure is "
-        "1/50 of the tissue's modulus", LENGTH, above=0.0,
+        "1/50 of the tissue's modulus, of that at constant area where the sap is undrained and a "
+        "stiffness is stated", LENGTH, above=0.0,
     )  # fmt: skip
     damping: float | None = setting(
         None, "contact pressure per speed of closing, fully in where contact has set in; left out: "

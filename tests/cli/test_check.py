@@ -28,7 +28,7 @@ from surrofe2.workflow.scale import (
 )
 from surrofe2.workflow.tissue import tissue_of
 from tests.cli.conftest import call
-from tests.conftest import CELLS, RANGE, RECIPE, ROOT, changed
+from tests.conftest import BAR, CELLS, RANGE, RECIPE, ROOT, changed
 from tests.laws import SquareLaw
 from tests.processes import python
 
@@ -89,6 +89,23 @@ def test_files_and_names(invoke, written, text, said):
     is_fault = "samples" not in said  # a run by RVEs needs no samples
     done = invoke("check", written(text), "--only", code=int(is_fault))
     assert said in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    ("condition", "fault"),
+    [
+        ('kind = "point_force"\non = { point = [0.0, 0.0] }\nforce = [0.0, 1.0]',
+         "again.on: at 0 0; supports hold or move all of it, so the load does nothing"),
+        ('kind = "traction"\non = "left"\ntraction = [1.0, 0.0]',
+         "again.on: left; supports hold or move all of it, so the load does nothing"),
+        ('kind = "prescribed_motion"\non = { point = [0.0, 0.0] }\ndisplacement = [1.0, 0.0]',
+         "again: component x of the node at (0, 0) µm; clamp prescribes it otherwise"),
+    ],
+)  # fmt: skip
+def test_loads_and_motions_of_what_is_fixed_are_faults(invoke, written, condition, fault):
+    path = written(f"{BAR}[conditions.again]\n{condition}\n")
+    done = invoke("check", path, "--only", code=1)
+    assert fault in done.stdout + done.stderr
 
 
 @pytest.mark.usefixtures("data_set")
