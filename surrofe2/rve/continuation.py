@@ -67,8 +67,8 @@ OF_STEP_DOWN = 10
 """Newton iterations that a step down to a minimum counts as, for it takes about as long."""
 
 RESTING = 1e-4
-"""Mean particle force below which the rest of a descent is left to Newton's method, µN: `seek` goes
-on from there to the tolerance of the law."""
+"""Mean particle force below which the rest of a descent is left to Newton's method, µN: `seek`
+continues from there to the tolerance of the law."""
 KICK = 0.2
 """Longest displacement of a particle out of a saddle, µm."""
 ALIKE = 1e-3
