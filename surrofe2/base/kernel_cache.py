@@ -228,6 +228,7 @@ class KernelCache(FunctionCache):
     """
 
     def __init__(self, function: Callable[..., Any], folder: Path) -> None:
+        self.is_part = False  # set before each use
         self._name = repr(function)
         self._py_func = function
         self._folder = folder
@@ -247,14 +248,16 @@ class KernelCache(FunctionCache):
             _tell_once(f"{error}")
 
     def _index_key(self, signature: Any, codegen: Any) -> tuple[Any, ...]:
-        """Return numba's key with the sources of the named tuples that the kernel takes.
+        """Return numba's key with what else the code depends on.
 
-        Callers choose these types: the kernel's own file need not import what defines them, and a
-        tuple whose fields have changed places has the same signature.
+        These are whether the kernel is a part of others, and the sources of the named tuples that
+        it takes. Callers choose these types: the kernel's own file need not import what defines
+        them, and a tuple whose fields have changed places has the same signature.
         """
         modules = {sys.modules[name] for name in _modules_of_types(signature)}
         sources = sorted(Path(str(module.__file__)) for module in modules)
-        return (*super()._index_key(signature, codegen), *map(_digest_of_kernels, sources))
+        digests = map(_digest_of_kernels, sources)
+        return (*super()._index_key(signature, codegen), self.is_part, *digests)
 
 
 def _modules_of_types(types: Iterable[Any]) -> Iterator[str]:

@@ -17,6 +17,7 @@ from numba.core.caching import (
     NullCache,
 )
 from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
+from numba.core.cpu import CPUContext
 
 import surrofe2
 from tests.processes import python
@@ -116,8 +117,13 @@ def test_names_of_numba_that_are_replaced_are_there():
     """A version of numba without them would silently do as it usually does."""
     names = {
         BaseContext: ["get_preferred_array_alignment"],
-        JITCodeLibrary: ["_finalize_final_module"],
-        JITCPUCodegen: ["_library_class"],
+        JITCodeLibrary: [
+            "_optimize_final_module", "_finalize_final_module", "_finalize_dynamic_globals",
+            "_ensure_finalized", "get_pointer_to_function", "serialize_using_object_code",
+        ],
+        JITCPUCodegen: ["_library_class", "set_env"],
+        CPUContext: ["get_executable", "get_env_name"],
+        numba._dynfunc: ["make_function"],
         CompileResultCacheImpl: ["get_filename_base", "locator", "reduce", "rebuild"],
         FunctionCache: ["save_overload", "_index_key", "enable"],
         IndexDataCacheFile: [
@@ -132,6 +138,8 @@ def test_names_of_numba_that_are_replaced_are_there():
     dispatcher = numba.njit(squared)
     assert isinstance(dispatcher._cache, NullCache)
     assert callable(dispatcher.compile)
+    assert callable(dispatcher._insert)
+    assert dispatcher.overloads == {}
     cached = vars(FunctionCache(squared))
     assert {"_name", "_py_func", "_impl", "_cache_path", "_cache_file"} < cached.keys()
     assert {"_lineno", "_locator", "_filename_base"} <= vars(cached["_impl"]).keys()
@@ -182,8 +190,9 @@ def test_a_damaged_kernel_is_compiled_again_with_one_note(compiled, tmp_path, da
 
 KERNELS = """
 import sys
+import numba
 import numpy as np
-from surrofe2.base.compilation import kernel
+from surrofe2.base.compilation import kernel, parallel_kernel
 
 @kernel
 def inner(a):
@@ -208,6 +217,18 @@ def first(pair):
 def some_arrays(n):
     return [np.empty((k, 3)) for k in range(1, n)]
 
+@numba.njit
+def of_a_user(x):
+    return 2.0 * x
+
+@kernel
+def doubled(a, k):
+    a[k] = of_a_user(a[k])
+
+@parallel_kernel
+def all_doubled(a):
+    for k in numba.prange(a.size):
+        doubled(a, k)
 """
 
 
@@ -237,6 +258,34 @@ def test_a_kernel_has_the_same_bits_whichever_was_compiled_or_read_before(module
     assert again[3:5] == ["0", *first]
     both = said(module, A, "print(outer(a.copy()).hex(), inner(a.copy()).hex())")
     assert both == [again[2], *first]
+
+
+COUNTED = """
+from numba.core.codegen import JITCodeLibrary
+usual = JITCodeLibrary._finalize_specific
+made = []
+def counted(library):
+    made.append(library.name)
+    usual(library)
+JITCodeLibrary._finalize_specific = counted
+a = np.ones(3)
+"""
+
+
+def test_machine_code_is_made_once_of_what_python_calls(module):
+    """Of a loop over all cores and the kernel in it numba would make it four times."""
+    count, *rest = said(module, COUNTED, "all_doubled(a)", "print(len(made), *made, *a)")
+    # one more is of a user's function, which numba does not know to be ours
+    assert count == "2"
+    assert {*rest[:2]} == {"of_a_user", "all_doubled"}
+    assert rest[2:] == ["2.0"] * 3
+
+
+def test_what_a_kernel_calls_can_be_called_by_python_too(module):
+    called = said(
+        module, COUNTED, "all_doubled(a)", "doubled(a, 1)", "print(of_a_user(4.0), *a)",
+    )  # fmt: skip
+    assert called == ["8.0", "2.0", "4.0", "2.0"]
 
 
 def test_arrays_of_kernels_begin_at_a_line_of_the_cache(module):

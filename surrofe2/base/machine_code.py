@@ -1,0 +1,162 @@
+"""Machine code of kernels: optimised once, made once, and with no names that others share.
+
+numba compiles a function and all functions that it calls one by one. The code of each is copied
+into the code of those that call it, and numba optimises it and makes machine code of it at every
+level, for all of them could be called from Python. A loop over all cores adds three such levels.
+Here the code is optimised, and machine code is made, where something asks for its address: of the
+outermost function. Compilation then takes less than half of the time.
+
+numba gives each kernel copies of the functions that it calls, under names that all kernels share.
+Of equal names the one that comes first into a process serves all, and copies that were optimised
+in different surroundings round differently: results would depend on which kernels a process has
+loaded or compiled before. Here a kernel keeps its copies to itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from numba import _dynfunc
+from numba.core.base import BaseContext
+from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
+from numba.core.cpu import CPUContext
+
+# Bytes of a line of the processor's cache.
+CACHE_LINE = 64
+
+# Names of the functions that are being compiled, each called by the one before. numba compiles
+# under a lock, so there is one such list for all threads.
+_under_way: list[str] = []
+# Environments of the functions compiled meanwhile, by the name of the variable that points to them.
+_environments: list[tuple[str, Any]] = []
+
+
+class KernelCode(JITCodeLibrary):
+    """The code of a function, for other functions to copy, and machine code once it is asked for.
+
+    numba calls the methods that begin with an underscore.
+    """
+
+    _shared_module: Any
+    _has_machine_code = False
+
+    def _optimize_final_module(self) -> None:
+        """Leave the code as it is: it is optimised where machine code is made."""
+
+    def _finalize_final_module(self) -> None:
+        """Make the code ready to be copied into that of other functions."""
+        if self._shared_module is None:
+            self._shared_module = self._final_module.clone()
+            _relink(self._shared_module, "external", "linkonce_odr")
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> Any:
+        """Return the address of a function in machine code, 0 if there is none of this name."""
+        self._ensure_finalized()
+        if not self._has_machine_code:
+            self._has_machine_code = True
+            super()._optimize_final_module()
+            _relink(self._final_module, "linkonce_odr", "internal")
+            super()._finalize_final_module()
+        return super().get_pointer_to_function(name)
+
+    def serialize_using_object_code(self) -> Any:
+        """Return what the cache keeps: machine code and code, or code alone."""
+        if self._has_machine_code:
+            return super().serialize_using_object_code()
+        return self.name, "bitcode", self._final_module.as_bitcode()
+
+
+def _relink(module: Any, before: str, after: str) -> None:
+    """Change the linkage of the functions of a module that have this one."""
+    for function in module.functions:
+        if not function.is_declaration and function.linkage.name == before:
+            function.linkage = after
+
+
+def is_part() -> bool:
+    """Tell whether the function that is being compiled is called by another one that is, too.
+
+    Python cannot call it then: it has no machine code of its own.
+    """
+    return len(_under_way) > 1
+
+
+@contextmanager
+def kernel_code(dispatcher: Any) -> Iterator[None]:
+    """Compile or read a function, in the block, as `KernelCode`; other people's stay as they are.
+
+    Arrays that it makes begin at a line of the processor's cache: of others, numbers of eight lanes
+    lie across two, and solves of RVEs take up to a fifth longer, by chance.
+    """
+    function = dispatcher.py_func
+    _under_way.append(f"{function.__module__}.{function.__qualname__}")
+    try:
+        if is_part():
+            yield
+        else:
+            with _replaced_in_numba(dispatcher.targetctx.codegen()):
+                yield
+    finally:
+        _under_way.pop()
+
+
+@contextmanager
+def _replaced_in_numba(codegen: Any) -> Iterator[None]:
+    """Put what is defined here into numba, in the block."""
+    usual_class = codegen._library_class
+    usual_alignment = BaseContext.get_preferred_array_alignment
+    codegen._library_class = KernelCode
+    BaseContext.get_preferred_array_alignment = lambda *_: CACHE_LINE
+    CPUContext.get_executable = _executable
+    JITCPUCodegen.set_env = _note_environment
+    try:
+        yield
+    finally:
+        codegen._library_class = usual_class
+        BaseContext.get_preferred_array_alignment = usual_alignment
+        CPUContext.get_executable = _usual_executable
+        JITCPUCodegen.set_env = _usual_set_env
+        for name, environment in _environments:
+            # the optimiser drops variables that nothing uses
+            if codegen._engine.get_global_value_address(name):
+                codegen.set_env(name, environment)
+        _environments.clear()
+
+
+_usual_executable = CPUContext.get_executable
+_usual_set_env = JITCPUCodegen.set_env
+
+
+def _executable(context: Any, library: Any, description: Any, environment: Any) -> Any:
+    """Return the function that Python calls, or a stand-in where Python cannot call it.
+
+    The arguments are those of numba's `get_executable`, which would ask for the address.
+    """
+    if _may_be_called(description):
+        return _usual_executable(context, library, description, environment)
+    module = description.lookup_module()
+    name = description.qualname.split(".")[-1]
+    address = 0
+    _note_environment(None, context.get_env_name(description), environment)
+    return _dynfunc.make_function(module, name, "", address, environment, (library,))
+
+
+def _may_be_called(description: Any) -> bool:
+    """Tell whether Python may call a function that is compiled: the outermost one, and users' own.
+
+    It never calls kernels that other kernels call, see `is_part`, nor numba's own functions and
+    bodies of loops.
+    """
+    name = f"{description.modname}.{description.qualname}"
+    is_kernel = name in _under_way
+    is_of_numba = description.modname.startswith(("numba.", "<dynamic>"))
+    return name == _under_way[0] or not (is_kernel or is_of_numba)
+
+
+def _note_environment(codegen: Any, name: str, environment: Any) -> None:
+    """Note the environment of a function, whose variable is there once machine code is."""
+    _environments.append((name, environment))
