@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from surrofe2.base.arrays import Array
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.base.units import number
 from surrofe2.plant_cell.parameters import PRESETS
@@ -216,7 +217,10 @@ def compare_runs(
 
     def draw() -> None:
         """Draw the picture."""
-        panels = [*displacement_panels(runs), difference_panel(runs), *audit_panels(runs)]
+        first, *others = displacement_panels(runs) + force_panels(runs)
+        # the first names the lines of all
+        over_time = [first, *(replace(panel, has_legend=False) for panel in others)]
+        panels = [*over_time, difference_panel(runs), *audit_panels(runs)]
         figure = draw_panels(panels, title=comparison_title(runs))
         write_bytes(picture, encoded(figure, form))
 
@@ -388,8 +392,8 @@ def fallback_reasons(counts: Mapping[str, int]) -> str:
 # A component of the displacement has a panel from this fraction of the largest displacement on;
 # below, its curve would show lateral contraction and noise.
 _LEAST_COMPONENT = 0.02
-# Curves that are closer, relative to the largest displacement, are drawn as one line: the lines are
-# thicker than that.
+# Curves that are closer, relative to the largest displacement, lie on each other: the lines are
+# thicker than that, and the legend says how close they are.
 _LEAST_DISTANCE = 0.003
 # Heights of panels relative to the first one, which has the watched component.
 _HEIGHT_OF_OTHER_COMPONENT = 0.55
@@ -401,62 +405,56 @@ _MOST_NAMED = 3
 def displacement_panels(runs: Sequence[StoredRun]) -> list[Panel]:
     """Draw the watched point's displacement by all runs, each component that counts in a panel.
 
-    The largest component comes first. Runs that nobody could tell from the reference have no line
-    of their own; they are named at its line, with the distance.
+    The largest component comes first. The reference is wide and grey, so that it is seen behind a
+    run that nobody could tell from it; the legend says how far such a run is from it.
     """
-    reference, *others = runs
-    distances = [difference(run.curve, reference.curve).largest for run in others]
-    is_close = [distance < _LEAST_DISTANCE for distance in distances]
-    label = _label_of_reference(runs, distances, is_close)
+    reference = runs[0]
     largest = abs(reference.curve.displacement).max(axis=0)
     panels: list[Panel] = []
     for axis in np.argsort(-largest).tolist():
         is_first = not panels
         if not is_first and largest[axis] < _LEAST_COMPONENT * largest.max():
             continue
-        displacement = reference.curve.displacement[:, axis]
-        # beside other lines the reference is wide and grey, so that it is seen behind them
-        style = "" if all(is_close) else "reference"
-        curve = Curve(style, reference.curve.t, displacement, label, markers=False, colour=0)
-        curves = [curve]
-        for k, run in enumerate(others):
-            if is_close[k]:
-                continue
-            displacement = run.curve.displacement[:, axis]
-            name = _label(run, reference)
-            # colours are by number, so that a run has the same one in every panel
-            curve = Curve("", run.curve.t, displacement, name, markers=False, colour=k)
-            curves.append(curve)
-        # one line needs no legend: its name is the title
-        has_one_line = len(curves) == 1
-        title = in_words(label) if is_first and has_one_line else ""
+        columns = [run.curve.displacement[:, axis] for run in runs]
         y_label = f"displacement $u_{'xy'[axis]}$ (µm)"
         height = 1.0 if is_first else _HEIGHT_OF_OTHER_COMPONENT
-        panels.append(Panel(reference.clock, y_label, tuple(curves), title, height=height))
+        curves = _curves_over_time(runs, columns)
+        panels.append(Panel(reference.clock, y_label, curves, height=height))
     return panels
 
 
-def _label_of_reference(
-    runs: Sequence[StoredRun], distances: Sequence[float], is_close: Sequence[bool]
-) -> str:
-    """Name the reference and all runs that are drawn by its line, and say how far these are.
+def force_panels(runs: Sequence[StoredRun]) -> list[Panel]:
+    """Draw the largest component of the largest force that all runs have; none without forces."""
+    reference = runs[0]
+    forces = [force_curves(run) for run in runs]
+    common = [name for name in forces[0] if all(name in of_run for of_run in forces)]
+    largest = {name: abs(forces[0][name].displacement).max(axis=0) for name in common}
+    names = sorted(common, key=lambda name: -largest[name].max())
+    if not names or not largest[names[0]].any():
+        return []
+    name = names[0]
+    axis = int(largest[name].argmax())
+    columns = [of_run[name].displacement[:, axis] for of_run in forces]
+    y_label = f"force {name} {'xy'[axis]} (µN)"
+    curves = _curves_over_time(runs, columns)
+    return [Panel(reference.clock, in_words(y_label), curves, height=_HEIGHT_OF_DETAIL)]
 
-    Args:
-        runs: the reference first.
-        distances: of each other run from it, relative to the largest displacement.
-        is_close: whether each other run is drawn by the reference's line.
-    """
+
+def _curves_over_time(runs: Sequence[StoredRun], columns: Sequence[Array]) -> tuple[Curve, ...]:
+    """Return a line for each run, wide and grey for the reference, which is the first."""
     reference, *others = runs
-    labels = [_label(reference, reference)]
-    close_distances = []
-    for run, distance, has_its_line in zip(others, distances, is_close, strict=True):
-        if has_its_line:
-            labels.append(_label(run, reference))
-            close_distances.append(distance)
-    label = ", ".join(labels)
-    if close_distances:
-        label += f" (at most {percent(2)(max(close_distances))} apart)"
-    return label
+    t = reference.curve.t
+    # a run alone has nothing to be seen behind
+    style = "reference" if others else ""
+    curves = [Curve(style, t, columns[0], _label(reference, reference), markers=False)]
+    for k, (run, column) in enumerate(zip(others, columns[1:], strict=True)):
+        label = _label(run, reference)
+        distance = difference(run.curve, reference.curve).largest
+        if distance < _LEAST_DISTANCE:
+            label += f" (displacement at most {percent(2)(distance)} apart)"
+        # colours are by number, so that a run has the same one in every panel
+        curves.append(Curve("", run.curve.t, column, label, markers=False, colour=k))
+    return tuple(curves)
 
 
 def difference_panel(runs: Sequence[StoredRun]) -> Panel:

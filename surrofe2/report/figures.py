@@ -115,14 +115,24 @@ class Colours:
         return values
 
 
+def bar_length(width: float) -> float:
+    """Return the round length of the scale bar of a picture of this width, µm."""
+    return rounded_up(0.12 * width)
+
+
+def length_in_words(length: float) -> str:
+    """Write a length, µm, with its unit."""
+    return f"{length / 1000.0:g} mm" if length >= 1000.0 else f"{length:g} µm"
+
+
 def draw_scale_bar(axes: Axes, low: Array, high: Array) -> None:
     """Draw a bar of round length below a box of two corners (2,), and make room for it."""
     width = float(high[0] - low[0])
     room = 0.07 * float(max(high - low))
-    length = rounded_up(0.12 * width)
+    length = bar_length(width)
     y = low[1] - room
     axes.plot([low[0], low[0] + length], [y, y], color="black", linewidth=2.5, clip_on=False)
-    text = f"{length / 1000.0:g} mm" if length >= 1000.0 else f"{length:g} µm"
+    text = length_in_words(length)
     axes.text(low[0] + 0.5 * length, y - 0.3 * room, text, ha="center", va="top", fontsize=8)
     axes.set(xlim=(low[0], high[0]), ylim=(y - 2.0 * room, high[1]), aspect="equal")
     axes.axis("off")
@@ -374,6 +384,16 @@ def draw_borders(axes: Axes, fields: StoredFields, k: int, regions: Sequence[Arr
     borders = ends[least < most]
     lines = LineCollection([*position[borders]], colors="0.1", linewidths=1.6)
     axes.add_collection(lines)
+
+
+def supported_sides(fields: StoredFields) -> list[tuple[int, int, bool]]:
+    """Return the sides on the boundary that do not deform, as in a clamp or a grip.
+
+    Returns:
+        The numbers of both end nodes, and whether the side stands still.
+    """
+    sides = _held_sides(fields)
+    return [(s.a, s.b, s.motion == _FIXED) for s in sides if s.motion in (_FIXED, _RIGID)]
 
 
 # How a side on the boundary moves; 0 and 1: along a line of symmetry, with this component held.

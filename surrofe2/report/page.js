@@ -73,8 +73,10 @@
   function draw() {
     const k = +slider.value, factor = run.factors[+$("factor").value];
     const context = sized(canvas), [x0, y0, x1, y1] = run.box, edge = 10;
-    const scale = Math.min((canvas.width - 2 * edge) / (x1 - x0), (canvas.height - 2 * edge) / (y1 - y0));
-    const left = (canvas.width - scale * (x1 - x0)) / 2, bottom = (canvas.height + scale * (y1 - y0)) / 2;
+    // below the tissue there is room for the scale bar
+    const ratio = window.devicePixelRatio || 1, foot = 34 * ratio;
+    const scale = Math.min((canvas.width - 2 * edge) / (x1 - x0), (canvas.height - 2 * edge - foot) / (y1 - y0));
+    const left = (canvas.width - scale * (x1 - x0)) / 2, bottom = (canvas.height - foot + scale * (y1 - y0)) / 2;
     const count = run.points.length / 2, unit = factor * run.largest / 32767;
     const x = new Float32Array(count), y = new Float32Array(count);
     for (let n = 0; n < count; n++) {
@@ -111,6 +113,26 @@
       } else context.strokeStyle = level;
       context.stroke();
     }
+    // supports stand still, grips move as wholes
+    context.lineCap = "round";
+    for (const [a, b, still] of run.held) {
+      context.lineWidth = (still ? 5 : 3) * ratio;
+      context.strokeStyle = getComputedStyle(canvas).color;
+      context.beginPath();
+      context.moveTo(x[a], y[a]);
+      context.lineTo(x[b], y[b]);
+      context.stroke();
+    }
+    const [length, words] = run.bar, under = bottom + 14 * ratio;
+    context.lineCap = "butt";
+    context.lineWidth = 3 * ratio;
+    context.strokeStyle = context.fillStyle = getComputedStyle(canvas).color;
+    context.beginPath();
+    context.moveTo(left, under);
+    context.lineTo(left + scale * length, under);
+    context.stroke();
+    context.font = `${12 * ratio}px sans-serif`;
+    context.fillText(words, left, under + 15 * ratio);
     $("clock").textContent = `${run.clock[0]}${run.t[k].toPrecision(4)}${run.clock[1]}`;
     slider.setAttribute("aria-valuetext", $("clock").textContent);
     canvas.setAttribute("aria-label", `${run.name}, ${colour.name}, ${$("clock").textContent}`);

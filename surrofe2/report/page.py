@@ -41,17 +41,21 @@ from surrofe2.report.comparison import (
     difference_panel,
     displacement_panels,
     fallback_reasons,
+    force_panels,
     made_for,
     order_runs,
 )
 from surrofe2.report.figures import (
     Colours,
     DrawnBody,
+    bar_length,
     box,
     draw_tissue,
     drawn_bodies,
     drawn_nodes,
+    length_in_words,
     rim,
+    supported_sides,
 )
 from surrofe2.report.tables import percent
 from surrofe2.run.charts import Curve, Panel, draw_panels, encoded
@@ -63,7 +67,7 @@ from surrofe2.store.fields import (
     StoredFields,
     read_fields,
 )
-from surrofe2.store.run_folder import EVENTS, StoredRun, read_run
+from surrofe2.store.run_folder import EVENTS, StoredRun, cells_of, read_run
 from surrofe2.store.store import check_replaceable, flat, read_bytes, write_text
 
 RunFields = tuple[StoredRun, StoredFields | None]  # a run and its fields, None without any
@@ -217,6 +221,7 @@ def _displacement(runs: Sequence[StoredRun], comparison: Comparison | str) -> It
     if len(runs) > 1:
         caption += " by all runs"
     figures = [_chart(panel, caption) for panel in displacement_panels(runs)]
+    figures += [_chart(panel, "Largest force on the tissue") for panel in force_panels(runs)]
     if isinstance(comparison, str):
         yield _missing(comparison)
         yield _grid(figures)
@@ -508,8 +513,13 @@ def motion_section(shown: Sequence[RunFields]) -> tuple[list[str], list[dict[str
     return [*lacking, f'<div class="still">{_grid(stills)}</div>'], data
 
 
-def _quantities(fields: StoredFields) -> dict[str, tuple[str, Array]]:
-    """Return unit and values (m, e) of the quantities to colour elements by, by name."""
+def _quantities(run: StoredRun, fields: StoredFields) -> dict[str, tuple[str, Array]]:
+    """Return unit and values (m, e) of the quantities to colour elements by, by name.
+
+    Stresses are in MPa where the tissue has one thickness.
+    """
+    thicknesses = {cell.get("tissue_thickness") for cell in cells_of(run.record.recipe).values()}
+    (thickness,) = thicknesses if len(thicknesses) == 1 else (None,)
     size = np.linalg.norm(fields.displacement, axis=2)
     quantities = {"displacement": ("µm", size[:, fields.cells].mean(axis=2))}
     for name, unit, key in (
@@ -523,6 +533,8 @@ def _quantities(fields: StoredFields) -> dict[str, tuple[str, Array]]:
         if key == BEYOND_NAME and not fields.values[key].any():  # nothing would be seen
             continue
         quantities[name] = unit, fields.values[key]
+    if thickness is not None and "von Mises stress" in quantities:
+        quantities["von Mises stress"] = "MPa", fields.values[VON_MISES] / thickness
     return quantities
 
 
@@ -532,7 +544,7 @@ def _arrays(run: StoredRun, fields: StoredFields, budget: int) -> dict[str, Any]
     Arrays are bytes in base64: displacements are 16-bit fractions of the largest component, values
     8-bit levels.
     """
-    quantities = _quantities(fields)
+    quantities = _quantities(run, fields)
     # two components of two bytes for each node, and a byte for each element and quantity
     bytes_of_a_time = 4 * len(fields.points) + len(quantities) * len(fields.cells)
     times = max(2, min(len(fields.t), budget // max(bytes_of_a_time, 1)))
@@ -547,6 +559,7 @@ def _arrays(run: StoredRun, fields: StoredFields, budget: int) -> dict[str, Any]
         farthest = float(np.linalg.norm(fields.displacement, axis=2).max()) or size
         factor = max((f for f in _FACTORS if f * farthest <= 1.5 * _SHOWN * size), default=1)
     low, high = box(fields.points + factor * u, bodies)
+    length = bar_length(float(high[0] - low[0]))
     return {
         "name": run.name,
         "t": fields.t[chosen].tolist(),
@@ -566,6 +579,8 @@ def _arrays(run: StoredRun, fields: StoredFields, budget: int) -> dict[str, Any]
             }
             for body in bodies
         ],
+        "held": supported_sides(fields),
+        "bar": [length, length_in_words(length)],
         "levels": LEVELS,
         "colours": [
             _colour(name, unit, values[chosen]) for name, (unit, values) in quantities.items()
@@ -611,7 +626,7 @@ def conditions_on_nodes(run: StoredRun) -> list[Condition]:
 def _still(run: StoredRun, fields: StoredFields, factor: int) -> str:
     """Draw the tissue where it has moved farthest, by stress, for paper and without the script."""
     k = int(np.linalg.norm(fields.displacement, axis=2).max(axis=1).argmax())
-    quantities = _quantities(fields)
+    quantities = _quantities(run, fields)
     what = "von Mises stress" if "von Mises stress" in quantities else "displacement"
     unit, values = quantities[what]
     when = f"load factor {fields.t[k]:.4g}" if run.is_rest else f"t = {fields.t[k]:.4g} µs"

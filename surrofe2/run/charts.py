@@ -291,6 +291,8 @@ def _draw_legends(figure: Figure, panels: Sequence[Panel], width: float, columns
         if columns > 1:
             in_a_row = 1 if max(map(len, names), default=0) > _LONG else 2
             where = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2), "ncols": in_a_row}
+        elif not place.get_title() and len(names) <= _MOST_INSIDE:  # above the axes
+            where = {"loc": "lower right", "bbox_to_anchor": (1.01, 0.98), "ncols": _MOST_INSIDE}
         elif len(names) > _MOST_INSIDE:
             where = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
         if len(names) > 1:

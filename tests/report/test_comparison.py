@@ -14,6 +14,7 @@ from surrofe2.report.comparison import (
     compare_runs,
     comparison_title,
     displacement_panels,
+    force_panels,
 )
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.store.run_folder import StoredRun, read_run
@@ -94,13 +95,29 @@ def test_each_audited_error_is_counted_once():
     assert (tolerance.x == 0.1).all()
 
 
-def test_curves_that_coincide_are_one_line_with_both_names(recipe, tmp_path):
+def test_each_run_has_a_line_and_those_that_coincide_say_how_close_they_are(recipe, tmp_path):
     runs = [read_run(folder) for folder in made_runs(recipe, tmp_path)]  # 0.1 % apart
     (panel,) = displacement_panels(runs)
-    assert [curve.label for curve in panel.curves] == ["rve, cached (at most 0.1 % apart)"]
+    labels = [curve.label for curve in panel.curves]
+    assert labels == ["rve", "cached (displacement at most 0.1 % apart)"]
+    assert [curve.name for curve in panel.curves] == ["reference", ""]
     runs[1].curve.displacement[:] *= 1.1
     (panel,) = displacement_panels(runs)
     assert [curve.label for curve in panel.curves] == ["rve", "cached"]
+
+
+def test_the_largest_force_that_all_runs_have_is_drawn(recipe, tmp_path):
+    runs = [read_run(folder) for folder in made_runs(recipe, tmp_path)]
+    t = runs[0].curve.t
+    for run in runs:
+        run.history.update({f"force {name} x": np.zeros_like(t) for name in ("clamp", "grip")})
+        run.history.update({"force clamp y": 3e6 * t, "force grip y": 1e6 * t})
+    (panel,) = force_panels(runs)
+    assert panel.y_label == "force clamp y (µN)"
+    np.testing.assert_array_equal(panel.curves[0].y, 3e6 * t)
+    runs[1].history.pop("force clamp x")
+    (panel,) = force_panels(runs)
+    assert panel.y_label == "force grip y (µN)"
 
 
 def test_pictures_are_written_in_the_format_that_is_asked_for(recipe, tmp_path):

@@ -22,6 +22,7 @@ from surrofe2.report.figures import (
     draw_tissue,
     drawn_nodes,
     fields_at_rest,
+    supported_sides,
     times_that_differ,
 )
 from surrofe2.rve import RveLaw
@@ -99,6 +100,10 @@ def test_half_a_specimen_is_drawn_whole_with_its_supports():
     assert all(patch.get_xy()[:, 0].max() == 0.0 for patch in hatched)
     styles = [line.get_linewidth() for line in axes.lines[:-1]]
     assert sorted(styles) == [0.8] * 4 + [2.5] * 4  # symmetry twice two; clamp and grip twice
+
+
+def test_clamps_and_grips_are_supports_and_lines_of_symmetry_are_none():
+    assert supported_sides(strip()) == [(1, 0, True), (4, 5, False)]
 
 
 def test_a_line_of_symmetry_is_one_but_for_rounding():
