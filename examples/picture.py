@@ -12,15 +12,16 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import ConnectionPatch
 
-from surrofe2 import RegionalLaw, load_recipe, simulate
-from surrofe2.report.figures import (
+from surrofe2 import (
     Colours,
-    box,
-    draw_borders,
+    RegionalLaw,
     draw_cells,
     draw_tissue,
     drawn_bodies,
+    load_recipe,
+    simulate,
 )
+from surrofe2.report.figures import box, draw_borders
 from surrofe2.run.charts import BLUE, VERMILION, encoded
 from surrofe2.store.fields import DISPLACEMENT_NAME, StoredFields
 from surrofe2.workflow.laws import law_by_region, true_law

@@ -90,6 +90,7 @@ if TYPE_CHECKING:
     from surrofe2.plant_cell.parameters import (
         CellParameters as CellParameters,
         LivingTissue as LivingTissue,
+        sources as sources,
     )
     from surrofe2.recipe.recipe import load_recipe as load_recipe
     from surrofe2.law.regional_law import RegionalLaw as RegionalLaw
@@ -140,7 +141,16 @@ if TYPE_CHECKING:
     from surrofe2.workflow.check import proposed_range as proposed_range
     from surrofe2.workflow.generate import sample_stress as sample_stress
     from surrofe2.workflow.grid import run_grid as run_grid
+    from surrofe2.report.figures import (
+        Colours as Colours,
+        draw_cells as draw_cells,
+        draw_scale_bar as draw_scale_bar,
+        draw_tissue as draw_tissue,
+        drawn_bodies as drawn_bodies,
+        fields_at_rest as fields_at_rest,
+    )
     from surrofe2.report.page import write_report as write_report
+    from surrofe2.tissue.simulation import simulate_tissue as simulate_tissue
     from surrofe2.workflow.run import save_run as save_run
     from surrofe2.workflow.zoom import write_zoom as write_zoom, zoom_into as zoom_into
 

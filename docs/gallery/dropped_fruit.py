@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from surrofe2 import (
+    Colours,
     InitialVelocity,
     MacroSettings,
     Plane,
@@ -20,12 +21,13 @@ from surrofe2 import (
     RigidBody,
     RveLaw,
     Symmetry,
+    draw_tissue,
+    drawn_bodies,
     living_cell,
     load_mesh,
     points_by_region,
     simulate,
 )
-from surrofe2.report.figures import Colours, draw_tissue, drawn_bodies
 from surrofe2.run.charts import PALETTE, encoded
 from surrofe2.store.fields import DISPLACEMENT_NAME, StoredFields
 from surrofe2.workflow.zoom import extremes_of

@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from skfem.element import DiscreteField
 from skfem.helpers import grad
 
-from surrofe2 import CellParameters, RveLaw
-from surrofe2.report.figures import Colours, draw_scale_bar
+from surrofe2 import CellParameters, Colours, RveLaw, draw_scale_bar
 
 MESH = skfem.MeshQuad1.init_tensor(np.linspace(0, 4000, 9), np.linspace(0, 2000, 5)).with_defaults()
 SHEAR = 200.0  # µm, by which the upper plate moves

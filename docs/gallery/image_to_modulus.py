@@ -9,11 +9,9 @@ import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from surrofe2 import RveLaw, find_rest, load_recipe
-from surrofe2.report.figures import Colours, draw_scale_bar
+from surrofe2 import Colours, RveLaw, draw_scale_bar, find_rest, load_recipe, simulate_tissue
 from surrofe2.run.charts import BLUE, VERMILION, encoded
 from surrofe2.store.labelled_image import read_labels
-from surrofe2.tissue import simulate_tissue
 from surrofe2.workflow.tissue import tissue_of
 
 FOLDER = Path(__file__).parent

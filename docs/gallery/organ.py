@@ -12,24 +12,22 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from surrofe2 import (
+    Colours,
     Plane,
     Problem,
     RegionalLaw,
     RigidBody,
     RveLaw,
     Symmetry,
+    draw_tissue,
+    drawn_bodies,
+    fields_at_rest,
     find_rest,
     living_cell,
     load_mesh,
     points_by_region,
 )
-from surrofe2.report.figures import (
-    Colours,
-    DrawnBody,
-    draw_tissue,
-    drawn_bodies,
-    fields_at_rest,
-)
+from surrofe2.report.figures import DrawnBody
 from surrofe2.run.charts import PALETTE, encoded
 
 RADIUS = 3.0  # mm, of the stem on average

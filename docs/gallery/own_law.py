@@ -9,17 +9,19 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from surrofe2 import (
+    Colours,
     Fixed,
     PrescribedMotion,
     Problem,
     RveLaw,
     StressResponse,
     Tangents,
+    draw_tissue,
+    fields_at_rest,
     find_rest,
     living_cell,
     rectangle,
 )
-from surrofe2.report.figures import Colours, draw_tissue, fields_at_rest
 from surrofe2.run.charts import BLUE, VERMILION, encoded
 
 SIDE = 3000.0  # µm, of a square block: 20 plant cells

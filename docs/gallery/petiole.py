@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from surrofe2 import (
     Box,
+    Colours,
     Fixed,
     NodeAt,
     PrescribedMotion,
@@ -19,18 +20,15 @@ from surrofe2 import (
     RveLaw,
     SlabLaw,
     Surface,
+    draw_tissue,
+    fields_at_rest,
     find_rest,
     living_cell,
     points_by_region,
     tabulate_surface,
     with_regions,
 )
-from surrofe2.report.figures import (
-    Colours,
-    draw_tissue,
-    drawn_nodes,
-    fields_at_rest,
-)
+from surrofe2.report.figures import drawn_nodes
 from surrofe2.run.charts import PALETTE, encoded
 from surrofe2.run.journal import BEYOND
 

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from surrofe2 import (
     Box,
     Circle,
+    Colours,
     Fixed,
     Problem,
     RegionalLaw,
@@ -19,17 +20,14 @@ from surrofe2 import (
     RveLaw,
     SimulationError,
     Symmetry,
-    find_rest,
-    living_cell,
-    points_by_region,
-    with_regions,
-)
-from surrofe2.report.figures import (
-    Colours,
     draw_cells,
     draw_tissue,
     drawn_bodies,
     fields_at_rest,
+    find_rest,
+    living_cell,
+    points_by_region,
+    with_regions,
 )
 from surrofe2.run.charts import BLUE, ORANGE, VERMILION, encoded
 from surrofe2.run.journal import BEYOND

@@ -16,11 +16,11 @@ from surrofe2 import (
     Problem,
     RveLaw,
     Symmetry,
+    draw_cells,
     find_rest,
     living_cell,
     rectangle,
 )
-from surrofe2.report.figures import draw_cells
 from surrofe2.run.charts import BLUE, VERMILION, encoded
 
 SIDE = 1500.0  # µm, of a square piece of tissue: one element, for its strain is even

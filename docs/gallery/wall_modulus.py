@@ -11,12 +11,19 @@ import skfem
 from matplotlib.figure import Figure
 from scipy.optimize import least_squares
 
-from surrofe2 import Circle, Fixed, Problem, RigidBody, RveLaw, Symmetry, find_rest, living_cell
-from surrofe2.report.figures import (
+from surrofe2 import (
+    Circle,
     Colours,
+    Fixed,
+    Problem,
+    RigidBody,
+    RveLaw,
+    Symmetry,
     draw_tissue,
     drawn_bodies,
     fields_at_rest,
+    find_rest,
+    living_cell,
 )
 from surrofe2.run.charts import BLUE, VERMILION, encoded
 

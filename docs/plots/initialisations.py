@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from surrofe2 import CellParameters, RveLaw
-from surrofe2.report.figures import draw_cells
+from surrofe2 import CellParameters, RveLaw, draw_cells
 from surrofe2.run.charts import GREEN, VERMILION, Curve, Panel, draw_panels, encoded
 from surrofe2.rve import INITIALISATIONS
 from surrofe2.rve.micro_integration import integrate_rve

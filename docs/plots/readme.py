@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import ConnectionPatch
 
-from surrofe2.report.figures import draw_cells
+from surrofe2 import draw_cells
 from surrofe2.run.charts import VERMILION, encoded
 
 DOCS = Path(__file__).parents[1]
