@@ -180,7 +180,8 @@ def outlined_tissue(
     if not is_inside.any():
         return tissue
     for _ in range(_SIZINGS):
-        position = np.zeros((tissue.particles, 2))
+        # rims number the particles of the whole image, of which the mesh may hold a part
+        position = np.zeros((tissue.own, 2))
         position[tissue.address[:, 1]] = relax(TissueDynamics(tissue), _ROUGHLY * tension)
         areas = rim_areas(arrangement.rims, position, np.eye(2))
         relative_area = float(areas[is_inside].sum()) / wanted

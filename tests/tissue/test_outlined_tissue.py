@@ -129,6 +129,16 @@ def test_at_rest_the_plant_cells_within_keep_their_size():
     assert after[within].sum() == pytest.approx(before[within].sum(), rel=0.006)
 
 
+def test_a_mesh_may_hold_a_part_of_an_image():
+    """The left half of squares is the tissue of an image of these squares alone."""
+    whole = outline_cells(squares(4, 6), SIDE / 20.0, APPLE.spring_length)
+    half = outline_cells(squares(4, 3), SIDE / 20.0, APPLE.spring_length)
+    problem = problem_on(3.0 * SIDE, 4.0 * SIDE)
+    part, alone = (outlined_conditions(problem, APPLE, image).tissue for image in (whole, half))
+    assert part.particles == alone.particles < whole.arrangement.particles
+    assert part.references[0].rest_length == pytest.approx(alone.references[0].rest_length, 1e-4)
+
+
 def test_an_image_takes_one_type_of_cells_and_a_mesh_that_they_fill():
     labels = image_of_cells()
     image = outline_cells(labels, 1.0, 5.0)
