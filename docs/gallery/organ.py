@@ -139,9 +139,9 @@ def draw_specimen(axes, rest, colours):
     rim = (fields.points + fields.displacement[1])[on_rim]
     rim = rim[np.argsort(rim[:, 0])]
     for side in (mirror, -mirror, mirror**2, -(mirror**2)):
-        axes.plot(*(side * rim).T, color="white", linewidth=1.5)
-    axes.text(700.0, 500.0, "pith", color="white")
-    axes.text(1150.0, 1750.0, "cortex", color="white")
+        axes.plot(*(side * rim).T, color="black", linewidth=1.5)
+    axes.text(700.0, 500.0, "pith", color="black")
+    axes.text(1150.0, 1750.0, "cortex", color="black")
     return drawn
 
 
@@ -158,7 +158,7 @@ if __name__ == "__main__":
         if turgor == TURGORS[0]:
             highest = pressures(rest).max()
             print(f"highest pressure of an element {highest:.2f} MPa")
-            colours = Colours("Pressure (MPa; higher at the plates)", -0.05, 0.2, "viridis")
+            colours = Colours("Pressure (MPa; higher at the plates)", -0.2, 0.2, "RdBu_r")
             colours.bar(specimen, draw_specimen(specimen, rest, colours))
     curve.set(xlabel="Squeeze (µm)", ylabel="Force on the stem (µN)", ylim=(0.0, None))
     curve.legend(title="Turgor of the pith", fontsize=8)
