@@ -33,44 +33,44 @@ class Balance:
     """The cost of a run through a cache beside that of a run by RVEs, and the cost of the cache.
 
     Attributes:
-        made: seconds of data set, training and calibration; None where they are not known.
+        preparation: seconds of data set, training and calibration; None where they are not known.
         run: seconds of the run through the cache.
         true: seconds of the run by RVEs.
     """
 
-    made: float | None
+    preparation: float | None
     run: float
     true: float
 
     @property
     def gain(self) -> float | None:
         """Speed-up over the run by RVEs with everything counted; None where it is not known."""
-        if self.made is None:
+        if self.preparation is None:
             return None
-        return self.true / (self.made + self.run)
+        return self.true / (self.preparation + self.run)
 
     @property
     def pays_from(self) -> int | None:
         """The number of such runs from which on it pays; None: never, or not known."""
-        if self.made is None or self.true <= self.run:
+        if self.preparation is None or self.true <= self.run:
             return None
-        return max(1, math.ceil(self.made / (self.true - self.run)))
+        return max(1, math.ceil(self.preparation / (self.true - self.run)))
 
     @property
     def sentence(self) -> str:
         """The gain, and from when on the cache pays off, in words."""
-        if self.made is None or self.gain is None:
+        if self.preparation is None or self.gain is None:
             return "the time to make its surrogate is not known; train again to have it counted"
         if self.gain >= 1.0:
             speed = f"{number(self.gain, 2)} times faster"
         else:
             speed = f"{number(1.0 / self.gain, 2)} times slower"
-        text = f"including data and training ({number(self.made)} s), {speed} than full FE²"
+        text = f"including data and training ({number(self.preparation)} s), {speed} than full FE²"
         if self.pays_from is None:
             return f"{text}; it never pays off, since full FE² is faster"
         if self.pays_from == 1:
             return f"{text}; it pays off in the first run"
-        times = self.made / (self.true - self.run)
+        times = self.preparation / (self.true - self.run)
         runs = f"it pays off after {self.pays_from:,} such runs"
         return f"{text}; {runs}, or on {number(times, 2)} times as many elements"
 
@@ -280,7 +280,7 @@ def compared_run(run: StoredRun, reference: StoredRun) -> ComparedRun:
     full_seconds = full.wall_time["total"]
     balance = None
     if record.law in ("cached", "table", "surrogate") and full.law in ("rve", "tissue"):
-        balance = Balance(made=made_for(record), run=seconds, true=full_seconds)
+        balance = Balance(preparation=made_for(record), run=seconds, true=full_seconds)
     reference_forces = force_curves(reference)
     return ComparedRun(
         name=run.name,

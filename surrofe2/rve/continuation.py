@@ -107,7 +107,7 @@ class Continuation:
         step: (m,) the next step, as a part of the path; shortest, longest: its bounds.
         effort: (m,) Newton iterations so far.
         solves: (m,) calls of Newton's method so far.
-        left: (m,) whether a point left its branch.
+        has_left: (m,) whether a point left its branch.
         unstable: (m,) whether the branch of a point ended at an unstable equilibrium.
         predicts: whether steps begin where the slope of the branch leads, and are checked by it.
         slope: (m, 2, n) ∂z/∂(part of the path) at z; zero where it is not used.
@@ -135,7 +135,7 @@ class Continuation:
         self.step = np.minimum(self.longest, 0.5)
         self.effort = np.zeros(len(z), dtype=np.int_)
         self.solves = np.zeros(len(z), dtype=np.int_)
-        self.left = np.zeros(len(z), dtype=np.bool_)
+        self.has_left = np.zeros(len(z), dtype=np.bool_)
         self.unstable = np.zeros(len(z), dtype=np.bool_)
         self.predicts = unit.topology.pressures > 0
         self.slope = self._slopes(np.arange(len(z)), self.start, self.z)
@@ -165,13 +165,13 @@ class Continuation:
             stuck = np.flatnonzero(~succeeds & (step <= shortest))
             if len(stuck):
                 ended = active[stuck]
-                self.unstable[ended] = trial.found[stuck]
+                self.unstable[ended] = trial.is_solved[stuck]
                 z[stuck], succeeds[stuck], steps_down = self._leave(
                     F[stuck], z_before[stuck], trial.take(stuck), EFFORT - self.effort[ended]
                 )
                 self.effort[ended] += OF_STEP_DOWN * steps_down
                 self.solves[ended] += 1
-                self.left[ended] |= succeeds[stuck]
+                self.has_left[ended] |= succeeds[stuck]
                 slope[stuck] = self._slopes(ended, F[stuck], z[stuck])
             moved = active[succeeds]
             self.z[moved] = z[succeeds]
@@ -250,12 +250,13 @@ class Continuation:
         Returns:
             z, (m, 2, n); whether it is stable, (m,); and how many steps down were tried, (m,).
         """
-        has_saddle = trial.found & ~trial.stable & ~_jumped(trial.z, z, self.unit.constants.scale)
+        has_jumped = _jumped(trial.z, z, self.unit.constants.scale)
+        has_saddle = trial.is_solved & ~trial.stable & ~has_jumped
         begin = np.where(has_saddle[:, None, None], trial.z, z)
         most = np.maximum(spare // OF_STEP_DOWN, 1)
         below, is_stable, steps_down = descend(self.unit, F, begin, most)
         solved = seek(self.unit, F, below, self.tolerance)
-        z_after = np.where(solved.found[:, None, None], solved.z, below)
+        z_after = np.where(solved.is_solved[:, None, None], solved.z, below)
         is_stable &= solved.stable & ~_paired(self.unit.topology, F, z_after)
         return z_after, is_stable, steps_down
 

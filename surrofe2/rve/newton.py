@@ -378,7 +378,7 @@ def _chord_tile(drive, z, before, factors, topology, constants, tolerance, answe
     workspace = make_workspace(topology)
     lu, slopes = kept_factors(factors, topology)
     predict(z, drive, before, slopes, workspace.z)
-    stop = Stop(tolerance, CONTRACTION, CHORD_LIMIT, z, False)
+    stop = Stop(tolerance, CONTRACTION, CHORD_LIMIT, start=z, seeks=False)
     predicted = prediction(workspace.z, topology)
     chord_loop(workspace, drive, True, lu, topology, constants, stop, answer)
     give_up_aside(workspace.z, predicted, constants.scale * ASIDE, answer.iterations)
@@ -420,7 +420,7 @@ def _newton_tile(drive, z, factors, task, topology, constants, tolerance, answer
     if task >= SOLVE:
         limit = SEEK_LIMIT if task == SEEK else NEWTON_LIMIT
         # the residual may rise on the way, as steps are limited
-        stop = Stop(tolerance, np.inf, limit, z, task == SEEK)
+        stop = Stop(tolerance, np.inf, limit, start=z, seeks=task == SEEK)
         newton_loop(workspace, matrices, drive, True, topology, constants, stop, answer)
         copy_particles(workspace.z, z)
         if task == SEEK and answer.iterations.max() < 0:

@@ -74,7 +74,7 @@ SLOPES = 8
 """Columns of kept slopes: four by F_xx, xy, yx, yy, then four by Ḟ."""
 _BYTES = 4
 """Size of a number in single precision."""
-_TILES = ("z", "F", "F_dot", "iterations", "left")
+_TILES = ("z", "F", "F_dot", "iterations", "has_left")
 """Arrays of tiles that every state has."""
 _Pointer: Any = types.CPointer  # type: ignore[attr-defined]
 
@@ -242,7 +242,7 @@ class RveState:
         factors: kept factors and slopes, see `newton`.
         near: the contacts to solve with first; None: they have to be listed.
         iterations: (tiles, TILE) force evaluations of the last solve.
-        left: (tiles, TILE) whether the RVE left its branch at a bifurcation on its way here.
+        has_left: (tiles, TILE) whether the RVE left its branch at a bifurcation on its way here.
         fluctuation: v − L x, shaped as z, µm/µs; None: zero, velocities are affine.
         elastic: material positions of the elastic equilibrium that "slow-manifold" starts from,
             shaped as z; None: z itself.
@@ -257,7 +257,7 @@ class RveState:
     factors: Factors
     near: Near | None
     iterations: NDArray[np.int32]
-    left: Flags
+    has_left: Flags
     fluctuation: Array | None = None
     elastic: Array | None = None
     is_checked: bool = False
@@ -275,7 +275,7 @@ class RveState:
     @property
     def left_points(self) -> Flags:
         """True where a point left its branch at a bifurcation, (points,)."""
-        return unpack(self.left, self.points)
+        return unpack(self.has_left, self.points)
 
     def to_arrays(self, neighbours: Neighbours) -> dict[str, NDArray[Any]]:
         """Return arrays (n, …) of all points by name, for `from_arrays`.

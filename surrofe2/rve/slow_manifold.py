@@ -130,7 +130,7 @@ def _follow_tile(drive, moving, before, factors, topology, constants, tolerance,
     add_slopes(slopes, BY_F, drive.rate, y)
     copy_particles(workspace.z, relaxed)
     predicted = prediction(relaxed, topology)
-    stop = Stop(tolerance, CONTRACTION, LIMIT, z, False)
+    stop = Stop(tolerance, CONTRACTION, LIMIT, start=z, seeks=False)
     _solve_velocities(
         workspace, y, drive, lu, topology, constants, stop, relaxed, velocity_iterations
     )
@@ -230,7 +230,7 @@ def _newton_tile(drive, moving, topology, constants, tolerance, answer):
     place(workspace, moving.elastic, drive.F, topology)
     y = along(equilibrium_modes(workspace, drive.F, topology, constants, matrices), drive.rate)
     set_velocities(workspace.z, y, drive.F, drive.rate, topology, workspace.v)
-    stop = Stop(tolerance, np.inf, NEWTON_LIMIT, moving.z, False)
+    stop = Stop(tolerance, np.inf, NEWTON_LIMIT, start=moving.z, seeks=False)
     newton_loop(
         workspace, matrices, Drive(drive.F, still), False, topology, constants, stop, answer
     )

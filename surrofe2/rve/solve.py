@@ -143,14 +143,14 @@ class Solved:
         state = self.state
         is_slow = self.settings.initialisation == "slow-manifold"
         values = np.empty((len(self.status), 2, 2, 8, TILE))
-        if not is_slow or state.left.any():
+        if not is_slow or state.has_left.any():
             # beyond a bifurcation velocities are affine, as in constrained runs
             kind = KINDS.index("constrained-runs" if is_slow else self.settings.initialisation)
             affine_tangents(self.drive, state.z, kind, *self.kernel_arguments, values)
         if is_slow:
-            moving = np.empty_like(values)
-            slow_tangents(self.drive, state.z, state.relaxed, *self.kernel_arguments, moving)
-            np.copyto(values, moving, where=~state.left[:, None, None, None, :])
+            slow_values = np.empty_like(values)
+            slow_tangents(self.drive, state.z, state.relaxed, *self.kernel_arguments, slow_values)
+            np.copyto(values, slow_values, where=~state.has_left[:, None, None, None, :])
         # the 8 columns are the entries of F, then those of Ḟ
         tangents = unpack(values, points).reshape(points, 2, 2, 2, 2, 2)
         tangents[unpack(self.status, points) != _OK] = np.nan
@@ -162,7 +162,7 @@ class Solved:
     def effort(self) -> dict[str, int]:
         """Return counts of work, by name, that can be added over calls."""
         points = self.start.points
-        newly_left = self.state.left & ~self.start.left
+        newly_left = self.state.has_left & ~self.start.has_left
         return {
             "rve_solves": points,
             "force_evaluations": int(np.abs(unpack(self.answer.iterations, points)).sum()),
@@ -327,10 +327,10 @@ def _follow_path(solved: Solved, index: Index) -> None:
         path.follow()
     z = pack(path.z)
     arrived = pack(path.arrived)
-    has_left = part.start.left | pack(path.left)
+    has_left = part.start.has_left | pack(path.has_left)
     part.near = part.unit.neighbours.near(part.drive.F, z)
     # z is that of the elastic equilibrium itself, whose velocities are not known yet
-    part.state = replace(part.state, z=z, left=has_left, elastic=None, fluctuation=None)
+    part.state = replace(part.state, z=z, has_left=has_left, elastic=None, fluctuation=None)
     # where rates are felt, one more solve takes them in, from the equilibrium beside it
     part.answer.iterations[:] = np.where(arrived, OPEN, PASSED_OVER)
     _newton(part)
@@ -364,7 +364,7 @@ def _solve_slow(solved: Solved) -> None:
     """Solve from the last state where possible, else from a new elastic equilibrium.
 
     At a bifurcation the slopes of that equilibrium have no bound, and neither have the velocities.
-    From there on, where the state's `left` is True, they are affine as in constrained runs.
+    From there on, where the state's `has_left` is True, they are affine as in constrained runs.
     """
     start = solved.start
     points = solved.start.points
@@ -392,7 +392,7 @@ def _solve_slow(solved: Solved) -> None:
             part = solved.at(index)
             _start_slow(part)
             solved.put(index, part)
-    is_beyond = solved.state.left & (solved.status == _OK)
+    is_beyond = solved.state.has_left & (solved.status == _OK)
     if is_beyond.any():
         _solve_affine(solved, np.flatnonzero(unpack(is_beyond, points)))
 
@@ -427,8 +427,8 @@ def _start_slow(solved: Solved) -> None:
         newton_slow(drive, moving, *solved.kernel_arguments, tolerance, answer_of_soft)
         answer.iterations[is_soft] = iterations[is_soft]
     # without z although z_el is stable: the velocities have no bound
-    has_left = solved.state.left | (is_elastic & (answer.iterations < 0))
-    solved.state = replace(solved.state, left=has_left, factors=factors, **moving._asdict())
+    has_left = solved.state.has_left | (is_elastic & (answer.iterations < 0))
+    solved.state = replace(solved.state, has_left=has_left, factors=factors, **moving._asdict())
 
 
 def _solve_affine(solved: Solved, index: Index) -> None:

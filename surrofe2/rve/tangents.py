@@ -36,8 +36,8 @@ from surrofe2.rve.rve_state import SLOPES, Drive, drive_of, entries, inverse, ma
 
 KINDS = ("constrained-runs", "elastic", "cauchy-born")
 """Initialisations with affine velocities; kernels take their numbers in this order."""
-_ELASTIC = 1
-_CAUCHY_BORN = 2
+_ELASTIC = KINDS.index("elastic")
+_CAUCHY_BORN = KINDS.index("cauchy-born")
 REFINEMENTS = 30
 """Most refinements of a solution; each adds three digits or more, except in crushed tissue."""
 REFINED = 1e-12

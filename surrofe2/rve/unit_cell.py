@@ -117,7 +117,7 @@ class UnitCell:
             factors=self.factors.repeated(tiles),
             near=replace(self.near, F=F, z=z),
             iterations=np.zeros((tiles, TILE), dtype=np.int32),
-            left=np.zeros((tiles, TILE), dtype=np.bool_),
+            has_left=np.zeros((tiles, TILE), dtype=np.bool_),
         )
 
 
@@ -209,14 +209,14 @@ class Equilibria(NamedTuple):
     stress: (k, 2, 2) Cauchy stress, µN/µm.
     energy: (k,) elastic energy of the RVE, pJ; NaN where none was found.
     iterations: (k,) evaluations of forces; not positive where none was found, see `rve_state`.
-    found, stable: (k,) whether there is an equilibrium, and whether it is stable.
+    is_solved, stable: (k,) whether there is an equilibrium, and whether it is stable.
     """
 
     z: Array
     stress: Array
     energy: Array
     iterations: Index
-    found: Flags
+    is_solved: Flags
     stable: Flags
 
     def take(self, index: Index) -> Equilibria:
@@ -389,7 +389,7 @@ def _free_of_stress(
         """Return sum, difference and shear of the stress, as many as there are unknowns."""
         constants = make_constants(cell, u[0] * cell.spring_length)
         equilibrium = relax(topology, constants, z_start, shape(u)[None])
-        if not equilibrium.found[0]:
+        if not equilibrium.is_solved[0]:
             raise InputError(not_free)
         z_start[:] = equilibrium.z
         s = equilibrium.stress[0]

@@ -99,7 +99,7 @@ class Repetition:
         name: name of the column that differs most; its unit is `unit`.
         largest: largest difference in it.
         relative: the same, relative to the largest value of any column of its kind.
-        made: versions, processor and threads that differ, by name: stored and now.
+        surroundings: versions, processor and threads that differ, by name: stored and now.
     """
 
     columns: int
@@ -108,7 +108,7 @@ class Repetition:
     unit: str
     largest: float
     relative: float
-    made: Mapping[str, tuple[str, str]]
+    surroundings: Mapping[str, tuple[str, str]]
 
     @property
     def sentence(self) -> str:
@@ -120,8 +120,9 @@ class Repetition:
             f"{self.relative:.1e} of the largest value of its kind; {self.same} of "
             f"{self.columns} columns are the same to the bit"
         )
-        if self.made:
-            others = [f"{name} {then}, now {now}" for name, (then, now) in self.made.items()]
+        if self.surroundings:
+            differences = self.surroundings.items()
+            others = [f"{name} {then}, now {now}" for name, (then, now) in differences]
             text += f"; stored by {', '.join(others)}"
         return text
 
@@ -157,7 +158,7 @@ def compared_runs(stored: StoredRun, again: StoredRun) -> Repetition:
         unit=before[name].unit,
         largest=largest,
         relative=relative,
-        made=_made_otherwise(stored.record, again.record),
+        surroundings=_made_otherwise(stored.record, again.record),
     )
 
 

@@ -24,7 +24,7 @@ from tests.laws import SoftLaw
     ],
 )
 def test_when_a_cache_pays(costs, gain, pays_from, sentence):
-    balance = Balance(**dict(zip(("made", "run", "true"), costs, strict=True)))
+    balance = Balance(**dict(zip(("preparation", "run", "true"), costs, strict=True)))
     assert balance.gain == pytest.approx(gain)
     assert balance.pays_from == pays_from
     assert sentence in balance.sentence
@@ -62,7 +62,7 @@ def test_a_surrogate_knows_what_it_took_and_a_comparison_counts_it(learnt, tmp_p
     (cached,) = compare_runs([tmp_path / "rve", tmp_path / "cached"], tmp_path / "compared").runs
     made = sum(seconds.values())
     true = read_run(tmp_path / "rve").record.wall_time["total"]
-    assert cached.balance == Balance(made=made, run=record.wall_time["total"], true=true)
+    assert cached.balance == Balance(preparation=made, run=record.wall_time["total"], true=true)
     assert cached.balance.gain == pytest.approx(true / (made + cached.wall_time))
     assert made_for(record) == made
     assert made_for(replace(record, surrogate={**record.surrogate, "seconds": {}})) is None

@@ -273,9 +273,9 @@ def test_states_carry_where_they_left_with_them():
     part = state.take(np.array([11, 0, 10]))
     assert part.left_points.tolist() == [True, False, True]
     rest = law("printed").rest_state(12)
-    assert not rest.left.any()
+    assert not rest.has_left.any()
     assert rest.put(np.array([2, 3, 4]), part).left_points.nonzero()[0].tolist() == [2, 4]
-    assert not rest.put(np.array([2]), rest.take(np.array([5]))).left.any()
+    assert not rest.put(np.array([2]), rest.take(np.array([5]))).has_left.any()
 
 
 @pytest.mark.nightly

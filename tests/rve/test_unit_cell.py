@@ -73,8 +73,8 @@ def test_a_seed_without_a_rest_is_named_and_no_constant_of_the_cell(fluid, monke
 
     def none(topology, *entries):
         answer = solved(topology, *entries)
-        nowhere = np.zeros_like(answer.found)
-        return answer._replace(found=nowhere, stable=nowhere)
+        nowhere = np.zeros_like(answer.is_solved)
+        return answer._replace(is_solved=nowhere, stable=nowhere)
 
     monkeypatch.setattr(unit_cell, "relax", none)
     monkeypatch.setattr(unit_cell, "_SETTLING_LIMIT", 30_000)
