@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from surrofe2 import LoadCase
 from surrofe2.macro import MacroSettings, find_rest, simulate
@@ -11,8 +12,28 @@ from surrofe2.problem import Surface
 from surrofe2.report.study import NamedCell
 from tests.laws import KelvinVoigt, Skin
 from validation.bars import LIMIT, aitken, bar, with_limits
-from validation.case import FE2, SURFACE, TISSUE, Case, Run, Setting, compare, small_oscillations
-from validation.tissues import CANTILEVER, PULLED, SKINNED, problem_cases, thin_cases
+from validation.case import (
+    FE2,
+    SURFACE,
+    TISSUE,
+    Case,
+    Run,
+    Setting,
+    apart_panel,
+    compare,
+    small_oscillations,
+)
+from validation.sketch import draw_sketch
+from validation.tissues import (
+    CANTILEVER,
+    PULLED,
+    SKINNED,
+    block,
+    problem_cases,
+    skinned,
+    strip,
+    thin_cases,
+)
 
 WATER = NamedCell.of("water")
 T = np.arange(0.0, 250.25, 0.5)
@@ -164,3 +185,25 @@ def test_strip_is_too_stiff_by_its_surface_and_less_so_where_it_is_wider():
     assert 0.3 < narrow.c < 0.5
     assert wide.c == pytest.approx(narrow.c, abs=0.1)
     assert 0.0 < wide.off < 0.6 * narrow.off
+
+
+@pytest.mark.parametrize(
+    ("make", "patches", "arrows"),
+    [(strip, 2, 1), (block, 3, 1), (skinned, 3, 3)],  # tissue, supports, regions; plates
+)
+def test_a_sketch_shows_what_holds_and_what_loads(make, patches, arrows):
+    axes = Figure().subplots()
+    draw_sketch(axes, make(WATER, 4, TISSUE).recipe.problem())
+    assert len(axes.patches) == patches
+    assert len([text for text in axes.texts if text.get_text() == ""]) == arrows
+
+
+def test_the_difference_from_the_tissue_is_drawn_and_the_tissue_is_zero():
+    tissue, fe2 = strip(WATER, 4, TISSUE), strip(WATER, 4, FE2)
+    runs = [
+        Run(tissue, np.linspace(0.0, 1.0, 5), np.ones(5), 0.0),
+        Run(fe2, np.linspace(0.0, 1.0, 3), np.array([1.0, 2.0, 4.0]), 0.0),
+    ]
+    panel = apart_panel(runs, "")
+    assert [curve.y.tolist() for curve in panel.curves] == [[0.0, 0.0], [0.0, 1.0, 3.0]]
+    assert panel.y_label == "FE² − tissue (µN)"
