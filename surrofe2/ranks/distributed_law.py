@@ -150,7 +150,7 @@ class DistributedLaw:
             owner = self._dealt(arrays["z"])
         else:
             owner = owner.astype(np.intp)
-        state = RankState(self, owner, arrays["left"])
+        state = RankState(self, owner, arrays["has_left"])
         tasks: list[tuple[Any, ...] | None] = []
         for points in state.shares():
             part = {name: values[points] for name, values in arrays.items()}
