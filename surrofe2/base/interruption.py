@@ -38,8 +38,14 @@ _APART = 1.0
 _PATIENCE = 5.0
 # Seconds until an interruption that was swallowed or put off is raised again.
 _AGAIN = 0.25
-# Functions in Python that numba's machine code and llvmlite's compiler call.
-NOT_CUT = ("_numba_unpickle", "_raw_object_cache_getbuffer", "_raw_object_cache_notify")
+# Functions in Python that numba's machine code and llvmlite's compiler call; and every import,
+# since torch's C++ aborts the process at an exception in the Python that it calls meanwhile.
+NOT_CUT = (
+    "_numba_unpickle",
+    "_raw_object_cache_getbuffer",
+    "_raw_object_cache_notify",
+    "_find_and_load",
+)
 
 
 @dataclass(slots=True)
@@ -190,7 +196,7 @@ def _take(number: int, frame: FrameType | None) -> None:
 def _raise_again(number: int, frame: FrameType | None) -> None:
     """Raise the interruption, unless it must wait or is already being handled.
 
-    Machine code that has called Python, see `NOT_CUT`, would take it for an error.
+    Machine code that has called Python, see `NOT_CUT`, would take it for an error, or abort.
     """
     if _state.held:
         return

@@ -46,6 +46,33 @@ def test_python_that_machine_code_has_called_is_not_cut_and_other_work_at_once(
     assert python("-c", work, code=code, timeout=10).stdout.split() == told.split()
 
 
+IMPORT = """
+import sys
+from surrofe2.base import interruption
+
+interruption.watch()
+interruption.begin_work()
+try:
+    import signalled
+    for k in range(100):
+        signalled.time.sleep(0.1)
+except KeyboardInterrupt:
+    print("ended")
+sys.exit(interruption.exit_code())
+"""
+
+
+def test_an_import_is_not_cut(tmp_path):
+    """Libraries in C++ abort the process at an exception there; torch does."""
+    (tmp_path / "signalled.py").write_text(
+        "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(0.5)\n"
+        "print('whole')\n",
+        encoding="utf-8",
+    )
+    done = python("-c", IMPORT, code=130, timeout=30, cwd=tmp_path)
+    assert done.stdout.split() == ["whole", "ended"]
+
+
 READING = """
 import os, signal, sys, time
 from numba.core.codegen import JITCodeLibrary
