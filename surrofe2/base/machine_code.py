@@ -140,8 +140,8 @@ def _executable(context: Any, library: Any, description: Any, environment: Any) 
         return _usual_executable(context, library, description, environment)
     module = description.lookup_module()
     name = description.qualname.split(".")[-1]
-    address = 0
-    _note_environment(None, context.get_env_name(description), environment)
+    address = 0  # it has no machine code
+    _environments.append((context.get_env_name(description), environment))
     return _dynfunc.make_function(module, name, "", address, environment, (library,))
 
 

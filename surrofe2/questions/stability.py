@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from surrofe2.base.arrays import Array, Index
-from surrofe2.base.sampling import SamplingRange
+from surrofe2.base.sampling import SamplingRange, contains
 from surrofe2.law.stress_law import Status
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.study import Study
@@ -106,7 +106,9 @@ def stability(
         curves.append(Curve("point", np.ones(1), at_rest, "F = I"))
         for k, (label, range_) in enumerate(ranges.items()):
             x, y = outline(range_, name)
-            curves.append(Curve("outline", x, y, f"[range] of {label}", False, dash=_DASHES[k % 3]))
+            curves.append(
+                Curve("outline", x, y, f"[range] of {label}", False, dash=_DASHES[k % len(_DASHES)])
+            )
         panels.append(Panel("stretch $F_{xx}$", y_label, tuple(curves), title))
     rows = []
     for way, (direction, length) in WAYS.items():
@@ -130,18 +132,10 @@ def outline(range_: SamplingRange, plane: str) -> tuple[Array, Array]:
         return np.array([low, high, high, low, low]), np.array([low, low, high, high, low])
     stretch = np.linspace(low, high, 101)
     shear = np.linspace(*SHEAR, 1201)
-    F = np.zeros((len(stretch), len(shear), 2, 2))
-    F[..., 0, 0] = stretch[:, None]
-    F[..., 0, 1] = shear
-    F[..., 1, 1] = 1.0
-    # U = (C + √det C I) / √(tr C + 2 √det C), C = FᵀF
-    C = np.swapaxes(F, -1, -2) @ F
-    root = np.sqrt(np.linalg.det(C))[..., None, None]
-    trace = np.trace(C, axis1=-2, axis2=-1)[..., None, None]
-    U = (C + root * np.eye(2)) / np.sqrt(trace + 2.0 * root)
-    is_within = abs(U[..., 0, 1]) <= range_.shear
-    for axis in range(2):
-        is_within &= (U[..., axis, axis] >= low - 1e-12) & (U[..., axis, axis] <= high + 1e-12)
+    F = np.tile(np.eye(2), (stretch.size * shear.size, 1, 1))
+    F[:, 0, 0] = np.repeat(stretch, shear.size)
+    F[:, 0, 1] = np.tile(shear, stretch.size)
+    is_within = contains(range_, F, np.zeros_like(F)).reshape(stretch.size, shear.size)
     # stretches at which some shear is within it, and the largest
     is_any = is_within.any(axis=1)
     largest = shear[len(shear) - 1 - is_within[:, ::-1].argmax(axis=1)]
