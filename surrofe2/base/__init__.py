@@ -14,7 +14,7 @@ In reading order:
     environment      cores, and what the command line sets in its process
     clock            clocks that stand while kernels are compiled
     kernel_cache     where compiled kernels are kept, by their sources
-    machine_code     optimised and made once of each kernel, the same bits in every process
+    machine_code     made once of each kernel, the same bits in every process
     compilation      numba's flags, threads of BLAS
     simd             eight lanes of numbers in kernels
     tensors          polar inputs of (F, Ḟ), measure of errors

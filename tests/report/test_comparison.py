@@ -16,6 +16,7 @@ from surrofe2.report.comparison import (
     displacement_panels,
     force_panels,
 )
+from surrofe2.run.charts import draw_panels
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.store.run_folder import StoredRun, read_run
 from surrofe2.store.store import plain
@@ -118,6 +119,23 @@ def test_the_largest_force_that_all_runs_have_is_drawn(recipe, tmp_path):
     runs[1].history.pop("force clamp x")
     (panel,) = force_panels(runs)
     assert panel.y_label == "force grip y (µN)"
+
+
+def test_the_picture_has_displacements_force_and_difference(recipe, tmp_path, monkeypatch):
+    folders = [run.folder for run in map(read_run, made_runs(recipe, tmp_path))]
+    pictures = []
+
+    def noted(panels, **words):
+        pictures.append(panels)
+        return draw_panels(panels, **words)
+
+    monkeypatch.setattr("surrofe2.report.comparison.draw_panels", noted)
+    compare_runs(folders, tmp_path / "compared")
+    (panels,) = pictures
+    names = [panel.y_label.split()[0] for panel in panels]
+    assert names.index("displacement") < names.index("force") < names.index("difference")
+    over_time = panels[: names.index("difference")]
+    assert [panel.has_legend for panel in over_time] == [True] + [False] * (len(over_time) - 1)
 
 
 def test_pictures_are_written_in_the_format_that_is_asked_for(recipe, tmp_path):
