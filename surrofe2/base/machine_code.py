@@ -2,9 +2,8 @@
 
 numba compiles a function and all functions that it calls one by one. The code of each is copied
 into the code of those that call it, and numba makes machine code of it at every level, for all of
-them could be called from Python. A loop over all cores adds three such levels, two of which wrap
-code that is optimised already. Here machine code is made where something asks for its address: of
-the outermost function. Compilation then takes two thirds of the time.
+them could be called from Python. A loop over all cores adds three such levels. Here machine code is
+made where something asks for its address: of the outermost function.
 
 numba gives each kernel copies of the functions that it calls, under names that all kernels share.
 Of equal names the one that comes first into a process serves all, and copies that were optimised
@@ -26,12 +25,11 @@ from numba.core.cpu import CPUContext
 # Bytes of a line of the processor's cache.
 CACHE_LINE = 64
 
-# Words in numba's names of the code that wraps the body of a loop over all cores.
-_WRAPPERS = ("_GufuncWrapper", "parallelgufuncwrapper")
-
-# Names of the functions that are being compiled, each called by the one before. numba compiles
-# under a lock, so there is one such list for all threads.
-_under_way: list[str] = []
+# Words in numba's names of the code that it makes about the body of a loop over all cores.
+_ABOUT_LOOPS = ("__numba_parfor_gufunc", "_GufuncWrapper", "parallelgufuncwrapper")
+# The functions that are being compiled, as numba's dispatchers, each called by the one before.
+# numba compiles under a lock, so there is one such list for all threads.
+_under_way: list[Any] = []
 # Environments of the functions compiled meanwhile, by the name of the variable that points to them.
 _environments: list[tuple[str, Any]] = []
 
@@ -46,12 +44,12 @@ class KernelCode(JITCodeLibrary):
     _has_machine_code = False
 
     def _optimize_final_module(self) -> None:
-        """Optimise the code, but for wrappers of what is optimised already.
+        """Optimise the code, but for what numba makes about a loop: the whole kernel is, later.
 
         Functions are optimised on their own, too, before they are copied. Without that compilation
         would take a third less, but the last digits of stresses would be others.
         """
-        if not any(word in self.name for word in _WRAPPERS):
+        if not any(word in self.name for word in _ABOUT_LOOPS):
             super()._optimize_final_module()
 
     def _finalize_final_module(self) -> None:
@@ -100,8 +98,7 @@ def kernel_code(dispatcher: Any) -> Iterator[None]:
     Arrays that it makes begin at a line of the processor's cache: of others, numbers of eight lanes
     lie across two, and solves of RVEs take up to a fifth longer, by chance.
     """
-    function = dispatcher.py_func
-    _under_way.append(f"{function.__module__}.{function.__qualname__}")
+    _under_way.append(dispatcher)
     try:
         if is_part():
             yield
@@ -159,10 +156,10 @@ def _may_be_called(description: Any) -> bool:
     It never calls kernels that other kernels call, see `is_part`, nor numba's own functions and
     bodies of loops.
     """
-    name = f"{description.modname}.{description.qualname}"
-    is_kernel = name in _under_way
+    compiled = [(each.py_func.__module__, each.py_func.__qualname__) for each in _under_way]
+    name = (description.modname, description.qualname)
     is_of_numba = description.modname.startswith(("numba.", "<dynamic>"))
-    return name == _under_way[0] or not (is_kernel or is_of_numba)
+    return name == compiled[0] or not (name in compiled or is_of_numba)
 
 
 def _note_environment(codegen: Any, name: str, environment: Any) -> None:
