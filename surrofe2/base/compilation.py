@@ -36,14 +36,16 @@ OPTIONS = {"error_model": "numpy", "fastmath": FAST}
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Make a decorator like `numba.njit` with these options; it caches kernels in `kernel_cache`.
 
-    With `cache=False` it does not.
+    With `cache=False` it does not. For `is_loop_body` see the decorator `loop_body`.
     """
     options = {"no_cfunc_wrapper": True} | OPTIONS | options
     is_cached = options.pop("cache", True)
+    is_loop_body = options.pop("is_loop_body", False)
 
     def decorate(function: Callable[..., Any]) -> Any:
         """Compile a function."""
         dispatcher = numba.njit(**options)(function)
+        dispatcher.is_loop_body = is_loop_body
         folder = folder_of_kernels(Path(function.__code__.co_filename)) if is_cached else None
         if folder is not None:
             dispatcher._cache = KernelCache(function, folder)
@@ -87,9 +89,12 @@ def _own(dispatcher: Any) -> Any:
 # Decorator of a function of arrays and numbers, which is compiled.
 kernel = compiled()
 
-# Decorator of a kernel whose `numba.prange` loops run on all cores; their bodies are one call of a
-# kernel.
+# Decorator of a kernel whose `numba.prange` loops run on all cores.
 parallel_kernel = compiled(parallel=True)
+
+# Decorator of a kernel whose call is all that such a loop does. It is optimised as a part of the
+# loop: before that, too, would only take time.
+loop_body = compiled(is_loop_body=True)
 
 # Decorator of a formula that is written out where kernels use it.
 pair_law = compiled(inline="always", cache=False)

@@ -44,12 +44,12 @@ class KernelCode(JITCodeLibrary):
     _has_machine_code = False
 
     def _optimize_final_module(self) -> None:
-        """Optimise the code, but for what numba makes about a loop: the whole kernel is, later.
+        """Optimise the code, but for that of a loop's body: the whole kernel is, later.
 
         Functions are optimised on their own, too, before they are copied. Without that compilation
         would take a third less, but the last digits of stresses would be others.
         """
-        if not any(word in self.name for word in _ABOUT_LOOPS):
+        if not _is_of_loop_body(self.name):
             super()._optimize_final_module()
 
     def _finalize_final_module(self) -> None:
@@ -81,6 +81,15 @@ def _relink(module: Any, before: str, after: str) -> None:
     for function in module.functions:
         if not function.is_declaration and function.linkage.name == before:
             function.linkage = after
+
+
+def _is_of_loop_body(name: str) -> bool:
+    """Tell whether code of this name is a part of a kernel: a loop's body, or numba's about it."""
+    if any(word in name for word in _ABOUT_LOOPS):
+        return True
+    dispatcher = _under_way[-1]
+    is_own_code = name == dispatcher.py_func.__qualname__
+    return is_part() and dispatcher.is_loop_body and is_own_code
 
 
 def is_part() -> bool:

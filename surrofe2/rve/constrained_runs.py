@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.compilation import kernel, loop_body, parallel_kernel
 from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.pair_sums import make_workspace
 from surrofe2.rve.rve_state import (
@@ -58,7 +58,7 @@ def iterate(drive, x, v, mass, topology, constants, stepping, answer):
         )
 
 
-@kernel
+@loop_body
 def _iterate_tile(drive, x, v, mass, topology, constants, stepping, answer):
     """Do as `iterate` for one tile."""
     F = drive.F

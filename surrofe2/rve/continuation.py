@@ -29,7 +29,7 @@ import numpy as np
 import scipy  # scipy.linalg is loaded where an RVE leaves its branch
 
 from surrofe2.base.arrays import Array, Flags, Index
-from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.compilation import loop_body, parallel_kernel
 from surrofe2.base.simd import TILE, load, pack, spread, store, unpack, where_less
 from surrofe2.base.tensors import rotation, transpose
 from surrofe2.plant_cell.block_matrices import dense_pattern
@@ -349,7 +349,7 @@ def go_down(F, z, step, topology, constants, descent):
         _go_down_tile(F[t], z[t], step[t], topology, constants, of_tile)
 
 
-@kernel
+@loop_body
 def _go_down_tile(F, z, step, topology, constants, descent):
     """Do as `go_down` for one tile."""
     workspace = make_workspace(topology)

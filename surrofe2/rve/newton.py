@@ -26,7 +26,7 @@ import numba
 import numpy as np
 
 from surrofe2.base.arrays import Array, Flags, Index
-from surrofe2.base.compilation import kernel, pair_law, parallel_kernel
+from surrofe2.base.compilation import kernel, loop_body, pair_law, parallel_kernel
 from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.block_matrices import (
     COLUMNS,
@@ -369,7 +369,7 @@ def chord(drive, z, before, factors, topology, constants, tolerance, answer):
         )  # fmt: skip
 
 
-@kernel
+@loop_body
 def _chord_tile(drive, z, before, factors, topology, constants, tolerance, answer):
     """Do as `chord` for one tile."""
     # `solve` has marked all lanes: they are too far off for these factors
@@ -409,7 +409,7 @@ def newton(drive, z, factors, task, topology, constants, tolerance, answer):
         )  # fmt: skip
 
 
-@kernel
+@loop_body
 def _newton_tile(drive, z, factors, task, topology, constants, tolerance, answer):
     """Do as `newton` for one tile."""
     if task == SKIP:

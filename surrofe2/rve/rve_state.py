@@ -48,7 +48,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from surrofe2.base.arrays import Array, Flags, Index
-from surrofe2.base.compilation import kernel, pair_law, parallel_kernel
+from surrofe2.base.compilation import kernel, loop_body, pair_law, parallel_kernel
 from surrofe2.base.simd import (
     TILE,
     load,
@@ -547,7 +547,7 @@ def stress_at(drive, z, topology, constants, answer):
         _stress_tile(drive_of(drive, t), z[t], topology, constants, answer_of(answer, t))
 
 
-@kernel
+@loop_body
 def _stress_tile(drive, z, topology, constants, answer):
     """Do as `stress_at` for one tile."""
     workspace = make_workspace(topology)
@@ -569,7 +569,7 @@ def energies(F, z, topology, constants, energy):
         _energy_tile(F[t], z[t], topology, constants, energy[t])
 
 
-@kernel
+@loop_body
 def _energy_tile(F, z, topology, constants, energy):
     """Do as `energies` for one tile."""
     workspace = make_workspace(topology)

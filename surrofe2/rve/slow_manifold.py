@@ -26,7 +26,7 @@ import numba
 import numpy as np
 
 from surrofe2.base.arrays import Array
-from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.compilation import kernel, loop_body, parallel_kernel
 from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.block_matrices import (
     COLUMNS,
@@ -114,7 +114,7 @@ def follow(drive, moving, before, factors, topology, constants, tolerance, answe
         )  # fmt: skip
 
 
-@kernel
+@loop_body
 def _follow_tile(drive, moving, before, factors, topology, constants, tolerance, answer):
     """Do as `follow` for one tile."""
     z = moving.z
@@ -219,7 +219,7 @@ def newton_slow(drive, moving, topology, constants, tolerance, answer):
         )
 
 
-@kernel
+@loop_body
 def _newton_tile(drive, moving, topology, constants, tolerance, answer):
     """Do as `newton_slow` for one tile."""
     workspace = make_workspace(topology)
@@ -252,7 +252,7 @@ def renew_slow(F, elastic, factors, wanted, topology, constants, stable):
         _renew_tile(F[t], elastic[t], factors[t], wanted[t], topology, constants, stable[t])
 
 
-@kernel
+@loop_body
 def _renew_tile(F, elastic, factors, wanted, topology, constants, stable):
     """Do as `renew_slow` for one tile.
 

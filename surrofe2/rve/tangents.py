@@ -20,7 +20,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from surrofe2.base.compilation import kernel, pair_law, parallel_kernel
+from surrofe2.base.compilation import kernel, loop_body, pair_law, parallel_kernel
 from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.block_matrices import (
     COLUMNS,
@@ -56,7 +56,7 @@ def affine_tangents(drive, z, kind, topology, constants, tangents):
         _affine_tile(drive_of(drive, t), z[t], kind, topology, constants, tangents[t])
 
 
-@kernel
+@loop_body
 def _affine_tile(drive, z, kind, topology, constants, tangents):
     """Do as `affine_tangents` for one tile.
 
@@ -105,7 +105,7 @@ def slow_tangents(drive, z, relaxed, topology, constants, tangents):
         _slow_tile(drive_of(drive, t), z[t], relaxed[t], topology, constants, tangents[t])
 
 
-@kernel
+@loop_body
 def _slow_tile(drive, z, relaxed, topology, constants, tangents):
     """Do as `slow_tangents` for one tile.
 

@@ -192,7 +192,7 @@ KERNELS = """
 import sys
 import numba
 import numpy as np
-from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.compilation import kernel, loop_body, parallel_kernel
 
 @kernel
 def inner(a):
@@ -221,7 +221,7 @@ def some_arrays(n):
 def of_a_user(x):
     return 2.0 * x
 
-@kernel
+@loop_body
 def doubled(a, k):
     a[k] = of_a_user(a[k])
 
@@ -279,6 +279,27 @@ def test_machine_code_is_made_once_of_what_python_calls(module):
     assert count == "2"
     assert {*rest[:2]} == {"of_a_user", "all_doubled"}
     assert rest[2:] == ["2.0"] * 3
+
+
+OPTIMISED = """
+from numba.core.codegen import CPUCodeLibrary
+usual = CPUCodeLibrary._optimize_final_module
+optimised = []
+def noted(library):
+    optimised.append(library.name)
+    usual(library)
+CPUCodeLibrary._optimize_final_module = noted
+a = np.ones(3)
+"""
+
+
+def test_the_body_of_a_loop_is_optimised_with_the_loop_alone(module):
+    """Before that, too, it is only where Python calls it."""
+    names = said(module, OPTIMISED, "all_doubled(a)", "print(*optimised)")
+    assert names.count("all_doubled") == names.count("of_a_user") == 1
+    assert not any("doubled" in name for name in names if name != "all_doubled")
+    called = said(module, OPTIMISED, "all_doubled(a)", "doubled(a, 1)", "print(*optimised)")
+    assert called.count("doubled") == 1
 
 
 def test_what_a_kernel_calls_can_be_called_by_python_too(module):
