@@ -100,6 +100,7 @@ class System:
         rest: (n, 2) displacement of the mesh at rest under surface tension alone, from which all
             others count, µm; None: none.
         moving: supports that move.
+        contacts: the contacts among the forces.
         n_rows: n, number of nodes and rigid bodies.
     """
 
@@ -118,17 +119,15 @@ class System:
     probe_names: tuple[str, ...]
     rest: Array | None = None
     moving: tuple[Support, ...] = field(init=False)
+    contacts: tuple[Contact, ...] = field(init=False)
     n_rows: int = field(init=False)
 
     def __post_init__(self) -> None:
+        contacts = tuple(force for force in self.forces if isinstance(force, Contact))
+        object.__setattr__(self, "contacts", contacts)
         moving = tuple(support for support in self.supports if support.largest.any())
         object.__setattr__(self, "moving", moving)
         object.__setattr__(self, "n_rows", int(self.mass.shape[0]) // 2)
-
-    @property
-    def contacts(self) -> tuple[Contact, ...]:
-        """The contacts among the forces."""
-        return tuple(force for force in self.forces if isinstance(force, Contact))
 
     @property
     def surface(self) -> SurfaceForce | None:
@@ -289,13 +288,15 @@ class System:
 
     def pushes(self, forces: Array) -> Array:
         """Return the resultants (2 b,) of b bodies on the tissue, µN, from all forces (k, n, 2)."""
+        if not self.contacts:
+            return NO_IMPULSES
         tissue = slice(0, len(self.discretisation.nodes))
         pushes = [
             acting[tissue].sum(axis=0)
             for force, acting in zip(self.forces, forces, strict=True)
             if isinstance(force, Contact)
         ]
-        return np.concatenate(pushes) if pushes else NO_IMPULSES
+        return np.concatenate(pushes)
 
     @property
     def force_names(self) -> tuple[str, ...]:

@@ -166,6 +166,8 @@ class WatchedLaw:
         self.density = law.density
         self.has_tangents = law.has_tangents
         self.note = note
+        # asked once: Python takes long to tell
+        self._learning = law if isinstance(law, LearningLaw) else None
 
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
@@ -182,15 +184,15 @@ class WatchedLaw:
 
     def check(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         """Return the law's response at the end of a step that is not accepted yet."""
-        if isinstance(self.law, LearningLaw):
-            return self.law.check(F, F_dot, response)
+        if self._learning is not None:
+            return self._learning.check(F, F_dot, response)
         return self.law.accept(F, F_dot, response)
 
     def commit(self, F: Array, F_dot: Array, checked: StressResponse) -> StressResponse:
         """Note the end of a step, to which nobody objects."""
         self.note(F, F_dot)
-        if isinstance(self.law, LearningLaw):
-            return self.law.commit(F, F_dot, checked)
+        if self._learning is not None:
+            return self._learning.commit(F, F_dot, checked)
         return checked
 
 

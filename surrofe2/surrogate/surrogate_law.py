@@ -133,11 +133,11 @@ class SurrogateLaw(Viewed):
             slopes.P_by_F[status != 0] = np.nan
             slopes.P_by_F_dot[status != 0] = np.nan
         reasons = {}
-        outside = np.flatnonzero(status == Status.OUT_OF_RANGE)
-        if len(outside):
+        if status.any():
+            outside = np.flatnonzero(status == Status.OUT_OF_RANGE)
             # the first point alone gets a reason: a message names one, and each takes its time
-            first = int(outside[0])
-            reasons[first] = self._reason_outside(F[[first]], F_dot[[first]])
+            for first in outside[:1].tolist():
+                reasons[first] = self._reason_outside(F[[first]], F_dot[[first]])
         effort = {"surrogate_points": len(F)}
         return StressResponse(stress, status, state, effort, slopes, reasons=reasons)
 
