@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from llvmlite.binding import parse_bitcode
 from numba import _dynfunc
 from numba.core.base import BaseContext
 from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
@@ -42,6 +43,8 @@ class KernelCode(JITCodeLibrary):
 
     _shared_module: Any
     _has_machine_code = False
+    # bitcode that the cache has kept beside machine code
+    _kept_code = b""
 
     def _optimize_final_module(self) -> None:
         """Optimise the code, but for that of a loop's body: the whole kernel is, later.
@@ -54,7 +57,7 @@ class KernelCode(JITCodeLibrary):
 
     def _finalize_final_module(self) -> None:
         """Make the code ready to be copied into that of other functions."""
-        if self._shared_module is None:
+        if self._shared_module is None and not self._kept_code:
             self._shared_module = self._final_module.clone()
             _relink(self._shared_module, "external", "linkonce_odr")
         self._finalize_dynamic_globals()
@@ -70,10 +73,40 @@ class KernelCode(JITCodeLibrary):
         return super().get_pointer_to_function(name)
 
     def serialize_using_object_code(self) -> Any:
-        """Return what the cache keeps: machine code and code, or code alone."""
-        if self._has_machine_code:
-            return super().serialize_using_object_code()
-        return self.name, "bitcode", self._final_module.as_bitcode()
+        """Return what the cache keeps: code alone, or machine code, code and the names in it."""
+        if not self._has_machine_code:
+            return self.name, "bitcode", self._final_module.as_bitcode()
+        name, kind, (machine_code, code) = super().serialize_using_object_code()
+        return name, kind, (machine_code, code, _defined_names(self._shared_module))
+
+    @classmethod
+    def _unserialize(cls, codegen: Any, kept: Any) -> KernelCode:
+        """Make of what the cache keeps the library that it was."""
+        name, kind, data = kept
+        if kind == "bitcode":
+            return super()._unserialize(codegen, kept)
+        library = codegen.create_library(name)
+        machine_code, library._kept_code, names = data
+        library.enable_object_caching()
+        library._set_compiled_object(machine_code)
+        library._finalize_final_module()
+        codegen._engine._defined_symbols.update(names)
+        return library
+
+    def _get_module_for_linking(self) -> Any:
+        """Return the code for another function to copy.
+
+        Kept code is read here, since hardly any function that has machine code is copied.
+        """
+        if self._shared_module is None and self._kept_code:
+            self._shared_module = parse_bitcode(self._kept_code)
+        return super()._get_module_for_linking()
+
+
+def _defined_names(module: Any) -> list[str]:
+    """Return the names of the functions and variables that a module defines."""
+    all_values = [*module.functions, *module.global_variables]
+    return [value.name for value in all_values if not value.is_declaration]
 
 
 def _relink(module: Any, before: str, after: str) -> None:

@@ -120,6 +120,8 @@ def test_names_of_numba_that_are_replaced_are_there():
         JITCodeLibrary: [
             "_optimize_final_module", "_finalize_final_module", "_finalize_dynamic_globals",
             "_ensure_finalized", "get_pointer_to_function", "serialize_using_object_code",
+            "_unserialize", "_get_module_for_linking", "_set_compiled_object",
+            "enable_object_caching",
         ],
         JITCPUCodegen: ["_library_class", "set_env"],
         CPUContext: ["get_executable", "get_env_name"],
