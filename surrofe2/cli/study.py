@@ -15,7 +15,6 @@ from surrofe2.recipe.entries import listed_values
 from surrofe2.recipe.recipe import CellStudy, Recipe
 from surrofe2.recipe.schema import TEMPLATES, write_recipe
 from surrofe2.report.comparison import compare_runs
-from surrofe2.report.page import write_report
 from surrofe2.run.loop import Stage
 from surrofe2.store.run_folder import RunRecord
 from surrofe2.workflow import check as checking
@@ -245,6 +244,8 @@ def study(
         out = folder / "comparison"
         several = len(folders) > 1
         comparison = compare_runs(folders, out, fresh=True) if several else None
+        from surrofe2.report.page import write_report  # here, since `check` needs no matplotlib
+
         page = write_report(folders, folder / REPORT)
         console.print_line(f"{page}: all of it on one page")
     if comparison is not None:

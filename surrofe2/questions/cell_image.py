@@ -25,7 +25,6 @@ from surrofe2.plant_cell.arrangement import make_arrangement
 from surrofe2.plant_cell.measurements import living_cell
 from surrofe2.plant_cell.parameters import LEAST_VARIATION, LIVING, CellParameters
 from surrofe2.plant_cell.tessellation import aspect_ratio, polygon_area
-from surrofe2.report.outlines import long_axes, outlines_figure
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
 from surrofe2.store.labelled_image import LINE, Labels
@@ -573,6 +572,9 @@ def shapes_table(cells: ImagedCells) -> Table[Any]:
 
 def picture(cells: ImagedCells, like: LikeCells | None = None) -> Figure:
     """Draw the outlines of the image's cells, beside them those of an RVE."""
+    # here, since the other commands on cells need no matplotlib
+    from surrofe2.report.outlines import long_axes, outlines_figure
+
     rve = None if like is None else polygons_at_rest(like.cell)
     axes = long_axes(cells.centre, cells.area, cells.aspect, cells.direction)
     return outlines_figure(cells.labels, cells.pixel, cells.number, axes, rve)
