@@ -84,6 +84,20 @@ def test_audits_wait_for_each_other_and_none_is_forgotten():
     assert audited + closing == sum(sizes()) > before
 
 
+@pytest.mark.parametrize(("points", "batch"), [(40, BATCH), (8192, 32), (10**5, 64)])
+def test_more_audits_of_a_large_tissue_wait_for_each_other(points, batch):
+    audit = Audit(Surrogate(), Truth(), fraction=8 / points, seed=0, tolerance=1.0)
+    F = np.eye(2) * np.ones((points, 1, 1))
+    numbers = np.arange(points)
+    is_due = False
+    step = 0
+    while not is_due:
+        is_due = audit.choose(step, numbers, F, 0 * F, F, np.zeros(points), wanted=0)
+        step += 1
+    waiting = len(audit.run().asked.step)
+    assert batch <= waiting < batch + 30  # those of one step are 8, give or take
+
+
 @pytest.mark.parametrize("steps", [5, 40, 200])
 def test_a_run_of_any_length_has_the_audits_of_the_plan(steps):
     """Of fewer answers all, of more the answers with the smallest draws, each as likely."""
