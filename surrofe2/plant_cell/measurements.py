@@ -15,7 +15,7 @@ from math import isclose, sqrt
 from typing import Any
 
 from surrofe2.base.errors import InputError, quoted
-from surrofe2.plant_cell.parameters import LIVING, CellParameters, LivingTissue
+from surrofe2.plant_cell.parameters import LIVING, WALL_DENSITY, CellParameters, LivingTissue
 
 MEASUREMENTS = tuple(item.name for item in fields(LivingTissue))
 """Names of what is measured, as recipes have them in [cell] beside a preset of living cells."""
@@ -31,8 +31,6 @@ DETERMINED: dict[str, tuple[str, ...]] = {
 RESOLUTION = ("wall_springs_per_side", "fluid_particles_per_side", "tissue_thickness")
 """Constants that say how finely a tissue is resolved and how thick a layer of it is computed. They
 leave a measured tissue as it is."""
-_WALL_DENSITY = 1.1e-3
-"""Density of a wet wall, ng/µm³, as `LivingTissue` has it."""
 _USUAL = 1e-6
 """Relative difference up to which contacts of SPH fluid are those of living cells."""
 
@@ -161,7 +159,7 @@ def measurements_of(cell: CellParameters) -> dict[str, float]:
     those of living cells has no turgor here: it depends on where its particles rest.
     """
     thickness = cell.tissue_thickness
-    cross_section = cell.wall_particle_mass / _WALL_DENSITY / cell.spring_length
+    cross_section = cell.wall_particle_mass / WALL_DENSITY / cell.spring_length
     values = {
         "cell_size": cell.cell_side,
         "turgor": even_pressure(cell),

@@ -392,7 +392,7 @@ class LivingTissue:
         spring = side / springs
         # a wall is that of two plant cells
         cross_section = 2.0 * self.wall_thickness * thickness
-        wall_particle = _WALL_DENSITY * cross_section * spring
+        wall_particle = WALL_DENSITY * cross_section * spring
         # two of the four walls of a square and one of its corners are its own; 1 kg/m³ is
         # 1e-6 ng/µm³
         fluid_mass = 1e-6 * self.density * side**2 * thickness - (2 * springs - 1) * wall_particle
@@ -417,7 +417,7 @@ class LivingTissue:
         )
 
 
-_WALL_DENSITY = 1.1e-3
+WALL_DENSITY = 1.1e-3
 """Density of a wet wall, ng/µm³: two thirds water, one third polysaccharides of 1500 kg/m³."""
 _REPULSION = 1.2
 """Contact force at the length of a spring, over the tension of the walls; it is not measured, but
