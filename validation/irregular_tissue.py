@@ -20,7 +20,7 @@ from surrofe2.report.study import NamedCell, Study
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.store.samples import kept_reference
 from validation.bars import ABSOLUTE_TOLERANCE, BAR, RELATIVE_TOLERANCE
-from validation.case import FE2, TISSUE, Case, Row, Setting, compare, curves_of, off_panel
+from validation.case import FE2, SURFACE, TISSUE, Case, Row, Setting, compare, curves_of, off_panel
 from validation.tissues import ALONG, DURATION, RAMP, STRIP
 
 PER_RVE, SEEDS = 16, (1, 2, 3)
@@ -117,6 +117,8 @@ def cases(of: NamedCell, sizes: Sequence[int] = ACROSS) -> list[Case]:
             meshes = (COARSE, FINE) if is_quick else (COARSE,)
             found.append(bar(each, name, TISSUE))
             found += [bar(each, name, FE2, mesh) for mesh in meshes]
+            if each.cell.cells == 1:  # the surface law is of one square plant cell
+                found.append(bar(each, name, SURFACE))
         found += [strip(each, n, way) for n in sizes for way in (TISSUE, FE2)]
     return found
 
