@@ -51,10 +51,10 @@ def identified(data):
 def main():
     """Identify from 1 % of noise, print and draw."""
     data = measured(600, 0.01)
-    found = identified(data)
-    values = np.exp(found.x)
-    spread = 0.01 * np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
-    print(f"{found.nfev} stresses, {found.njev} gradients")
+    fit = identified(data)
+    values = np.exp(fit.x)
+    spread = 0.01 * np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))
+    print(f"{fit.nfev} stresses, {fit.njev} gradients")
     for name, true, guess, value, error in zip(NAMES, TRUE, GUESS, values, spread, strict=True):
         off = 100.0 * (value / true - 1.0)
         print(f"{name}: from {guess:g} to {value:.5g}, true {true:g}: {off:+.2f} %, "

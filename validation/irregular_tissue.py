@@ -3,8 +3,9 @@
 Bars of 16 × 16 plant cells bend under the paper's load and under a tenth of it, by which FE²
 oscillates about its state of rest; strips of 16 plant cells along and n across are pulled by 3 %
 and held. Sides are whole RVEs at rest, so that tissue and mesh have one area. FE² has RVEs on the
-slow manifold. Of Voronoi cells each seed is an arrangement of its own, for RVE and tissue alike:
-the table ends with mean and standard deviation over seeds.
+slow manifold, for bars of squares also with the surface law. Of Voronoi cells each seed is an
+arrangement of its own, for RVE and tissue alike: the table ends with mean and standard deviation
+over seeds.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ BENDING_MEASURES = "first minimum", "period", "decrement"
 
 def kinds_of(of: NamedCell, seeds: Sequence[int] = SEEDS) -> list[NamedCell]:
     """Voronoi cells of each seed, and squares, all with a uniform fluid."""
-    found = [
+    voronoi = [
         replace(
             of.cell, arrangement="voronoi", cells=PER_RVE, arrangement_seed=seed, fluid="uniform"
         )
@@ -48,7 +49,7 @@ def kinds_of(of: NamedCell, seeds: Sequence[int] = SEEDS) -> list[NamedCell]:
     ]
     names = [f"{of.name}, Voronoi {seed}" for seed in seeds]
     squares = replace(of.cell, fluid="uniform")
-    named = zip([*found, squares], [*names, f"{of.name}, {SQUARES}"], strict=True)
+    named = zip([*voronoi, squares], [*names, f"{of.name}, {SQUARES}"], strict=True)
     return [NamedCell(cell, name, of.source) for cell, name in named]
 
 
@@ -110,17 +111,17 @@ def strip(of: NamedCell, n: int, method: str) -> Case:
 
 def cases(of: NamedCell, sizes: Sequence[int] = ACROSS) -> list[Case]:
     """All runs of bars and strips of each arrangement."""
-    found = []
+    of_all = []
     for each in kinds_of(of):
         for name in FACTORS:
             is_quick = name == SMALL or each.cell.cells == 1
             meshes = (COARSE, FINE) if is_quick else (COARSE,)
-            found.append(bar(each, name, TISSUE))
-            found += [bar(each, name, FE2, mesh) for mesh in meshes]
+            of_all.append(bar(each, name, TISSUE))
+            of_all += [bar(each, name, FE2, mesh) for mesh in meshes]
             if each.cell.cells == 1:  # the surface law is of one square plant cell
-                found.append(bar(each, name, SURFACE))
-        found += [strip(each, n, way) for n in sizes for way in (TISSUE, FE2)]
-    return found
+                of_all.append(bar(each, name, SURFACE))
+        of_all += [strip(each, n, way) for n in sizes for way in (TISSUE, FE2)]
+    return of_all
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +154,7 @@ LINES: tuple[Quantity[Line], ...] = (
 
 def lines_of(rows: Sequence[Row]) -> list[Line]:
     """Rows of FE², and behind them mean and standard deviation over the seeds of each problem."""
-    found = []
+    lines = []
     seeds: dict[tuple[str, int, str, str], list[float]] = {}
     for row in rows:
         if row.off is None:
@@ -161,15 +162,15 @@ def lines_of(rows: Sequence[Row]) -> list[Line]:
         problem, _, cells = row.case.problem.rpartition(", ")
         problem = problem.rpartition(", ")[0]
         what = row.case.across, row.run_name, row.measure
-        found.append(Line(problem, cells, *what, row.value, row.tissue, row.off))
+        lines.append(Line(problem, cells, *what, row.value, row.tissue, row.off))
         if cells != SQUARES:
             seeds.setdefault((problem, *what), []).append(row.off)
     for (problem, across, run, measure), off in seeds.items():
         if len(off) > 1:
             mean, scatter = float(np.mean(off)), float(np.std(off, ddof=1))
             name = f"Voronoi, {len(off)} seeds"
-            found.append(Line(problem, name, across, run, measure, None, None, mean, scatter))
-    return found
+            lines.append(Line(problem, name, across, run, measure, None, None, mean, scatter))
+    return lines
 
 
 def irregular_tissue(setting: Setting) -> Study:

@@ -37,17 +37,17 @@ if __name__ == "__main__":
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")
     curves, moduli = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
     for arrangement, dashes in DRAWN.items():
-        found = []
+        slopes = []
         for turgor, colour in zip(TURGORS, PALETTE, strict=False):
             strain, stress, buckled = pressed(turgor, arrangement)
             first = np.flatnonzero(buckled > 0)[:1]
-            found.append(stress[1] / strain[1])
+            slopes.append(stress[1] / strain[1])
             begins = "".join(f", first buckling at {100 * strain[k]:.3g} %" for k in first)
-            print(f"{arrangement}, {turgor} MPa: modulus {found[-1]:.3g} MPa{begins}")
+            print(f"{arrangement}, {turgor} MPa: modulus {slopes[-1]:.3g} MPa{begins}")
             name = f"{turgor:g} MPa" if arrangement == "hexagon" else None
             curves.plot(100 * strain, stress, dashes, color=colour, label=name)
             curves.plot(100 * strain[first], stress[first], "o", color=colour, zorder=3)
-        moduli.plot(TURGORS, found, f"{dashes}o", color="0.3", label=f"{arrangement}s")
+        moduli.plot(TURGORS, slopes, f"{dashes}o", color="0.3", label=f"{arrangement}s")
     curves.set(xlabel="Compression (%)", ylabel="Stress (MPa)", ylim=(0.0, None))
     curves.set_title(
         "hexagons: full lines, squares: dashes, dot: cells begin to buckle", fontsize=9

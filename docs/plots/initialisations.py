@@ -30,13 +30,15 @@ def path(t):
 
 def stress_along(name, times):
     """(m, 2, 2) MPa by an initialisation, each point from the state of the one before."""
-    law, state, found = RveLaw(CELL, initialisation=name), None, []
+    law = RveLaw(CELL, initialisation=name)
+    state = None
+    stresses = []
     for t in times:
         F, F_dot = path(t)
         answer = law.respond(F[None], F_dot[None], state)
         state = answer.state
-        found.append(answer.stress[0] / CELL.tissue_thickness)
-    return np.array(found)
+        stresses.append(answer.stress[0] / CELL.tissue_thickness)
+    return np.array(stresses)
 
 
 def draw_errors():

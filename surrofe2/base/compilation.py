@@ -92,8 +92,8 @@ kernel = compiled()
 # Decorator of a kernel whose `numba.prange` loops run on all cores.
 parallel_kernel = compiled(parallel=True)
 
-# Decorator of a kernel whose call is all that such a loop does. It is optimised as a part of the
-# loop: before that, too, would only take time.
+# Decorator of a kernel that is the whole body of such a loop. It is optimised with the loop alone,
+# since to optimise it before that only takes time.
 loop_body = compiled(is_loop_body=True)
 
 # Decorator of a formula that is written out where kernels use it.

@@ -43,14 +43,14 @@ class KernelCode(JITCodeLibrary):
 
     _shared_module: Any
     _has_machine_code = False
-    # bitcode that the cache has kept beside machine code
+    # the code, as LLVM's bitcode, of a library that the cache has kept with its machine code
     _kept_code = b""
 
     def _optimize_final_module(self) -> None:
-        """Optimise the code, but for that of a loop's body: the whole kernel is, later.
+        """Optimise the code, unless it is of a loop's body, which is optimised with the kernel.
 
-        Functions are optimised on their own, too, before they are copied. Without that compilation
-        would take a third less, but the last digits of stresses would be others.
+        All others are optimised before they are copied, too. Without that, compilation would take
+        a third less, but the last digits of stresses would change.
         """
         if not _is_of_loop_body(self.name):
             super()._optimize_final_module()
@@ -81,7 +81,7 @@ class KernelCode(JITCodeLibrary):
 
     @classmethod
     def _unserialize(cls, codegen: Any, kept: Any) -> KernelCode:
-        """Make of what the cache keeps the library that it was."""
+        """Return the library of which the cache keeps this."""
         name, kind, data = kept
         if kind == "bitcode":
             return super()._unserialize(codegen, kept)

@@ -27,9 +27,9 @@ from surrofe2.run.journal import part_of, within
 
 # Audits wait until there are so many: RVEs are solved several at once for little more than one.
 BATCH = 16
-# Of a large tissue more wait, one for so many of its points, at most `_LARGEST_BATCH`: its next
-# steps bring them at once.
-_POINTS_AN_AUDIT = 256
+# In a large tissue more of them wait: one per so many points, but at most `_LARGEST_BATCH`. A few
+# steps bring as many.
+_POINTS_PER_AUDIT = 256
 _LARGEST_BATCH = 64
 # Errors are counted in logarithmic bins from 1e-12 to 1e6 µN/µm. A quantile is the upper edge of
 # its bin: at most 4.7 % too large, never too small.
@@ -347,7 +347,7 @@ class Audit:
             if len(self._spare.step) > 2 * max(short, AUDITS):
                 self._spare = self._smallest(short)
                 self._below = float(self._spare.draw.max())
-        batch = min(max(BATCH, len(F) // _POINTS_AN_AUDIT), _LARGEST_BATCH)
+        batch = min(max(BATCH, len(F) // _POINTS_PER_AUDIT), _LARGEST_BATCH)
         return len(self._waiting.step) >= batch
 
     def begin(self) -> None:

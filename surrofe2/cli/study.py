@@ -211,6 +211,8 @@ def study(
 
     Before a long one: surrofe2 check data/bending-bar.toml
     """
+    from surrofe2.report.page import write_report  # here, since `check` needs no matplotlib
+
     if true is not None and without_true:
         raise InputError("--true: not with --without-true; leave one of them out")
     stated = open_study(recipe, threads)
@@ -244,8 +246,6 @@ def study(
         out = folder / "comparison"
         several = len(folders) > 1
         comparison = compare_runs(folders, out, fresh=True) if several else None
-        from surrofe2.report.page import write_report  # here, since `check` needs no matplotlib
-
         page = write_report(folders, folder / REPORT)
         console.print_line(f"{page}: all of it on one page")
     if comparison is not None:

@@ -166,7 +166,7 @@ class WatchedLaw:
         self.density = law.density
         self.has_tangents = law.has_tangents
         self.note = note
-        # asked once: Python takes long to tell
+        # asked once, since `isinstance` of a protocol takes long
         self._learning = law if isinstance(law, LearningLaw) else None
 
     def respond(

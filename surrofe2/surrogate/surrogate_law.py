@@ -132,22 +132,24 @@ class SurrogateLaw(Viewed):
             slopes = self.tangents(F, F_dot)
             slopes.P_by_F[status != 0] = np.nan
             slopes.P_by_F_dot[status != 0] = np.nan
-        reasons = {}
-        if status.any():
-            outside = np.flatnonzero(status == Status.OUT_OF_RANGE)
-            # the first point alone gets a reason: a message names one, and each takes its time
-            for first in outside[:1].tolist():
-                reasons[first] = self._reason_outside(F[[first]], F_dot[[first]])
+        reasons = self._reasons_outside(F, F_dot, status) if status.any() else {}
         effort = {"surrogate_points": len(F)}
         return StressResponse(stress, status, state, effort, slopes, reasons=reasons)
 
-    def _reason_outside(self, F: Array, F_dot: Array) -> str:
-        """Say why one point, F and F_dot (1, 2, 2), is outside the range or the domain."""
-        (quantity,), (value,), (bound,) = farthest_out(self.range, F, F_dot)
+    def _reasons_outside(self, F: Array, F_dot: Array, status: NDArray[np.int8]) -> dict[int, str]:
+        """Say why the first point that is out of range is so, by its number; {} if none is.
+
+        A message names one point, and each reason takes its time.
+        """
+        outside = np.flatnonzero(status == Status.OUT_OF_RANGE)
+        if not len(outside):
+            return {}
+        first = int(outside[0])
+        (quantity,), (value,), (bound,) = farthest_out(self.range, F[[first]], F_dot[[first]])
         is_in_range = quantity < 0
         if is_in_range:
-            return "beyond the failure boundary, where samples have no stress"
-        return out_of_range(QUANTITIES[quantity], value, bound)
+            return {first: "beyond the failure boundary, where samples have no stress"}
+        return {first: out_of_range(QUANTITIES[quantity], value, bound)}
 
     def tangents(self, F: Array, F_dot: Array) -> Tangents:
         """Compute ∂P/∂F and ∂P/∂Ḟ of the surrogate, exactly; no range is tested.

@@ -80,7 +80,7 @@ def usual_torch() -> Iterator[None]:
     after the block.
     """
     cpu = torch.device("cpu")
-    # torch asks a device of a `with` at each operation, which takes a sixth of the training
+    # a device that is in force is asked at each operation, which takes a sixth of the training
     on_cpu = nullcontext() if torch.get_default_device() == cpu else cpu
     dtype = torch.get_default_dtype()
     torch.set_default_dtype(torch.float32)

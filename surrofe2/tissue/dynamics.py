@@ -158,7 +158,8 @@ class TissueDynamics:
         driven = self.driven
         bodies = self.bodies
         # all tiles but the last, which never changes
-        self._particles.v[:-1, :, : self.tissue.own] = self.tissue.to_tiles(velocity)
+        tissue = self.tissue
+        self._particles.v[:-1, :, : tissue.particles_per_period] = tissue.to_tiles(velocity)
         v_driven = rates[driven.motion] * driven.largest
         self._particles.v[tuple(driven.at.T)] = v_driven
         is_driven = bodies.motion >= 0
@@ -272,7 +273,7 @@ class TissueDynamics:
         """
         tissue = self.tissue
         tiles = self.tissue.tiles
-        particles = self.tissue.own
+        particles = self.tissue.particles_per_period
         own_x = tissue.to_tiles(x, tissue.start)
         if listed is None:
             listed = own_x

@@ -96,7 +96,8 @@ class Tissue:
         column_row: (places, 2) column and row of the period in each lane, counted from the first
             place; NONE for an empty place.
         place: (columns, rows) place of each period, or NONE.
-        start: (tiles, 2, own, TILE) positions from the repeated reference state, µm.
+        start: (tiles, 2, own, TILE) positions from the repeated reference state, µm; here and in
+            all shapes of this package `own` stands for `particles_per_period`.
         mass: (tiles, own, TILE) ng; 0 where there is no particle.
         walls: number of a period's own wall particles; they come first.
         address: (particles, 3) tile, own particle and lane; walls of all cells, then fluid.
@@ -127,7 +128,7 @@ class Tissue:
         return len(self.start)
 
     @property
-    def own(self) -> int:
+    def particles_per_period(self) -> int:
         """Number of particles that a period owns."""
         return self.start.shape[2]
 
@@ -149,7 +150,7 @@ class Tissue:
         """
         lattice = self.references[0].lattice
         period = (self.column_row + self.lowest + self.origin) @ lattice.T
-        places = np.full((len(period), 2, self.own), np.inf)
+        places = np.full((len(period), 2, self.particles_per_period), np.inf)
         walls = self.arrangement.wall_position @ stretch_of(self.arrangement, lattice).T
         places[..., : self.walls] = walls.T + period[:, :, None]
         return self.to_particles(pack(places))
@@ -164,8 +165,8 @@ class Tissue:
 
         (tiles, 2, own, TILE) becomes (particles, 2).
         """
-        tile, own, lane = self.address.T
-        return np.ascontiguousarray(tiles[tile, ..., own, lane])
+        tile, particle, lane = self.address.T
+        return np.ascontiguousarray(tiles[tile, ..., particle, lane])
 
     def to_tiles(self, values: Array, missing: Array | float = 0.0) -> Array:
         """Put values (particles, 2) into tiles (tiles, 2, own, TILE).
@@ -174,16 +175,16 @@ class Tissue:
         """
         tiles = np.empty(self.start.shape)
         tiles[:] = missing
-        tile, own, lane = self.address.T
-        tiles[tile, :, own, lane] = values
+        tile, particle, lane = self.address.T
+        tiles[tile, :, particle, lane] = values
         return tiles
 
     @property
     def number(self) -> Index:
         """Number of each particle (places, own), NONE where there is none."""
-        tile, own, lane = self.address.T
-        number = np.full((len(self.column_row), self.own), NONE)
-        number[tile * TILE + lane, own] = np.arange(len(self.address))
+        tile, particle, lane = self.address.T
+        number = np.full((len(self.column_row), self.particles_per_period), NONE)
+        number[tile * TILE + lane, particle] = np.arange(len(self.address))
         return number
 
     def kinds_at(self, cell: Index, shift: Index) -> Index:
@@ -342,10 +343,10 @@ def make_tissue(
     place[tuple(column_row[filled].T)] = filled
 
     walls = arrangement.walls
-    own = arrangement.particles
+    per_period = arrangement.particles
     mass = _masses(types, arrangement, members, kind, column_row, lowest)
     types_of = _kinds_at(kind, column_row, lowest, members.cell, members.shift)
-    type_of_particle = np.zeros((len(column_row), own), dtype=np.int64)
+    type_of_particle = np.zeros((len(column_row), per_period), dtype=np.int64)
     # a wall between two types starts where that of the first of its plant cells does
     # the first plant cell comes last here, so that it wins
     for row in reversed(range(len(members.particle))):
@@ -353,7 +354,7 @@ def make_tissue(
         type_of_particle[is_there, members.particle[row]] = types_of[is_there, row]
     at_rest = np.stack([reference.position for reference in references])
     shift = (column_row + lowest + np.array(origin)) @ references[0].lattice.T
-    start = at_rest[type_of_particle, np.arange(own)] + shift[:, None]
+    start = at_rest[type_of_particle, np.arange(per_period)] + shift[:, None]
     missing = mass == 0.0
     # on the other side than images of nothing, which `dynamics` puts at +NOWHERE
     start[missing] = -NOWHERE - _APART * np.arange(missing.sum())[:, None]

@@ -464,7 +464,7 @@ class PairLister:
             next_shifts=np.flatnonzero((_RINGS_OF == 1) & (np.arange(len(SHIFTS)) < _AHEAD)),
             exists=exists,
             per_count=exists.any(axis=1) / np.maximum(exists.sum(axis=1), 1.0),
-            particles=tissue.own,
+            particles=tissue.particles_per_period,
             walls=tissue.walls,
             fluid_pairs=np.concatenate([np.empty((0, 2)), *fluid_pairs]).astype(np.int32),
             rim_start=np.cumsum([0, *map(len, rims)]),
@@ -572,7 +572,7 @@ class PairLister:
                 so close that lists could miss a pair.
         """
         tissue = self._tissue
-        own = tissue.own
+        per_period = tissue.particles_per_period
         self._check_apart(x)
         contacts = self._contacts(x)
         bonded = self._kinds.bonds[self._bond]
@@ -585,15 +585,15 @@ class PairLister:
         shift = np.concatenate([bonded[:, 2], contacts.shift, self._around_shift[rim]])
         # those of other periods become images, each of which a tile has once
         is_image = shift > 0  # shift 0 is (0, 0)
-        shape = tissue.tiles, len(SHIFTS), own
+        shape = tissue.tiles, len(SHIFTS), per_period
         key = np.ravel_multi_index((tile, shift, j), shape)[is_image]
         images, number = np.unique(key, return_inverse=True)
         image_tile, image_shift, owner = np.unravel_index(images, shape)
         image_starts = self._starts(image_tile)
-        image = own + np.arange(len(images)) - image_starts[image_tile]
+        image = per_period + np.arange(len(images)) - image_starts[image_tile]
         j[is_image] = image[number]
         j_bond, j_contact, local_rims = np.split(j, np.cumsum([len(bonded), len(contacts.j)]))
-        local = own + int(np.diff(image_starts).max())
+        local = per_period + int(np.diff(image_starts).max())
         # flat index of the tile behind all: particles that stay where they are, and a force that
         # is always zero
         nowhere = tissue.tiles * 2 * local * TILE
@@ -602,9 +602,9 @@ class PairLister:
         source = (owner_tile * 2 * local + owner[:, None]) * TILE + owner_lane
         force = (image_tile * 2 * local + image)[:, None] * TILE + np.arange(TILE)
         exists = (place >= 0) & (self.cells.exists[owner_tile, owner[:, None], owner_lane] > 0.0)
-        particle = (owner_tile * own + owner[:, None]) * TILE + owner_lane
+        particle = (owner_tile * per_period + owner[:, None]) * TILE + owner_lane
         row, fold_source = _folded(particle[exists], force[exists], nowhere)
-        fold_tile, fold = np.divmod(row, own)
+        fold_tile, fold = np.divmod(row, per_period)
         starts = np.empty((tissue.tiles + 1, 4), dtype=np.int64)
         starts[:, OF_IMAGES] = image_starts
         starts[:, OF_BONDS] = self._starts(self._bond_tile)
@@ -627,19 +627,19 @@ class PairLister:
         tissue = self._tissue
         kinds = self._kinds
         walls = tissue.walls
-        tile, own, lane = tissue.address.T
+        tile, particle, lane = tissue.address.T
         place = tile * TILE + lane
         position = tissue.to_particles(x)
         # pairs of particles p, q that may be within reach
         # the largest reach that any two rings have; each pair is measured against its own below
         farthest = tissue.cell.repulsion_cutoff + RINGS * self._skin
         pairs = scipy.spatial.cKDTree(position).query_pairs(farthest, output_type="ndarray")
-        both_fluid = (own[pairs] >= walls).all(axis=1)
+        both_fluid = (particle[pairs] >= walls).all(axis=1)
         p, q = pairs[~both_fluid].T
         # turned so that the shift does not lead back, and within a place fluid comes before walls,
         # and of two walls the lower one first
         shift = tissue.column_row[place[q]] - tissue.column_row[place[p]]
-        rank = np.where(own >= walls, -1, own)
+        rank = np.where(particle >= walls, -1, particle)
         is_same_place = (shift == 0).all(axis=1)
         is_turned = _lead_back(shift) | (is_same_place & (rank[p] > rank[q]))
         first = np.where(is_turned, q, p)
@@ -650,8 +650,8 @@ class PairLister:
         reach = tissue.cell.repulsion_cutoff + self._skin * np.maximum(rings, 1)
         is_near = (rings <= RINGS) & (distance <= reach)
         first = first[is_near]
-        i = own[first]
-        j = own[second[is_near]]
+        i = particle[first]
+        j = particle[second[is_near]]
         key = kinds.key(i, j, number_of(shift[is_near]))
         has_fluid = (i >= walls) | (j >= walls)
         acts = np.where(has_fluid, kinds.may_touch(key), ~kinds.are_bonds(key))
@@ -659,9 +659,10 @@ class PairLister:
         tile_of_contact = tile[first][acts]
         # once for each tile, ordered by tile, then along straight walls or not, then by key
         is_off_line = kinds.line(key) == _NO_LINE
-        kinds_of_pairs = tissue.own**2 * len(SHIFTS)
+        per_period = tissue.particles_per_period
+        kinds_of_pairs = per_period**2 * len(SHIFTS)
         every = np.unique((2 * tile_of_contact + is_off_line) * kinds_of_pairs + key)
-        shape = tissue.tiles, 2, tissue.own, tissue.own, len(SHIFTS)
+        shape = tissue.tiles, 2, per_period, per_period, len(SHIFTS)
         tile_of_contact, _, i, j, number = np.unravel_index(every, shape)
         return _Contacts(tile_of_contact, i, j, number, kinds.line(every % kinds_of_pairs))
 

@@ -181,7 +181,7 @@ def outlined_tissue(
         return tissue
     for _ in range(_SIZINGS):
         # rims number the particles of the whole image, of which the mesh may hold a part
-        position = np.zeros((tissue.own, 2))
+        position = np.zeros((tissue.particles_per_period, 2))
         position[tissue.address[:, 1]] = relax(TissueDynamics(tissue), _ROUGHLY * tension)
         areas = rim_areas(arrangement.rims, position, np.eye(2))
         relative_area = float(areas[is_inside].sum()) / wanted

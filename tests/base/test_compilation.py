@@ -262,51 +262,57 @@ def test_a_kernel_has_the_same_bits_whichever_was_compiled_or_read_before(module
     assert both == [again[2], *first]
 
 
-COUNTED = """
-from numba.core.codegen import JITCodeLibrary
-usual = JITCodeLibrary._finalize_specific
-made = []
-def counted(library):
-    made.append(library.name)
+NO_CODE = """
+from surrofe2.base import machine_code
+def parse_bitcode(code):
+    raise AssertionError("nothing copies this kernel")
+machine_code.parse_bitcode = parse_bitcode
+"""
+
+
+def test_a_kernel_that_the_cache_keeps_is_read_without_what_compilation_needs(module):
+    first = said(module, A, "print(inner(a).hex())")
+    again = said(module, NO_CODE, A, "print(inner(a).hex(), inner.stats.cache_hits.total())")
+    assert again == [*first, "1"]
+
+
+NOTED = """
+from numba.core.codegen import JITCodeLibrary, CPUCodeLibrary
+usual = {0}
+names = []
+def noted(library):
+    names.append(library.name)
     usual(library)
-JITCodeLibrary._finalize_specific = counted
+{0} = noted
 a = np.ones(3)
 """
+WITH_MACHINE_CODE = NOTED.format("JITCodeLibrary._finalize_specific")
+OPTIMISED = NOTED.format("CPUCodeLibrary._optimize_final_module")
 
 
 def test_machine_code_is_made_once_of_what_python_calls(module):
     """Of a loop over all cores and the kernel in it numba would make it four times."""
-    count, *rest = said(module, COUNTED, "all_doubled(a)", "print(len(made), *made, *a)")
+    count, *rest = said(
+        module, WITH_MACHINE_CODE, "all_doubled(a)", "print(len(names), *names, *a)"
+    )
     # one more is of a user's function, which numba does not know to be ours
     assert count == "2"
     assert {*rest[:2]} == {"of_a_user", "all_doubled"}
     assert rest[2:] == ["2.0"] * 3
 
 
-OPTIMISED = """
-from numba.core.codegen import CPUCodeLibrary
-usual = CPUCodeLibrary._optimize_final_module
-optimised = []
-def noted(library):
-    optimised.append(library.name)
-    usual(library)
-CPUCodeLibrary._optimize_final_module = noted
-a = np.ones(3)
-"""
-
-
 def test_the_body_of_a_loop_is_optimised_with_the_loop_alone(module):
     """Before that, too, it is only where Python calls it."""
-    names = said(module, OPTIMISED, "all_doubled(a)", "print(*optimised)")
+    names = said(module, OPTIMISED, "all_doubled(a)", "print(*names)")
     assert names.count("all_doubled") == names.count("of_a_user") == 1
     assert not any("doubled" in name for name in names if name != "all_doubled")
-    called = said(module, OPTIMISED, "all_doubled(a)", "doubled(a, 1)", "print(*optimised)")
+    called = said(module, OPTIMISED, "all_doubled(a)", "doubled(a, 1)", "print(*names)")
     assert called.count("doubled") == 1
 
 
 def test_what_a_kernel_calls_can_be_called_by_python_too(module):
     called = said(
-        module, COUNTED, "all_doubled(a)", "doubled(a, 1)", "print(of_a_user(4.0), *a)",
+        module, "a = np.ones(3)", "all_doubled(a)", "doubled(a, 1)", "print(of_a_user(4.0), *a)",
     )  # fmt: skip
     assert called == ["8.0", "2.0", "4.0", "2.0"]
 

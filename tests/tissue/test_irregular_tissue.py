@@ -96,8 +96,8 @@ F_DOT = np.array([[0.01, -0.004], [0.006, 0.008]])
 def repeated(unit, tissue, z, F, F_dot):
     """Positions and velocities of a tissue whose periods are all the RVE z at F, F_dot."""
     at = tissue.column_row + tissue.lowest + tissue.origin
-    tile, own, lane = tissue.address.T
-    places = z[own] + (at @ unit.reference.lattice.T)[tile * TILE + lane]
+    tile, particle, lane = tissue.address.T
+    places = z[particle] + (at @ unit.reference.lattice.T)[tile * TILE + lane]
     return places @ F.T, places @ F_dot.T
 
 
@@ -115,8 +115,8 @@ def test_a_tissue_that_moves_as_rves_has_their_forces_and_stress(unit):
         virials.append(-np.einsum("na,nb->ab", f, x))
     middle = tissue.place[tuple(np.array([3, 3]) - tissue.lowest)]
     inside = tissue.address[:, 0] * TILE + tissue.address[:, 2] == middle
-    own = tissue.address[inside, 1]
-    assert_near(f[inside], rve.force[0, own], 1e-10)
+    particle = tissue.address[inside, 1]
+    assert_near(f[inside], rve.force[0, particle], 1e-10)
     stress = 0.5 * (virials[2] - 2.0 * virials[1] + virials[0])
     stress /= np.linalg.det(F) * abs(np.linalg.det(unit.reference.lattice))
     assert_near(stress, rve.stress[0], 1e-9)

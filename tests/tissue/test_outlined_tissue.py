@@ -101,14 +101,14 @@ def test_a_pressure_on_the_outline_is_that_of_a_bath_unless_there_are_air_spaces
     pressed = dynamics.forces(amplitudes=np.ones(4)) - dynamics.forces(amplitudes=np.zeros(4))
     gradient = np.zeros_like(pressed)
     position = np.zeros_like(gradient)
-    own = tissue.address[:, 1]
-    position[own] = dynamics.x
+    particle = tissue.address[:, 1]
+    position[particle] = dynamics.x
     for rim, kind in zip(tissue.arrangement.rims, tissue.kind[0, 0], strict=True):
         around = position[rim[:, 0]]
         across = 0.5 * (np.roll(around, -1, axis=0) - np.roll(around, 1, axis=0))
         if kind == 0:
             np.add.at(gradient, rim[:, 0], across @ [[0.0, -1.0], [1.0, 0.0]])
-    difference = pressed + bath * gradient[own]
+    difference = pressed + bath * gradient[particle]
     if space:
         assert abs(difference).max() > 0.1 * abs(pressed).max()
     else:
