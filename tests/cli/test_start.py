@@ -53,6 +53,12 @@ def test_a_cached_run_imports_what_it_uses(changed_recipe, tmp_path):
     assert imported(COMMAND, idle, *words) == "heavy:"
 
 
+@pytest.mark.parametrize("command", ["moduli", "check"])
+def test_commands_that_draw_nothing_import_no_matplotlib(command, recipe_path):
+    words = ("moduli", "--cell", "printed") if command == "moduli" else ("check", recipe_path)
+    assert imported(COMMAND, "matplotlib", *words) == "heavy:"
+
+
 WITHOUT_TORCH = """
 import importlib.metadata, importlib.machinery
 known, found = importlib.metadata.version, importlib.machinery.PathFinder.find_spec

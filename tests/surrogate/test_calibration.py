@@ -389,6 +389,33 @@ def test_beyond_a_bifurcation_there_is_no_one_stress_but_back_on_the_branch_ther
     assert np.array_equal(found.stress[~lost], SoftLaw().respond(F, F_dot).stress[~lost])
 
 
+class Counting(KelvinVoigt):
+    """A law that counts the steps which it has committed."""
+
+    steps = 0
+
+    def accept(self, F, F_dot, response):
+        return self.commit(F, F_dot, self.check(F, F_dot, response))
+
+    def check(self, F, F_dot, response):
+        return response
+
+    def commit(self, F, F_dot, checked):
+        self.steps += 1
+        return checked
+
+
+def test_a_learning_law_that_is_watched_commits_what_all_regions_accept():
+    counting = Counting()
+    watched = WatchedLaw(counting, lambda F, F_dot: None)
+    other = failing(KelvinVoigt(), refuses=lambda F, F_dot: F[:, 0, 0] > 1.05)
+    law = RegionalLaw({"a": watched, "b": other}, {"a": np.arange(2), "b": np.arange(2, 4)})
+    for stretch in (1.01, 1.1, 1.04):
+        F = np.tile(np.diag([stretch, 1.0]), (4, 1, 1))
+        law.accept(F, 0.0 * F, law.respond(F, 0.0 * F))
+    assert counting.steps == 2
+
+
 @pytest.mark.parametrize("is_regional", [False, True])
 def test_only_ends_of_steps_that_nobody_rejects_are_noted(is_regional):
     """Neither the law that is watched, nor that of another region, rejects what is noted."""

@@ -53,6 +53,14 @@ def test_held_out_errors_are_those_on_fresh_data(law):
     assert max(law.errors["rms"].values()) < 2e-3  # sum, difference, shear and the small spin too
 
 
+def test_no_device_is_in_force_where_the_default_is_the_cpu(few):
+    """torch would ask it at every operation."""
+    modes = []
+    train(few, SMALL, progress=lambda *_: modes.append(torch._C._len_torch_function_stack()))
+    assert modes
+    assert not any(modes)
+
+
 @pytest.fixture
 def torch_settings():
     """torch as its user has set it; what it was holds again after the test."""
