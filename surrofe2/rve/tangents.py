@@ -21,7 +21,7 @@ import numba
 import numpy as np
 
 from surrofe2.base.compilation import kernel, loop_body, pair_law, parallel_kernel
-from surrofe2.base.simd import TILE, load, store
+from surrofe2.base.simd import TILE, load, spread, store
 from surrofe2.plant_cell.block_matrices import (
     COLUMNS,
     factorise,
@@ -39,7 +39,7 @@ KINDS = ("constrained-runs", "elastic", "cauchy-born")
 _ELASTIC = KINDS.index("elastic")
 _CAUCHY_BORN = KINDS.index("cauchy-born")
 REFINEMENTS = 30
-"""Most refinements of a solution; each adds three digits or more, except in crushed tissue."""
+"""Most directions of a refinement; each adds three digits or more, except in crushed tissue."""
 REFINED = 1e-12
 """Residual over the right-hand side at which refinement ends."""
 GOOD_ENOUGH = 1e-8
@@ -231,38 +231,84 @@ def refine(lu, right, solution, workspace, drive, topology, constants):
     """Correct the solution λ of Jᵀ λ = right, both (4, 2n − 2, TILE), until its residual is small.
 
     With a uniform fluid the matrix lacks contacts of far walls and a small part of the viscosity,
-    so lu solves only approximately. Residuals are computed by `stress_gradients`, which lacks
-    nothing. A lane whose residual stays large becomes NaN.
+    so lu solves only approximately. What it returns are directions of the generalised conjugate
+    residual method (Eisenstat, Elman and Schultz 1983, SIAM J. Numer. Anal. 20, 345): along each,
+    λ takes the step that makes the residual smallest. A lane whose residual stays large becomes
+    NaN.
     """
     has_uniform_fluid = topology.pressures > 0
     if not has_uniform_fluid:
         return
-    no_force = np.zeros_like(workspace.f)
     size = np.empty(TILE)
     size_of_load = np.empty(TILE)
-    before = np.full(TILE, np.inf)
     largest_of(right, size_of_load)
-    for _ in range(REFINEMENTS):
-        weights = np.zeros((COLUMNS, *workspace.x.shape))
-        subtract_columns(solution, topology, weights)
-        by_x, by_v = stress_gradients(workspace, weights, topology, constants)
-        # with weights −λ the slopes are −Jᵀ λ
-        residual = right + _pulled_back(by_x, by_v, no_force, drive, topology)
+    directions = np.empty((REFINEMENTS, *right.shape))
+    images = np.empty_like(directions)
+    residual = right.copy()
+    directions[0] = solution
+    solution[:] = 0.0
+    for k in range(REFINEMENTS):
+        direction = directions[k]
+        image = images[k]
+        if k > 0:
+            direction[:] = residual
+            solve_columns(lu, direction, topology, True)
+        image[:] = _transposed_product(direction, workspace, drive, topology, constants)
+        for j in range(k):
+            share = _share(image, images[j])
+            _subtract(share, directions[j], direction)
+            _subtract(share, images[j], image)
+        share = _share(residual, image)
+        _subtract(-share, direction, solution)
+        _subtract(share, image, residual)
         largest_of(residual, size)
-        # lanes in which refinement still helps; all are refined as long as there is one
-        under_way = 0
-        for lane in range(TILE):
-            if size[lane] > REFINED * size_of_load[lane] and size[lane] < 0.5 * before[lane]:
-                under_way += 1
-            before[lane] = size[lane]
-        if under_way == 0:
+        if (size <= REFINED * size_of_load).all():
             break
-        solve_columns(lu, residual, topology, True)
-        solution += residual
     for lane in range(TILE):
         # `not <=`, since the residual may be NaN
-        if not before[lane] <= GOOD_ENOUGH * size_of_load[lane]:
+        if not size[lane] <= GOOD_ENOUGH * size_of_load[lane]:
             solution[:, :, lane] = np.nan
+
+
+@kernel
+def _transposed_product(columns, workspace, drive, topology, constants):
+    """Return Jᵀ times the columns (4, 2n − 2, TILE), with every contact and all viscosity."""
+    no_force = np.zeros_like(workspace.f)
+    weights = np.zeros((COLUMNS, *workspace.x.shape))
+    subtract_columns(columns, topology, weights)
+    by_x, by_v = stress_gradients(workspace, weights, topology, constants)
+    # the weights are −columns
+    return -_pulled_back(by_x, by_v, no_force, drive, topology)
+
+
+@kernel
+def _share(columns, direction):
+    """Return Σ columns · direction / Σ direction², (4, TILE); both arguments are (4, rows, TILE)."""
+    shares = np.empty((COLUMNS, TILE))
+    squares = np.empty(TILE)
+    for m in range(COLUMNS):
+        product = spread(0.0)
+        square = spread(0.0)
+        for row in range(columns.shape[1]):
+            value = load(direction, m, row)
+            product += load(columns, m, row) * value
+            square += value * value
+        store(product, shares, m)
+        store(square, squares)
+        for lane in range(TILE):
+            # a column without load has no direction, and a share of 0
+            if squares[lane] > 0.0:
+                shares[m, lane] /= squares[lane]
+    return shares
+
+
+@kernel
+def _subtract(share, direction, columns):
+    """Subtract share (4, TILE) times the direction from the columns, both (4, rows, TILE)."""
+    for m in range(COLUMNS):
+        factor = load(share, m)
+        for row in range(columns.shape[1]):
+            store(load(columns, m, row) - factor * load(direction, m, row), columns, m, row)
 
 
 @kernel
