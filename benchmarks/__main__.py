@@ -15,7 +15,7 @@ from benchmarks.pages import write_figures
 from surrofe2.base.environment import take_process
 
 TOPICS = ("demo", "runs", "large", "solve", "tissue", "start", "trust")
-ON_REQUEST = ("examples", "ranks", "suites", "quarter", "grow")
+ON_REQUEST = ("examples", "ranks", "suites", "quarter", "grow", "press")
 BUSY = 0.5
 """Load average above which times are not to be trusted."""
 
@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "topics", nargs="*", metavar="TOPIC", choices=(*TOPICS, *ON_REQUEST, "tables"),
         help=f"of {', '.join((*TOPICS, *ON_REQUEST))}; default: all but the last "
-        "five; tables: measure nothing, write the stored figures into the pages",
+        "six; tables: measure nothing, write the stored figures into the pages",
     )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="less of everything, nothing stored")
     parser.add_argument("--out", type=Path, metavar="DIR", default=Path("out/bench").absolute())

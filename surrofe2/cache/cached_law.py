@@ -457,6 +457,13 @@ class CachedLaw(Viewed):
             stress, status, after, effort, all_tangents, switched, sources=sources
         )
 
+    def leaving(self, F: Array, F_dot: Array, state: CachedState) -> NDArray[np.int8] | None:
+        """Return which points the surrogate does not answer any more; see `ForesightLaw`."""
+        if state is None:
+            return None
+        _, switched, _ = look_up_free(self.surrogate, F, F_dot, state)
+        return switched if switched.any() else None
+
     def _sources(self, state: CachedState) -> Sources:
         """Return where an answer came from, by the state that it carries."""
         source = np.full(state.count, SURROGATE if self.table is None else TABLE, dtype=np.int8)

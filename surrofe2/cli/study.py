@@ -124,7 +124,7 @@ def check(
     )
     console.show_notes(scale.sap_notes(study))
     console.print_line(scale.particles_sentence(particles))
-    advised = checking.advised_law(study, by_rves)
+    advised = checking.advised_law(study, by_rves, at_rest=is_rest)
     advice = f"use --law {advised}"
     if is_rest and study.rest is None:
         advice = f"quasi-static: use `surrofe2 rest {recipe} --law {advised}`, or state [rest]"

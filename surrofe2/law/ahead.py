@@ -1,8 +1,8 @@
-"""Laws that learn where a step is about to go, so that fewer points leave their branch."""
+"""Laws that look where a step is about to go, so that little is computed in vain."""
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,13 @@ from surrofe2.law.stress_law import StressLaw
 
 @runtime_checkable
 class ForesightLaw(StressLaw, Protocol):
-    """A switching law that can learn at states where points of a trial step would leave it."""
+    """A switching law that knows before a trial step is computed which points will leave it."""
+
+    def leaving(self, F: Array, F_dot: Array, state: Any) -> NDArray[np.int8] | None:
+        """Return what `respond` would return as `StressResponse.switched`, at the cost of a lookup.
+
+        It repeats the step where points switch, so that their stresses would be computed in vain.
+        """
 
     def learn_ahead(self, F: Array, F_dot: Array, switched: NDArray[np.int8]) -> NDArray[np.int8]:
         """Learn at some of the points that `StressResponse.switched` marks.

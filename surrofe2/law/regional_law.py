@@ -139,6 +139,17 @@ class RegionalLaw(Viewed):
             answers.append(answer)
         return self._together(response, answers, parts)
 
+    def leaving(self, F: Array, F_dot: Array, state: Any) -> NDArray[np.int8] | None:
+        """Return which points will leave the laws that know it beforehand; see `ForesightLaw`."""
+        if state is None:
+            return None
+        switched = np.zeros(len(F), dtype=np.int8)
+        for (law, points), part in zip(self._parts, state, strict=True):
+            if isinstance(law, ForesightLaw):
+                codes = law.leaving(F[points], F_dot[points], part)
+                switched[points] = 0 if codes is None else codes
+        return switched if switched.any() else None
+
     def learn_ahead(self, F: Array, F_dot: Array, switched: NDArray[np.int8]) -> NDArray[np.int8]:
         """Let the laws that can learn at points that need it; see `ForesightLaw`."""
         unanswered = switched.copy()

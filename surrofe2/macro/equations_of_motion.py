@@ -179,6 +179,11 @@ class EquationsOfMotion:
             point = int(np.argmin(J > 0.0))
             reason = f"det F = {J[point]:.6g}; the element is inverted there"
             raise self.no_stress(t, point, F, reason)
+        # in explicit steps few points leave, and a second lookup would cost more than their RVEs
+        if tangents and isinstance(self.law, ForesightLaw):
+            leaving = self.law.leaving(F, F_dot, self.law_state)
+            if leaving is not None:
+                raise Switched(y, leaving)
         response = self._ask(F, F_dot, tangents)
         self.tally.counts["stress_calls"] += 1
         self.tally.counts["stress_points"] += len(F)

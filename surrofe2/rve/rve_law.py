@@ -227,9 +227,13 @@ class RveLaw(Viewed):
         solved = solve_rves(self.unit_cell, self.settings, drive, state, cold=cold)
         status = unpack(solved.status, points)
         stress = unpack(solved.answer.stress, points)
+        slopes = solved.tangents() if tangents else None
+        if slopes is not None:
+            # where tangents were asked for, a stress without them is no answer
+            lacks_tangents = ~np.isfinite(slopes.P_by_F).all(axis=(1, 2, 3, 4))
+            status[lacks_tangents & (status == Status.OK)] = Status.NOT_CONVERGED
         if status.any():
             stress[status != Status.OK] = np.nan
-        slopes = solved.tangents() if tangents else None
         left_points = solved.state.left_points
         return StressResponse(
             stress,

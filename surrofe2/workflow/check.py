@@ -534,11 +534,12 @@ def _seconds_per_solve(law: StressLaw, steps: list[tuple[Array, Array]], tangent
     return float(np.median(times[len(times) // 2 :]))
 
 
-def advised_law(recipe: Recipe, seconds: float) -> str:
+def advised_law(recipe: Recipe, seconds: float, *, at_rest: bool = False) -> str:
     """Advise a law for the first run: the one by which it probably ends first.
 
     Args:
         seconds: what a run by RVEs takes, as of `seconds_by_rves`.
+        at_rest: whether it is a rest by load steps.
     """
     cells = recipe.cells.values()
     has_files = all(cell.samples.file and cell.training_file for cell in cells)
@@ -551,13 +552,16 @@ def advised_law(recipe: Recipe, seconds: float) -> str:
     # A short run by RVEs ends before anything is learnt.
     if seconds < _SECONDS_TO_LEARN:
         return "rve"
+    # A table learns during the run, but not with every solver of RVEs.
+    takes_table = not study_faults(recipe, ("table",))
+    # A table of a rest learns from some thousand RVEs on its path, a surrogate from as many and
+    # minutes of training.
+    if at_rest and takes_table:
+        return "table"
     # The recipe names files for data and training, so its author wants a surrogate.
     if has_files:
         return "cached"
-    # A table learns during the run, but not with every solver of RVEs.
-    if study_faults(recipe, ("table",)):
-        return "rve"
-    return "table"
+    return "table" if takes_table else "rve"
 
 
 def proposed_range(met: MetRange, margin: float = MARGIN) -> SamplingRange:

@@ -57,12 +57,14 @@ class TimeScales:
             `wave`; infinite where nothing holds it, so that it has no rest.
         load: time in which the fastest load or motion grows; 0 of a sudden one, infinite without
             any.
+        by_load_steps: True if the recipe computes the rest by load steps, without time.
     """
 
     cell: float
     wave: float
     swing: float
     load: float
+    by_load_steps: bool = False
 
     @property
     def is_slow(self) -> bool:
@@ -79,9 +81,12 @@ class TimeScales:
         if self.load > 0.0:
             load = f"the fastest load takes {self.load:.3g} µs"
         verdict = "quasi-static: use rest" if self.is_slow else "dynamic"
+        method = f"{load}: {verdict}"
+        if self.by_load_steps:
+            method = "the recipe asks for the rest, in whose load steps time has no part"
         return (
             f"a wave crosses a plant cell in {self.cell:.3g} µs and the tissue in {self.wave:.3g} "
-            f"µs, {swings}; {load}: {verdict}"
+            f"µs, {swings}; {method}"
         )
 
 
@@ -98,7 +103,13 @@ def time_scales(recipe: Recipe, problem: Problem, law: StressLaw) -> TimeScales:
     wave = float((high - low).max() / speed)
     side = max(cell.parameters.cell_side for cell in recipe.cells.values())
     swing = max(4.0 * wave, _slowest_period(recipe, problem, law))
-    return TimeScales(cell=side / speed, wave=wave, swing=swing, load=_fastest(problem))
+    return TimeScales(
+        cell=side / speed,
+        wave=wave,
+        swing=swing,
+        load=_fastest(problem),
+        by_load_steps=recipe.rest is not None,
+    )
 
 
 def _slowest_period(recipe: Recipe, problem: Problem, law: StressLaw) -> float:

@@ -42,9 +42,9 @@ def learning():
     return CachedLaw(table, Truth(), CacheSettings(tolerance=0.006, audit=0.1))
 
 
-def in_two_regions():
+def in_two_regions(make=untrustworthy):
     points = {"left": np.arange(0, 30), "right": np.arange(30, 60)}
-    return RegionalLaw({name: untrustworthy() for name in points}, points)
+    return RegionalLaw({name: make() for name in points}, points)
 
 
 @pytest.fixture(scope="module")
@@ -119,10 +119,28 @@ def test_a_table_learns_within_a_load_step_instead_of_leaving_points_to_rves():
     law.table.learn_rest()
     rest = find_rest(LOAD_CASE, law, SETTINGS, factor=2.0, load_steps=1)
     assert law.counts["fallbacks"] == 0
+    assert rest.effort["fallbacks"] == 0  # nor in trials before the table had learnt
     assert 0 < law.table.counts["table_rve_solves"] < 9 * 40
     assert law.table.size < 40
     true = find_rest(LOAD_CASE, Truth(), SETTINGS, factor=2.0, load_steps=1)
     assert abs(rest.u - true.u).max() < 2e-3 * abs(true.u).max()
+
+
+def test_trials_that_tables_of_two_regions_do_not_answer_yet_cost_no_rves():
+    law = in_two_regions(learning)
+    for each in law.laws.values():
+        each.table.learn_rest()
+    rest = find_rest(LOAD_CASE, law, SETTINGS, factor=2.0, load_steps=1)
+    assert rest.effort["fallbacks"] == 0
+    assert rest.effort["hits"] == rest.counts["stress_points"] > 0
+    state = rest.law_state
+    F_dot = np.zeros_like(rest.F)
+    far = rest.F + 0.02 * np.eye(2)
+    expected = law.respond(far, F_dot, state).switched
+    np.testing.assert_array_equal(law.leaving(far, F_dot, state), expected)
+    assert expected.any()
+    assert law.leaving(rest.F, F_dot, state) is None
+    assert law.leaving(far, F_dot, None) is None
 
 
 def test_points_where_nothing_can_be_learnt_are_left_to_rves():

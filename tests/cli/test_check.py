@@ -185,6 +185,7 @@ def test_the_time_by_rves_is_solves_times_a_solve(recipe_path, monkeypatch, stan
 def test_the_advice(recipe, changed_recipe, request):
     assert check.advised_law(recipe, 10.0) == "rve"  # done before a surrogate is trained
     assert check.advised_law(recipe, 1000.0) == "cached"
+    assert check.advised_law(recipe, 1000.0, at_rest=True) == "table"  # without training
     request.getfixturevalue("trained")
     assert check.advised_law(recipe, 10.0) == "cached"  # it is there
     without = load_recipe(changed_recipe('file = "cells-surrogate.h5"\n', ""))

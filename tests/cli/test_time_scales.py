@@ -99,6 +99,16 @@ def test_a_sudden_load_is_never_slow(stand_in, recipe):
     assert "the loads are sudden: dynamic" in scales.sentence
 
 
+def test_a_recipe_of_a_rest_is_not_said_to_be_dynamic(stand_in, written):
+    """Its motion has no amplitude, and would be sudden in time."""
+    stand_in(SquareLaw)
+    path = pulled(written, 10.0)
+    text = path.read_text(encoding="utf-8").partition("[time]")[0] + "[rest]\nload_steps = 3\n"
+    scales = check.scales_of(load_recipe(written(text)))
+    assert "in whose load steps time has no part" in scales.sentence
+    assert "dynamic" not in scales.sentence
+
+
 def test_check_tries_a_rest_where_loads_are_slow(invoke, written):
     path = pulled(written, 1e6)
     done = invoke("check", path, law=SquareLaw())

@@ -15,6 +15,7 @@ from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import Status
 from surrofe2.rve import INITIALISATIONS
 from surrofe2.rve.parameter_gradients import DASHPOTS, PARAMETERS
+from surrofe2.rve.solve import Solved
 from surrofe2.rve.unit_cell import resettled
 from tests.laws import tangents_by_differences
 from tests.numerics import differences
@@ -86,6 +87,22 @@ def test_points_without_stress_have_no_tangents():
     assert np.isfinite(answer.tangents.P_by_F[0]).all()
     assert np.isnan(answer.tangents.P_by_F[1]).all()
     assert law("printed").respond(F, np.zeros_like(F)).tangents is None
+
+
+def test_a_stress_without_tangents_is_no_answer_where_they_were_asked_for(monkeypatch):
+    def lacking(solved):
+        tangents = every(solved)
+        tangents.P_by_F[1] = np.nan
+        return tangents
+
+    every = Solved.tangents
+    monkeypatch.setattr(Solved, "tangents", lacking)
+    F = np.tile(np.eye(2), (3, 1, 1))
+    this = law("printed")
+    answer = this.respond(F, 0.0 * F, tangents=True)
+    assert answer.status.tolist() == [Status.OK, Status.NOT_CONVERGED, Status.OK]
+    assert np.isnan(answer.stress[1]).all()
+    assert (this.respond(F, 0.0 * F).status == Status.OK).all()
 
 
 UNITS = {
