@@ -283,7 +283,7 @@ def _transposed_product(columns, workspace, drive, topology, constants):
 
 @kernel
 def _share(columns, direction):
-    """Return Σ columns · direction / Σ direction², (4, TILE); both arguments are (4, rows, TILE)."""
+    """Return Σ columns · direction / Σ direction², (4, TILE); both are (4, rows, TILE)."""
     shares = np.empty((COLUMNS, TILE))
     squares = np.empty(TILE)
     for m in range(COLUMNS):

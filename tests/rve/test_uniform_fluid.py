@@ -112,7 +112,7 @@ def test_tangents_are_exact(name, initialisation):
 
 
 def test_crushed_tissue_has_exact_tangents():
-    """Walls that matrices hold no blocks for touch here, and simple refinement does not converge."""
+    """Walls that matrices hold no blocks for touch here; simple refinement does not converge."""
     cell = CellParameters.preset("apple", arrangement="voronoi", cells=9, arrangement_seed=1)
     this = RveLaw(cell, initialisation="elastic")
     F = np.array([[[0.84044, -0.04403], [-0.04403, 0.85671]]])
