@@ -92,7 +92,7 @@ def test_figures_are_merged_by_name(tmp_path):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("topic", [*TOPICS, "examples", "ranks"])
+@pytest.mark.parametrize("topic", [*TOPICS, "examples", "ranks", "press"])
 def test_each_topic_runs_in_quick_mode(tmp_path, topic):
     command = [sys.executable, "-m", "benchmarks", topic, "--quick", "--out", str(tmp_path)]
     before = (ROOT / "docs" / "measured.json").read_bytes()
