@@ -147,6 +147,7 @@ if TYPE_CHECKING:
         draw_scale_bar as draw_scale_bar,
         draw_tissue as draw_tissue,
         drawn_bodies as drawn_bodies,
+        drawn_loads as drawn_loads,
         fields_at_rest as fields_at_rest,
     )
     from surrofe2.report.page import write_report as write_report

@@ -156,7 +156,7 @@ def draw_fruit(axes, run, stretch, t):
     fields = StoredFields(run.nodes, run.elements, run.frames.t, moved)
     bodies = drawn_bodies([plate_below(run.nodes)], run.curve.t, run.history, fields)
     gain = 100.0 * (stretch[k] / stretch[0] - 1.0)
-    colours = Colours.of("Longest wall: gain over rest (%)", gain)
+    colours = Colours.of("longest wall: gain over rest (%)", gain)
     colours.bar(axes, draw_tissue(axes, fields, k, gain, colours, bodies=bodies))
     inner = np.isclose(np.hypot(*run.nodes.T), 1000.0 * (RADIUS - SKIN), rtol=1e-3)
     rim = (run.nodes + run.frames.displacement[k])[inner]
@@ -193,7 +193,7 @@ if __name__ == "__main__":
             curve.plot(run.curve.t / 1000.0, hit["force"], color=colour, label=f"{turgor:g} MPa")
         if colour == PALETTE[0]:
             draw_fruit(specimen, run, stretch, 1000.0 * hit["time of the peak"])
-    curve.set(xlabel="Time (ms)", ylabel="Force of the plate (µN)", xlim=(0.0, 1.7))
-    curve.legend(title="Turgor", fontsize=8)
+    curve.set(xlabel="time (ms)", ylabel="force of the plate (µN)", xlim=(0.0, 1.7))
+    curve.legend(title="turgor", fontsize=8)
     curve.grid(alpha=0.25)
     Path(__file__).with_suffix(".png").write_bytes(encoded(figure, "png"))

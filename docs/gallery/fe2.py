@@ -64,7 +64,7 @@ if __name__ == "__main__":
     moved = MESH.p + u[basis.nodal_dofs]
     corners = moved[:, MESH.t].T
     axes = Figure(figsize=(7.5, 3.6), layout="constrained").subplots()
-    colours = Colours.of("Shear stress (MPa)", shear)
+    colours = Colours.of("shear stress (MPa)", shear)
     drawn = PolyCollection([*corners], edgecolors="0.4", linewidths=0.5)
     colours.bar(axes, axes.add_collection(colours.paint(drawn, shear)))
     for plate in ("bottom", "top"):

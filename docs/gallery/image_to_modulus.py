@@ -78,7 +78,7 @@ if __name__ == "__main__":
     cell = tissue.cells[0]
     laid_out = areas(polygons(tissue.outlined, tissue.outlined.arrangement.wall_position))
     pressure = cell.fluid_density * cell.sound_speed**2 * laid_out / areas(rims) / 10.0
-    colours = Colours.of("Pressure of the sap (MPa)", pressure, "Blues")
+    colours = Colours.of("pressure of the sap (MPa)", pressure, "Blues")
     drawn = PolyCollection(rims, edgecolors="black", linewidths=0.9)
     colours.bar(cells, cells.add_collection(colours.paint(drawn, pressure)))
     for y in (0.0, 570.0):
@@ -89,7 +89,7 @@ if __name__ == "__main__":
     cells.set_title("its cells, pressed by 5 %", fontsize=9)
     curve.plot(moved, force, color=BLUE, label="cells of the image")
     curve.plot(fe2_moved, fe2_force, "o--", color=VERMILION, markersize=4.0, label="FE²")
-    curve.set(xlabel="Displacement of the plate (µm)", ylabel="Force on the plate (µN)")
+    curve.set(xlabel="displacement of the plate (µm)", ylabel="force on the plate (µN)")
     curve.legend(fontsize=8)
     curve.grid(alpha=0.25)
     (FOLDER / "image_to_modulus.png").write_bytes(encoded(figure, "png"))

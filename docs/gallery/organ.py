@@ -158,9 +158,9 @@ if __name__ == "__main__":
         if turgor == TURGORS[0]:
             highest = pressures(rest).max()
             print(f"highest pressure of an element {highest:.2f} MPa")
-            colours = Colours("Pressure (MPa; higher at the plates)", -0.2, 0.2, "RdBu_r")
+            colours = Colours("pressure (MPa; higher at the plates)", -0.2, 0.2, "RdBu_r")
             colours.bar(specimen, draw_specimen(specimen, rest, colours))
-    curve.set(xlabel="Squeeze (µm)", ylabel="Force on the stem (µN)", ylim=(0.0, None))
-    curve.legend(title="Turgor of the pith", fontsize=8)
+    curve.set(xlabel="squeeze (µm)", ylabel="force on the stem (µN)", ylim=(0.0, None))
+    curve.legend(title="turgor of the pith", fontsize=8)
     curve.grid(alpha=0.25)
     Path(__file__).with_suffix(".png").write_bytes(encoded(figure, "png"))

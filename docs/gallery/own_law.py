@@ -17,6 +17,7 @@ from surrofe2 import (
     StressResponse,
     Tangents,
     draw_tissue,
+    drawn_loads,
     fields_at_rest,
     find_rest,
     living_cell,
@@ -94,7 +95,9 @@ def vertical_stress(rest):
 
 def draw_specimen(axes, rest, colours):
     """Draw the block at rest, coloured by its vertical stress."""
-    return draw_tissue(axes, fields_at_rest(rest), 1, vertical_stress(rest), colours)
+    fields = fields_at_rest(rest)
+    loads = drawn_loads(rest.system.problem, fields)
+    return draw_tissue(axes, fields, 1, vertical_stress(rest), colours, nodes=loads)
 
 
 if __name__ == "__main__":
@@ -114,14 +117,14 @@ if __name__ == "__main__":
             if is_pressed:
                 pressed.append(rest)
     values = np.concatenate([vertical_stress(rest) for rest in pressed])
-    colours = Colours.of("Vertical stress (MPa)", values)
+    colours = Colours.of("vertical stress (MPa)", values)
     for axes, rest, title in zip(
         (cells, own), pressed, ("RVEs of plant cells", "neo-Hookean solid"), strict=True
     ):
         drawn = draw_specimen(axes, rest, colours)
         axes.set_title(f"{title}, pressed by {100 * STRAIN:g} %", fontsize=9)
     colours.bar([cells, own], drawn)
-    curve.set(xlabel="Strain (%)", ylabel="Stress (MPa)")
+    curve.set(xlabel="strain (%)", ylabel="stress (MPa)")
     curve.legend(fontsize=8)
     curve.grid(alpha=0.25)
     Path(__file__).with_suffix(".png").write_bytes(encoded(figure, "png"))

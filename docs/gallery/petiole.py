@@ -21,6 +21,7 @@ from surrofe2 import (
     SlabLaw,
     Surface,
     draw_tissue,
+    drawn_loads,
     fields_at_rest,
     find_rest,
     living_cell,
@@ -28,7 +29,6 @@ from surrofe2 import (
     tabulate_surface,
     with_regions,
 )
-from surrofe2.report.figures import drawn_nodes
 from surrofe2.run.charts import PALETTE, encoded
 from surrofe2.run.journal import BEYOND
 
@@ -114,8 +114,8 @@ def draw_petiole(axes, rest):
     """Draw the bent petiole with clamp and pull, by the stress along it."""
     fields = fields_at_rest(rest)
     stress = rest.element_stress[:, 0, 0] / THICKNESS
-    colours = Colours.of("Stress along the petiole (MPa)", stress)
-    nodes = drawn_nodes(rest.system.problem.conditions, fields)
+    colours = Colours.of("stress along the petiole (MPa)", stress)
+    nodes = drawn_loads(rest.system.problem, fields)
     colours.bar(axes, draw_tissue(axes, fields, 1, stress, colours, nodes=nodes))
 
 
@@ -151,15 +151,15 @@ if __name__ == "__main__":
     sided = rigidity(bent(law_of, 100.0, 1, surface=sides))
     print(f"{turgor} MPa: FE² with the surface law {sided:.3f}")
     curves.set(
-        xlabel="Deflection of the tip (mm)", ylabel="Force on the tip (µN)", ylim=(0.0, None)
+        xlabel="deflection of the tip (mm)", ylabel="force on the tip (µN)", ylim=(0.0, None)
     )
-    curves.legend(title="Turgor", fontsize=8)
+    curves.legend(title="turgor", fontsize=8)
     rigidities.plot(TURGORS, beams, "-", color="0.6", label="layered beam")
     rigidities.plot(TURGORS, with_sides, "--", color="0.6", label="the same, with free sides")
     rigidities.plot(TURGORS, computed, "o", color="0.2", label="FE²")
     rigidities.plot(TURGORS[-1:], [sided], "s", color="0.2", label="FE² with [surface]")
     rigidities.set(
-        xlabel="Turgor (MPa)", ylabel="Flexural rigidity\n(N mm² per mm of width)", ylim=(0.0, None)
+        xlabel="turgor (MPa)", ylabel="flexural rigidity\n(N mm² per mm of width)", ylim=(0.0, None)
     )
     rigidities.legend(fontsize=8)
     for axes in (curves, rigidities):

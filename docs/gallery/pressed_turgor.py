@@ -48,12 +48,12 @@ if __name__ == "__main__":
             curves.plot(100 * strain, stress, dashes, color=colour, label=name)
             curves.plot(100 * strain[first], stress[first], "o", color=colour, zorder=3)
         moduli.plot(TURGORS, slopes, f"{dashes}o", color="0.3", label=f"{arrangement}s")
-    curves.set(xlabel="Compression (%)", ylabel="Stress (MPa)", ylim=(0.0, None))
+    curves.set(xlabel="compression (%)", ylabel="stress (MPa)", ylim=(0.0, None))
     curves.set_title(
         "hexagons: full lines, squares: dashes, dot: cells begin to buckle", fontsize=9
     )
-    curves.legend(title="Turgor", fontsize=8)
-    moduli.set(xlabel="Turgor (MPa)", ylabel="Modulus at the start (MPa)", ylim=(0.0, None))
+    curves.legend(title="turgor", fontsize=8)
+    moduli.set(xlabel="turgor (MPa)", ylabel="modulus at the start (MPa)", ylim=(0.0, None))
     moduli.legend(fontsize=8)
     for axes in (curves, moduli):
         axes.grid(alpha=0.25)

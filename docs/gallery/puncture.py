@@ -38,8 +38,8 @@ HALF_WIDTH = 6000.0  # µm, to the right of the line of symmetry
 HEIGHT = 5000.0  # µm, with the skin
 SKIN = 300.0  # µm: two cells
 THICKNESS = 10.0  # µm, of the layer that is computed
-STRETCH = Colours("Wall length / rest length", 1.0, 1.1, "viridis")
-PRESSURE = Colours("Pressure of the sap (MPa)", 0.3, 0.6, "Blues")
+STRETCH = Colours("wall length / rest length", 1.0, 1.1, "viridis")
+PRESSURE = Colours("pressure of the sap (MPa)", 0.3, 0.6, "Blues")
 
 
 def laws():
@@ -100,7 +100,7 @@ def draw_specimen(axes, rest):
     columns = rest.columns
     bodies = drawn_bodies(rest.system.problem.bodies, columns["t"], columns, fields)
     pressure = -rest.element_stress[:, 1, 1] / THICKNESS
-    colours = Colours.of("Vertical pressure (MPa)", pressure, "viridis")
+    colours = Colours.of("vertical pressure (MPa)", pressure, "viridis")
     colours.bar(axes, draw_tissue(axes, fields, 1, pressure, colours, bodies=bodies), "bottom")
 
 
@@ -138,7 +138,7 @@ if __name__ == "__main__":
         if law_of is by_region:
             draw_specimen(places["specimen"], rest)
             seen = cells_below(rest, by_region)
-    curve.set(xlabel="Depth of the disc (µm)", ylabel="Force on the disc (µN)", ylim=(0.0, None))
+    curve.set(xlabel="depth of the disc (µm)", ylabel="force on the disc (µN)", ylim=(0.0, None))
     curve.legend(fontsize=8)
     curve.grid(alpha=0.25)
     cells_at = [places["skin"], places["flesh"]]

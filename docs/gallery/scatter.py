@@ -117,10 +117,10 @@ if __name__ == "__main__":
     regular = stress_over_strain(pulled(hexagons))[1]
     print(f"hexagons: {modulus(hexagons):.2f} MPa, {regular[-1]:.3f} MPa at 10 %")
     curves.plot(100 * strain, regular, "--", color=VERMILION, label="hexagons")
-    curves.set(xlabel="Strain (%)", ylabel="Stress (MPa)")
+    curves.set(xlabel="strain (%)", ylabel="stress (MPa)")
     curves.set_title(f"{SEEDS} arrangements of {CELLS[0]} cells", fontsize=9)
     curves.legend(fontsize=8)
-    moduli.set(xlabel="Plant cells per RVE", ylabel="Young's modulus (MPa)", xticks=CELLS)
+    moduli.set(xlabel="plant cells per RVE", ylabel="Young's modulus (MPa)", xticks=CELLS)
     moduli.set_title("dot: one arrangement", fontsize=9)
     for axes in (curves, moduli):
         axes.grid(alpha=0.25)

@@ -97,7 +97,7 @@ def draw_specimen(axes, rest):
     bodies = rest.system.problem.bodies
     shown = drawn_bodies(bodies, rest.columns["t"], rest.columns, fields)
     stress = rest.element_stress[:, 1, 1] / 10.0  # MPa, of a layer of 10 µm
-    colours = Colours.of("Vertical stress (MPa)", stress)
+    colours = Colours.of("vertical stress (MPa)", stress)
     colours.bar(axes, draw_tissue(axes, fields, 1, stress, colours, bodies=shown))
 
 
@@ -134,7 +134,7 @@ if __name__ == "__main__":
     curve.plot(depths[1:], data, "o", color="0.3", markersize=4.0, label="measurement")
     curve.plot(depths, start, ":", color="0.5", label=f"at the start, {START:g} MPa")
     curve.plot(depths, fitted, color=BLUE, label="identified, turgor known")
-    curve.set(xlabel="Depth of the disc (µm)", ylabel="Force on the disc (µN)")
+    curve.set(xlabel="depth of the disc (µm)", ylabel="force on the disc (µN)")
     curve.legend(fontsize=8)
 
     # the ellipse that holds 95 % of fits of both, from the covariance of their logarithms
@@ -144,7 +144,7 @@ if __name__ == "__main__":
     plane.plot(ellipse[1], ellipse[0], color=VERMILION)
     plane.plot(both[1], both[0], "s", color=VERMILION, label="both identified, 95 %")
     plane.plot(TURGOR, WALL_MODULUS, "*", color="black", markersize=10.0, label="truth", zorder=3)
-    plane.set(xlabel="Turgor (MPa)", ylabel="Wall modulus (MPa)")
+    plane.set(xlabel="turgor (MPa)", ylabel="wall modulus (MPa)")
     plane.legend(fontsize=8)
     for axes in (curve, plane):
         axes.grid(alpha=0.25)

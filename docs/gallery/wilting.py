@@ -28,10 +28,10 @@ if __name__ == "__main__":
     figure = Figure(figsize=(8.0, 3.4), layout="constrained")
     size, modulus = figure.subplots(1, 2)
     size.plot(bath, [100.0 * row["size"] for row in rows], "o-", color=BLUE)
-    size.set(ylabel="Length (% of that in water)")
+    size.set(ylabel="length (% of that in water)")
     modulus.plot(bath, [row["Young's modulus along x"] for row in rows], "o-", color=VERMILION)
     modulus.set(ylabel="Young's modulus (MPa)", ylim=(0.0, None))
     for axes in (size, modulus):
-        axes.set(xlabel="Mannitol in the bath (mol/l)")
+        axes.set(xlabel="mannitol in the bath (mol/l)")
         axes.grid(alpha=0.25)
     Path(__file__).with_suffix(".png").write_bytes(encoded(figure, "png"))

@@ -15,8 +15,17 @@ from matplotlib.markers import CARETRIGHT, CARETUP
 from matplotlib.patches import Rectangle
 
 from surrofe2.base.arrays import Array
-from surrofe2.problem.conditions import Condition, Fixed, PointForce, PrescribedMotion
-from surrofe2.problem.mesh import DIGITS, NodeAt
+from surrofe2.problem import Problem
+from surrofe2.problem.conditions import (
+    BodyForce,
+    Condition,
+    Fixed,
+    PointForce,
+    PrescribedMotion,
+    Pressure,
+    Traction,
+)
+from surrofe2.problem.mesh import DIGITS, NodeAt, facet_nodes, facets_of, nodes_on
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape
 from surrofe2.run.charts import VERMILION, in_words
 from surrofe2.rve.particles import Particles
@@ -38,6 +47,10 @@ _MOST_WITH_SIDES = 5000
 _ARC = 48
 # A node that moves less than this fraction of the largest displacement is held.
 _STILL = 1e-6
+# Arrows along a boundary on which a load acts.
+_ARROWS = 5
+# Length of an arrow, as a fraction of the tissue's extent.
+ARROW = 0.1
 # Times at which plant cells are drawn.
 _PANELS = 6
 
@@ -161,17 +174,24 @@ class DrawnBody:
 
 @dataclass(frozen=True, slots=True)
 class DrawnNode:
-    """A node on which a support or a force acts alone.
+    """A node at which a support or an arrow is drawn.
 
     Attributes:
         node: number of the node.
         components: components that are held, "x", "y" or "xy"; "": none.
         pull: (2,) force or prescribed displacement, of which the direction is drawn; zero: none.
+        pushes: True if the arrow ends at the node, False if it begins there.
     """
 
     node: int
     components: str
     pull: Array
+    pushes: bool = False
+
+    def arrow(self, position: Array, length: float) -> Array:
+        """Return both ends (2, 2) of the arrow, the tip last, of the node at (2,)."""
+        step = length * self.pull / np.linalg.norm(self.pull)
+        return np.stack([position - step, position] if self.pushes else [position, position + step])
 
 
 def fields_at_rest(rest: Rest) -> StoredFields:
@@ -192,18 +212,72 @@ def drawn_nodes(conditions: Iterable[Condition], fields: StoredFields) -> list[D
     for condition in conditions:
         if not isinstance(condition.on, NodeAt):
             continue
-        offset = fields.points - np.array(condition.on.point)
-        node = int(np.hypot(offset[:, 0], offset[:, 1]).argmin())
-        components = ""
-        pull = np.zeros(2)
-        if isinstance(condition, Fixed):
-            components = condition.components
-        elif isinstance(condition, PrescribedMotion):
-            pull = np.array([value or 0.0 for value in condition.displacement])
-        elif isinstance(condition, PointForce):
-            pull = np.array(condition.force)
-        drawn.append(DrawnNode(node, components, pull))
+        components = condition.components if isinstance(condition, Fixed) else ""
+        drawn.append(DrawnNode(_nearest(fields, condition.on.point), components, _pull(condition)))
     return drawn
+
+
+def _nearest(fields: StoredFields, point: Any) -> int:
+    """Return the number of the undeformed tissue's node next to a point (2,)."""
+    offset = fields.points - np.asarray(point)
+    return int(np.hypot(offset[:, 0], offset[:, 1]).argmin())
+
+
+def _pull(condition: Condition) -> Array:
+    """Return the force or the prescribed displacement (2,) of a condition; zero where it has none.
+
+    That of a pressure follows from the side on which it acts.
+    """
+    if isinstance(condition, PrescribedMotion):
+        return np.array([value or 0.0 for value in condition.displacement])
+    if isinstance(condition, PointForce):
+        return np.array(condition.force)
+    if isinstance(condition, Traction):
+        return np.array(condition.traction)
+    if isinstance(condition, BodyForce):
+        return np.array(condition.acceleration)
+    return np.zeros(2)
+
+
+def drawn_loads(problem: Problem, fields: StoredFields) -> list[DrawnNode]:
+    """Return supports of nodes, and arrows for loads and prescribed motions, for `draw_tissue`.
+
+    There are some arrows along a boundary, and one in the middle of a region. They show the
+    direction at a factor of 1, and no size.
+    """
+    mesh = problem.mesh
+    drawn = drawn_nodes(problem.conditions, fields)
+    for condition in problem.conditions:
+        pull = _pull(condition)
+        on = condition.on
+        acts = pull.any() or isinstance(condition, Pressure)
+        if isinstance(on, NodeAt) or not acts:
+            continue
+        if on is None or on in (mesh.subdomains or {}):
+            middle = mesh.p[:, nodes_on(mesh, on)].mean(axis=1)
+            drawn.append(DrawnNode(_nearest(fields, middle), "", pull))
+            continue
+        ends = mesh.p.T[facet_nodes(mesh, facets_of(mesh, on))[:, :2]]
+        along = ends[:, 1] - ends[:, 0]
+        outward = np.column_stack([along[:, 1], -along[:, 0]])
+        for end in _apart(ends.reshape(-1, 2), _ARROWS):
+            side = end // 2
+            if isinstance(condition, Pressure):
+                pull = -np.sign(condition.pressure) * outward[side]
+            pushes = bool(pull @ outward[side] < 0.0)
+            node = _nearest(fields, ends[side, end % 2])
+            drawn.append(DrawnNode(node, "", pull, pushes))
+    return drawn
+
+
+def _apart(points: Array, most: int) -> list[int]:
+    """Return the numbers of at most so many of the points (n, 2) that lie far apart."""
+    chosen = [0]
+    nearest = np.linalg.norm(points - points[0], axis=1)
+    while len(chosen) < most and nearest.max() > 0.0:
+        chosen.append(int(nearest.argmax()))
+        nearest = np.minimum(nearest, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return chosen
 
 
 def drawn_bodies(
@@ -294,7 +368,7 @@ def draw_tissue(
         values: (e,) values of the elements, by which they are coloured.
         colours: colours of the values.
         factor: displacements are drawn so many times as large.
-        nodes: nodes with supports or forces of their own.
+        nodes: nodes at which supports or arrows are drawn.
 
     Returns:
         The collection from which a colour bar is made.
@@ -317,8 +391,8 @@ def draw_tissue(
         if fields.cells.shape[1] == 2:  # the springs of a full tissue
             drawn = LineCollection(corners, linewidths=0.8)
         axes.add_collection(colours.paint(drawn, values))
-    # of the hatched band of a support, as a fraction of the tissue's extent
-    depth = 0.035 * float(max(high - low))
+    extent = float(max(high - low))
+    depth = 0.035 * extent  # of the hatched band of a support
     for side in sides:
         for copy in copies:
             ends = copy[[side.a, side.b]]
@@ -337,27 +411,32 @@ def draw_tissue(
             else:  # a line of symmetry
                 axes.plot(*ends.T, color="0.15", linewidth=0.8, dashes=(8, 2, 2, 2))
     for node in nodes:
-        _draw_node(axes, node, position[node.node], 3.0 * depth)
+        ends = _draw_node(axes, node, position[node.node], ARROW * extent)
+        low = np.minimum(low, ends.min(axis=0))
+        high = np.maximum(high, ends.max(axis=0))
     draw_scale_bar(axes, low, high)
     return drawn
 
 
-def _draw_node(axes: Axes, node: DrawnNode, position: Array, size: float) -> None:
+def _draw_node(axes: Axes, node: DrawnNode, position: Array, size: float) -> Array:
     """Draw what acts on a node at (2,): a wedge before each held component, an arrow for a pull.
 
     Args:
         size: length of the arrow, µm.
+
+    Returns:
+        The ends (k, 2) of what is drawn.
     """
     for component in node.components:
         # carets, whose tip is at the node
         marker = CARETRIGHT if component == "x" else CARETUP
         axes.plot(*position, marker=marker, color="0.15", markersize=9.0)
-    length = float(np.linalg.norm(node.pull))
-    if length:
-        x, y = position
-        tip_x, tip_y = position + size * node.pull / length
-        arrow = {"arrowstyle": "-|>", "color": "0.15"}
-        axes.annotate("", (tip_x, tip_y), (x, y), arrowprops=arrow)
+    if not node.pull.any():
+        return position[None]
+    ends = node.arrow(position, size)
+    arrow = {"arrowstyle": "-|>", "color": "0.15", "shrinkA": 0.0, "shrinkB": 0.0}
+    axes.annotate("", ends[1], ends[0], arrowprops=arrow)
+    return ends
 
 
 def draw_borders(axes: Axes, fields: StoredFields, k: int, regions: Sequence[Array]) -> None:

@@ -123,6 +123,22 @@
       context.lineTo(x[b], y[b]);
       context.stroke();
     }
+    context.lineCap = "butt";
+    context.lineWidth = 1.5 * ratio;
+    context.strokeStyle = context.fillStyle = getComputedStyle(canvas).color;
+    for (const [n, begin, end] of run.arrows) {
+      const [ax, ay, bx, by] = [x[n] + scale * begin[0], y[n] - scale * begin[1], x[n] + scale * end[0], y[n] - scale * end[1]];
+      const angle = Math.atan2(by - ay, bx - ax), head = 8 * ratio;
+      context.beginPath();
+      context.moveTo(ax, ay);
+      context.lineTo(bx - 0.8 * head * Math.cos(angle), by - 0.8 * head * Math.sin(angle));
+      context.stroke();
+      context.beginPath();
+      context.moveTo(bx, by);
+      for (const turn of [-0.4, 0.4]) context.lineTo(bx - head * Math.cos(angle + turn), by - head * Math.sin(angle + turn));
+      context.closePath();
+      context.fill();
+    }
     const [length, words] = run.bar, under = bottom + 14 * ratio;
     context.lineCap = "butt";
     context.lineWidth = 3 * ratio;

@@ -24,11 +24,12 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from surrofe2.base.arrays import Array
-from surrofe2.base.errors import InputError, MismatchError
+from surrofe2.base.errors import InputError, MismatchError, Surrofe2Error
 from surrofe2.base.units import number
 from surrofe2.law.stress_law import SURROGATE, TABLE, Status
 from surrofe2.problem.conditions import Condition
 from surrofe2.problem.rigid_bodies import RigidBody
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.report.comparison import (
     ComparedRun,
     Comparison,
@@ -46,12 +47,15 @@ from surrofe2.report.comparison import (
     order_runs,
 )
 from surrofe2.report.figures import (
+    ARROW,
     Colours,
     DrawnBody,
+    DrawnNode,
     bar_length,
     box,
     draw_tissue,
     drawn_bodies,
+    drawn_loads,
     drawn_nodes,
     length_in_words,
     rim,
@@ -67,7 +71,7 @@ from surrofe2.store.fields import (
     StoredFields,
     read_fields,
 )
-from surrofe2.store.run_folder import EVENTS, StoredRun, cells_of, read_run
+from surrofe2.store.run_folder import EVENTS, StoredRun, cells_of, check_inputs, read_run
 from surrofe2.store.store import check_replaceable, flat, read_bytes, write_text
 
 RunFields = tuple[StoredRun, StoredFields | None]  # a run and its fields, None without any
@@ -559,6 +563,11 @@ def _arrays(run: StoredRun, fields: StoredFields, budget: int) -> dict[str, Any]
         farthest = float(np.linalg.norm(fields.displacement, axis=2).max()) or size
         factor = max((f for f in _FACTORS if f * farthest <= 1.5 * _SHOWN * size), default=1)
     low, high = box(fields.points + factor * u, bodies)
+    arrow = ARROW * float(max(high - low))
+    arrows = [node for node in loads_of(run, fields) if node.pull.any()]
+    if arrows:
+        low = low - arrow
+        high = high + arrow
     length = bar_length(float(high[0] - low[0]))
     return {
         "name": run.name,
@@ -580,6 +589,8 @@ def _arrays(run: StoredRun, fields: StoredFields, budget: int) -> dict[str, Any]
             for body in bodies
         ],
         "held": supported_sides(fields),
+        # node, and both ends of its arrow from there
+        "arrows": [[node.node, *node.arrow(np.zeros(2), arrow).tolist()] for node in arrows],
         "bar": [length, length_in_words(length)],
         "levels": LEVELS,
         "colours": [
@@ -623,6 +634,15 @@ def conditions_on_nodes(run: StoredRun) -> list[Condition]:
     ]
 
 
+def loads_of(run: StoredRun, fields: StoredFields) -> list[DrawnNode]:
+    """Return what acts on the tissue of a run; of one that keeps no recipe, on nodes alone."""
+    try:
+        recipe = load_recipe(check_inputs(run.folder, run.record))
+        return drawn_loads(recipe.problem(), fields)
+    except Surrofe2Error:
+        return drawn_nodes(conditions_on_nodes(run), fields)
+
+
 def _still(run: StoredRun, fields: StoredFields, factor: int) -> str:
     """Draw the tissue where it has moved farthest, by stress, for paper and without the script."""
     k = int(np.linalg.norm(fields.displacement, axis=2).max(axis=1).argmax())
@@ -652,7 +672,7 @@ def _tissue(
     height = float(np.clip((high - low)[1] / ((high - low)[0] or 1.0), 0.3, 1.5)) * (_WIDTH - 1.0)
     shown = Figure(figsize=(_WIDTH, height + 0.4), layout="constrained")
     axes = shown.subplots()
-    nodes = drawn_nodes(conditions_on_nodes(run), fields)
+    nodes = loads_of(run, fields)
     drawn = draw_tissue(axes, fields, k, values, colours, factor=factor, bodies=bodies, nodes=nodes)
     colours.bar(axes, drawn)
     return _figure(encoded(shown, "png"), f"the tissue of {run.name} by {colours.label}", caption)

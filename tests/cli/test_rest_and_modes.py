@@ -1,6 +1,7 @@
 """rest, modes and moduli, with memory and stability, over plant cells."""
 
 import json
+import re
 from functools import partial
 from unittest.mock import Mock
 
@@ -198,6 +199,9 @@ def test_a_recipe_states_the_method(invoke, recipe_path, tmp_path):
     assert "load factor" in page
     assert "time (µs)" not in page
     assert '"clock": ["load factor ", ""]' in page
+    # the body force acts downwards, in the middle; the recipe is read from the run folder
+    arrows = re.findall(r'"arrows": \[\[\d+, \[0.0, 0.0\], \[0.0, (-[\d.]+)\]\]\]', page)
+    assert len(arrows) == 2
     values = "--set", "rest.factor=0.25,0.5"
     invoke("grid", recipe_path, *values, "--out", tmp_path / "grid", law=law)
     rows = read_json(tmp_path / "grid" / "grid.json")["rows"]

@@ -7,11 +7,15 @@ from matplotlib.markers import CARETRIGHT
 from matplotlib.text import Annotation
 
 from surrofe2 import (
+    BodyForce,
     Fixed,
     NodeAt,
     PointForce,
     PrescribedMotion,
+    Pressure,
     Problem,
+    Traction,
+    drawn_loads,
     find_rest,
     rectangle,
 )
@@ -146,6 +150,47 @@ def test_nodes_that_are_held_or_pulled_are_drawn():
     assert arrow.xyann == (22.0, 0.0)  # where half of its displacement brings the node
     assert arrow.xy[0] == 22.0
     assert arrow.xy[1] < 0.0
+
+
+@pytest.mark.parametrize(
+    ("condition", "direction", "where"),
+    [
+        (Traction(on="right", traction=(2.0, 0.0)), (1, 0), "begins on x = 20"),
+        (Traction(on="right", traction=(-2.0, 0.0)), (-1, 0), "ends on x = 20"),
+        (Pressure(on="top", pressure=2.0), (0, -1), "ends on y = 10"),
+        (Pressure(on="top", pressure=-2.0), (0, 1), "begins on y = 10"),
+        (PrescribedMotion(on="top", displacement=(3.0, None)), (1, 0), "begins on y = 10"),
+        (BodyForce(acceleration=(0.0, -1e-3)), (0, -1), "begins on x = 10"),
+        (PointForce(on=NodeAt((20.0, 10.0)), force=(0.0, -3.0)), (0, -1), "begins on x = 20"),
+        (PrescribedMotion(on="top", displacement=(0.0, 0.0)), None, ""),
+    ],
+)
+def test_arrows_show_which_way_loads_and_motions_act(condition, direction, where):
+    mesh = rectangle(20.0, 10.0, (8, 4))
+    problem = Problem(mesh=mesh, conditions=(Fixed(on="bottom"), condition))
+    rest = find_rest(problem, KelvinVoigt(), factor=0.0)
+    fields = fields_at_rest(rest)
+    axes = Figure().subplots()
+    colours = Colours.of("", np.array([1.0, 2.0]))
+    loads = drawn_loads(problem, fields)
+    draw_tissue(axes, fields, 0, np.ones(32), colours, nodes=loads)
+    arrows = [each for each in axes.texts if isinstance(each, Annotation)]
+    if direction is None:
+        assert not arrows
+        return
+    alone = isinstance(condition, BodyForce | PointForce)
+    assert len(arrows) == (1 if alone else 5)
+    end, _, axis, _, value = where.split()
+    low, high = (np.array(limits) for limits in zip(axes.get_xlim(), axes.get_ylim(), strict=True))
+    for arrow in arrows:
+        begin, tip = np.array(arrow.xyann), np.array(arrow.xy)
+        np.testing.assert_allclose((tip - begin) / np.linalg.norm(tip - begin), direction)
+        on = tip if end == "ends" else begin
+        assert on["xy".index(axis)] == pytest.approx(float(value))
+        assert ((low <= [begin, tip]) & (high >= [begin, tip])).all()
+    if not alone:  # from one end of the side to the other
+        along = [arrow.xyann[1 - "xy".index(axis)] for arrow in arrows]
+        assert np.ptp(along) == pytest.approx(10.0 if axis == "x" else 20.0)
 
 
 def test_plant_cells_fill_the_window():

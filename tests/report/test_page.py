@@ -103,6 +103,7 @@ def test_the_script_is_given_the_motion_and_the_sources(page, runs):
     data = json.loads(page.scripts[0][1])["runs"]
     fields = [fields_of(read_run(folder)) for folder in runs]
     assert [each["name"] for each in data] == ["rve", "cached"]
+    assert [each["arrows"] for each in data] == [[], []]  # such runs keep no recipe
     for found, known in zip(data, fields, strict=True):
         motion = np.frombuffer(base64.b64decode(found["motion"]), "<i2")
         u = found["largest"] / 32767.0 * motion.reshape(known.displacement.shape)
