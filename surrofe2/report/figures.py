@@ -272,8 +272,9 @@ def drawn_loads(problem: Problem, fields: StoredFields) -> list[DrawnNode]:
 
 def _apart(points: Array, most: int) -> list[int]:
     """Return the numbers of at most so many of the points (n, 2) that lie far apart."""
-    chosen = [0]
-    nearest = np.linalg.norm(points - points[0], axis=1)
+    # an end of a side is farthest from its middle
+    chosen = [int(np.linalg.norm(points - points.mean(axis=0), axis=1).argmax())]
+    nearest = np.linalg.norm(points - points[chosen[0]], axis=1)
     while len(chosen) < most and nearest.max() > 0.0:
         chosen.append(int(nearest.argmax()))
         nearest = np.minimum(nearest, np.linalg.norm(points - points[chosen[-1]], axis=1))
