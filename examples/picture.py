@@ -18,6 +18,7 @@ from surrofe2 import (
     draw_cells,
     draw_tissue,
     drawn_bodies,
+    drawn_loads,
     load_recipe,
     simulate,
 )
@@ -114,7 +115,8 @@ def draw(name, run, law, problem, path):
 
     values, colours, words = coloured(stress, frames.displacement[k], run.elements)
     shown = drawn_bodies(problem.bodies, run.curve.t, run.history, fields)
-    drawn = draw_tissue(place, fields, k, values, colours, bodies=shown)
+    loads = drawn_loads(problem, fields)
+    drawn = draw_tissue(place, fields, k, values, colours, bodies=shown, nodes=loads)
     if isinstance(law, RegionalLaw):
         draw_borders(place, fields, k, list(problem.mesh.subdomains.values()))
     place.set_title(f"at the dot, {frames.t[k]:.4g} µs{words}", fontsize=9)

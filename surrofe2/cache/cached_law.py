@@ -414,11 +414,7 @@ class CachedLaw(Viewed):
         is_first = state is None
         if state is None:
             state = CachedState(count, NO_POINTS, self._trust.limit, np.array(self._trust.reach))
-        if not isinstance(state, CachedState) or state.count != count:
-            raise InputError(
-                f"state: not a state of a CachedLaw for {count} points; pass what an earlier "
-                "answer for the same points carried, or None"
-            )
+        _check_state(state, count)
         stress, status, risk = look_up_free(self.surrogate, F, F_dot, state)
         missed = status.nonzero()[0]
         known = state.on_fallback
@@ -461,6 +457,7 @@ class CachedLaw(Viewed):
         """Return which points the surrogate does not answer any more; see `ForesightLaw`."""
         if state is None:
             return None
+        _check_state(state, len(F))
         _, switched, _ = look_up_free(self.surrogate, F, F_dot, state)
         return switched if switched.any() else None
 
@@ -691,6 +688,15 @@ class CachedLaw(Viewed):
     def _accepted_answer(self, F: Array, F_dot: Array) -> StressResponse:
         """Return the fallback's answer from a cold start, accepted as that of a step."""
         return self.fallback.accept(F, F_dot, self.fallback.respond(F, F_dot))
+
+
+def _check_state(state: Any, count: int) -> None:
+    """Refuse what is no state of a CachedLaw for so many points."""
+    if not isinstance(state, CachedState) or state.count != count:
+        raise InputError(
+            f"state: not a state of a CachedLaw for {count} points; pass what an earlier "
+            "answer for the same points carried, or None"
+        )
 
 
 def _is_ready(tensors: Any) -> bool:

@@ -92,13 +92,17 @@ class RegionalLaw(Viewed):
         """Compute the stress at all n points; see `StressLaw`."""
         if len(F) != self.density.size:
             raise InputError(f"F: {len(F)} points; the regions have {self.density.size}")
+        return self._joined(
+            law.respond(F[points], F_dot[points], part, tangents=tangents)
+            for (law, points), part in zip(self._parts, self._states(state), strict=True)
+        )
+
+    def _states(self, state: Any) -> tuple[Any, ...]:
+        """Return the states of the laws in a state of this law, all None of None."""
         states = (None,) * len(self._parts) if state is None else state
         if not isinstance(states, tuple) or len(states) != len(self.laws):
             raise InputError("state: not of a law of these regions; pass one of it, or None")
-        return self._joined(
-            law.respond(F[points], F_dot[points], part, tangents=tangents)
-            for (law, points), part in zip(self._parts, states, strict=True)
-        )
+        return states
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> StressResponse:
         """Let all laws check their points; if none rejects one, let them commit.
@@ -141,10 +145,8 @@ class RegionalLaw(Viewed):
 
     def leaving(self, F: Array, F_dot: Array, state: Any) -> NDArray[np.int8] | None:
         """Return which points will leave the laws that know it beforehand; see `ForesightLaw`."""
-        if state is None:
-            return None
         switched = np.zeros(len(F), dtype=np.int8)
-        for (law, points), part in zip(self._parts, state, strict=True):
+        for (law, points), part in zip(self._parts, self._states(state), strict=True):
             if isinstance(law, ForesightLaw):
                 codes = law.leaving(F[points], F_dot[points], part)
                 switched[points] = 0 if codes is None else codes

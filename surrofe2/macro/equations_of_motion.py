@@ -170,7 +170,8 @@ class EquationsOfMotion:
 
         Raises:
             NoStress: a point has none.
-            Switched: a point left its branch of the law.
+            Switched: a point left its branch of the law. With tangents this comes first: whether
+                such a point has a stress is not known yet.
         """
         self.tally.counts["right_hand_sides"] += 1
         u, v = self.system.spread(y, t, self.within)
@@ -179,9 +180,12 @@ class EquationsOfMotion:
             point = int(np.argmin(J > 0.0))
             reason = f"det F = {J[point]:.6g}; the element is inverted there"
             raise self.no_stress(t, point, F, reason)
-        # in explicit steps few points leave, and a second lookup would cost more than their RVEs
+        # Explicit steps, which need no tangents, have few points that leave: a second lookup would
+        # cost more than their RVEs.
         if tangents and isinstance(self.law, ForesightLaw):
+            started = clock()
             leaving = self.law.leaving(F, F_dot, self.law_state)
+            self.tally.law_seconds += clock() - started
             if leaving is not None:
                 raise Switched(y, leaving)
         response = self._ask(F, F_dot, tangents)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -49,6 +49,8 @@ _ARC = 48
 _STILL = 1e-6
 # Arrows along a boundary on which a load acts.
 _ARROWS = 5
+# Cosine of the angle between a load and the normal of its side below which it acts along the side.
+_TANGENTIAL = 1e-3
 # Length of an arrow, as a fraction of the tissue's extent.
 ARROW = 0.1
 # Times at which plant cells are drawn.
@@ -179,7 +181,7 @@ class DrawnNode:
     Attributes:
         node: number of the node.
         components: components that are held, "x", "y" or "xy"; "": none.
-        pull: (2,) force or prescribed displacement, of which the direction is drawn; zero: none.
+        pull: (2,) direction of the arrow, of any length; zero: none.
         pushes: True if the arrow ends at the node, False if it begins there.
     """
 
@@ -224,9 +226,9 @@ def _nearest(fields: StoredFields, point: Any) -> int:
 
 
 def _pull(condition: Condition) -> Array:
-    """Return the force or the prescribed displacement (2,) of a condition; zero where it has none.
+    """Return force, traction, acceleration or prescribed displacement (2,) of a condition, else 0.
 
-    That of a pressure follows from the side on which it acts.
+    The direction of a pressure follows from the side on which it acts.
     """
     if isinstance(condition, PrescribedMotion):
         return np.array([value or 0.0 for value in condition.displacement])
@@ -243,28 +245,34 @@ def drawn_loads(problem: Problem, fields: StoredFields) -> list[DrawnNode]:
     """Return supports of nodes, and arrows for loads and prescribed motions, for `draw_tissue`.
 
     There are some arrows along a boundary, and one in the middle of a region. They show the
-    direction at a factor of 1, and no size.
+    direction on the undeformed tissue where the amplitude is 1, and no size.
     """
     mesh = problem.mesh
     drawn = drawn_nodes(problem.conditions, fields)
     for condition in problem.conditions:
         pull = _pull(condition)
         on = condition.on
-        acts = pull.any() or isinstance(condition, Pressure)
+        acts = pull.any() or (isinstance(condition, Pressure) and condition.pressure != 0.0)
         if isinstance(on, NodeAt) or not acts:
             continue
         if on is None or on in (mesh.subdomains or {}):
-            middle = mesh.p[:, nodes_on(mesh, on)].mean(axis=1)
-            drawn.append(DrawnNode(_nearest(fields, middle), "", pull))
+            places = mesh.p.T[nodes_on(mesh, on)]
+            # the mean of a ring is not in it
+            offset = np.linalg.norm(places - places.mean(axis=0), axis=1)
+            drawn.append(DrawnNode(_nearest(fields, places[offset.argmin()]), "", pull))
             continue
-        ends = mesh.p.T[facet_nodes(mesh, facets_of(mesh, on))[:, :2]]
+        facets = facets_of(mesh, on)
+        is_outer = mesh.f2t[1, facets] == -1
+        ends = mesh.p.T[facet_nodes(mesh, facets)[:, :2]]
         along = ends[:, 1] - ends[:, 0]
         outward = np.column_stack([along[:, 1], -along[:, 0]])
         for end in _apart(ends.reshape(-1, 2), _ARROWS):
             side = end // 2
             if isinstance(condition, Pressure):
                 pull = -np.sign(condition.pressure) * outward[side]
-            pushes = bool(pull @ outward[side] < 0.0)
+            sizes = np.linalg.norm(pull) * np.linalg.norm(outward[side])
+            # along a side the sign would be that of rounding, and sides within have no outside
+            pushes = bool(is_outer[side] and pull @ outward[side] < -_TANGENTIAL * sizes)
             node = _nearest(fields, ends[side, end % 2])
             drawn.append(DrawnNode(node, "", pull, pushes))
     return drawn
@@ -377,7 +385,7 @@ def draw_tissue(
     position = fields.points + factor * fields.displacement[k]
     sides = _held_sides(fields)
     copies = _with_mirror_images(fields, sides, position)
-    low, high = box(np.concatenate(copies), bodies)
+    low, high = box(np.concatenate([copy for copy, _ in copies]), bodies)
     width, height = (high - low).tolist()
     window = Rectangle((low[0], low[1]), width, height, transform=axes.transData)
     for body in bodies:
@@ -385,7 +393,7 @@ def draw_tissue(
         (shape,) = axes.fill(*body.at(k, factor).T, facecolor="0.85", edgecolor="0.4", lw=1.0)
         shape.set_clip_path(window)
     order = rim(fields)
-    for copy in copies:
+    for copy, _ in copies:
         corners = [*copy[fields.cells[:, order]]]
         width = 0.3 if len(corners) < _MOST_WITH_SIDES else 0.0
         drawn: Collection = PolyCollection(corners, edgecolors="0.4", linewidths=width)
@@ -395,7 +403,7 @@ def draw_tissue(
     extent = float(max(high - low))
     depth = 0.035 * extent  # of the hatched band of a support
     for side in sides:
-        for copy in copies:
+        for copy, _ in copies:
             ends = copy[[side.a, side.b]]
             if side.motion == _FIXED:
                 # a hatched band outside of the tissue
@@ -412,9 +420,15 @@ def draw_tissue(
             else:  # a line of symmetry
                 axes.plot(*ends.T, color="0.15", linewidth=0.8, dashes=(8, 2, 2, 2))
     for node in nodes:
-        ends = _draw_node(axes, node, position[node.node], ARROW * extent)
-        low = np.minimum(low, ends.min(axis=0))
-        high = np.maximum(high, ends.max(axis=0))
+        for copy, signs in copies:
+            # a node on the line of symmetry is its own image
+            apart = float(np.linalg.norm(copy[node.node] - position[node.node]))
+            if copy is not position and apart < DIGITS * extent:
+                continue
+            image = replace(node, pull=signs * node.pull)
+            ends = _draw_node(axes, image, copy[node.node], ARROW * extent)
+            low = np.minimum(low, ends.min(axis=0))
+            high = np.maximum(high, ends.max(axis=0))
     draw_scale_bar(axes, low, high)
     return drawn
 
@@ -499,12 +513,13 @@ class _HeldSide(NamedTuple):
 
 def _with_mirror_images(
     fields: StoredFields, sides: Sequence[_HeldSide], position: Array
-) -> list[Array]:
+) -> list[tuple[Array, Array]]:
     """Return positions (n, 2) of the nodes, and of their images in lines of symmetry.
 
-    A line counts where it is straight and at an end of the undeformed tissue.
+    A line counts where it is straight and at an end of the undeformed tissue. With each go the
+    signs (2,) of vectors in it.
     """
-    copies = [position]
+    copies = [(position, np.ones(2))]
     for axis, x in enumerate(fields.points.T):
         nodes = [side.a for side in sides if side.motion == axis]
         if not nodes:
@@ -516,7 +531,10 @@ def _with_mirror_images(
         if is_straight and is_at_an_end:
             mirror = 2.0 * line
             is_axis = np.arange(2) == axis
-            copies += [np.where(is_axis, mirror - copy, copy) for copy in copies]
+            copies += [
+                (np.where(is_axis, mirror - copy, copy), np.where(is_axis, -signs, signs))
+                for copy, signs in copies
+            ]
     return copies
 
 

@@ -140,9 +140,7 @@
       context.fill();
     }
     const [length, words] = run.bar, under = bottom + 14 * ratio;
-    context.lineCap = "butt";
     context.lineWidth = 3 * ratio;
-    context.strokeStyle = context.fillStyle = getComputedStyle(canvas).color;
     context.beginPath();
     context.moveTo(left, under);
     context.lineTo(left + scale * length, under);

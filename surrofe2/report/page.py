@@ -503,17 +503,20 @@ _WIDTH = 4.4
 
 def motion_section(shown: Sequence[RunFields]) -> tuple[list[str], list[dict[str, Any]]]:
     """Return pictures for paper and without the script, and what the script needs of each run."""
-    known = [(run, fields) for run, fields in shown if fields is not None]
-    data = [_arrays(run, fields, _BUDGET // len(known)) for run, fields in known]
-    lacking = [
-        _missing(f"{run.name}: no fields in its folder, so its motion is not shown.")
-        for run, fields in shown
-        if fields is None
-    ]
-    stills = [
-        _still(run, fields, arrays["factor"])
-        for (run, fields), arrays in zip(known, data, strict=True)
-    ]
+    lacking = []
+    stills = []
+    data = []
+    count = sum(fields is not None for _, fields in shown)
+    for run, fields in shown:
+        if fields is None:
+            text = f"{run.name}: no fields in its folder, so its motion is not shown."
+            lacking.append(_missing(text))
+            continue
+        loads, reason = loads_of(run, fields)
+        if reason:
+            lacking.append(_missing(f"Only loads on single nodes are drawn: {reason}."))
+        data.append(_arrays(run, fields, loads, _BUDGET // count))
+        stills.append(_still(run, fields, loads, data[-1]["factor"]))
     return [*lacking, f'<div class="still">{_grid(stills)}</div>'], data
 
 
@@ -542,7 +545,9 @@ def _quantities(run: StoredRun, fields: StoredFields) -> dict[str, tuple[str, Ar
     return quantities
 
 
-def _arrays(run: StoredRun, fields: StoredFields, budget: int) -> dict[str, Any]:
+def _arrays(
+    run: StoredRun, fields: StoredFields, loads: Sequence[DrawnNode], budget: int
+) -> dict[str, Any]:
     """Return a run for the script, at as many times as the budget of bytes has room for.
 
     Arrays are bytes in base64: displacements are 16-bit fractions of the largest component, values
@@ -564,7 +569,7 @@ def _arrays(run: StoredRun, fields: StoredFields, budget: int) -> dict[str, Any]
         factor = max((f for f in _FACTORS if f * farthest <= 1.5 * _SHOWN * size), default=1)
     low, high = box(fields.points + factor * u, bodies)
     arrow = ARROW * float(max(high - low))
-    arrows = [node for node in loads_of(run, fields) if node.pull.any()]
+    arrows = [node for node in loads if node.pull.any()]
     if arrows:
         low = low - arrow
         high = high + arrow
@@ -634,16 +639,20 @@ def conditions_on_nodes(run: StoredRun) -> list[Condition]:
     ]
 
 
-def loads_of(run: StoredRun, fields: StoredFields) -> list[DrawnNode]:
-    """Return what acts on the tissue of a run; of one that keeps no recipe, on nodes alone."""
+def loads_of(run: StoredRun, fields: StoredFields) -> tuple[list[DrawnNode], str]:
+    """Return what acts on the tissue of a run.
+
+    Where its recipe is missing, damaged or no longer read, that is what acts on single nodes, and
+    the second result says why.
+    """
     try:
         recipe = load_recipe(check_inputs(run.folder, run.record))
-        return drawn_loads(recipe.problem(), fields)
-    except Surrofe2Error:
-        return drawn_nodes(conditions_on_nodes(run), fields)
+        return drawn_loads(recipe.problem(), fields), ""
+    except Surrofe2Error as error:
+        return drawn_nodes(conditions_on_nodes(run), fields), str(error)
 
 
-def _still(run: StoredRun, fields: StoredFields, factor: int) -> str:
+def _still(run: StoredRun, fields: StoredFields, loads: Sequence[DrawnNode], factor: int) -> str:
     """Draw the tissue where it has moved farthest, by stress, for paper and without the script."""
     k = int(np.linalg.norm(fields.displacement, axis=2).max(axis=1).argmax())
     quantities = _quantities(run, fields)
@@ -654,7 +663,7 @@ def _still(run: StoredRun, fields: StoredFields, factor: int) -> str:
     if factor > 1:
         caption += f"; displacement × {factor}"
     colours = Colours.of(f"{what} ({unit})", values[k])
-    return _tissue(run, fields, k, values[k], colours, caption, factor)
+    return _tissue(run, fields, k, values[k], colours, caption, factor, loads)
 
 
 def _tissue(
@@ -665,6 +674,7 @@ def _tissue(
     colours: Colours,
     caption: str,
     factor: float = 1.0,
+    nodes: Sequence[DrawnNode] = (),
 ) -> str:
     """Draw the tissue of a run at time k by the values of its elements, with a colour bar."""
     bodies = bodies_of(run, fields)
@@ -672,7 +682,6 @@ def _tissue(
     height = float(np.clip((high - low)[1] / ((high - low)[0] or 1.0), 0.3, 1.5)) * (_WIDTH - 1.0)
     shown = Figure(figsize=(_WIDTH, height + 0.4), layout="constrained")
     axes = shown.subplots()
-    nodes = loads_of(run, fields)
     drawn = draw_tissue(axes, fields, k, values, colours, factor=factor, bodies=bodies, nodes=nodes)
     colours.bar(axes, drawn)
     return _figure(encoded(shown, "png"), f"the tissue of {run.name} by {colours.label}", caption)

@@ -39,7 +39,7 @@ KINDS = ("constrained-runs", "elastic", "cauchy-born")
 _ELASTIC = KINDS.index("elastic")
 _CAUCHY_BORN = KINDS.index("cauchy-born")
 REFINEMENTS = 30
-"""Most directions of a refinement; each adds three digits or more, except in crushed tissue."""
+"""Most directions of a refinement; one or two are enough, except in crushed tissue."""
 REFINED = 1e-12
 """Residual over the right-hand side at which refinement ends."""
 GOOD_ENOUGH = 1e-8
@@ -231,10 +231,13 @@ def refine(lu, right, solution, workspace, drive, topology, constants):
     """Correct the solution λ of Jᵀ λ = right, both (4, 2n − 2, TILE), until its residual is small.
 
     With a uniform fluid the matrix lacks contacts of far walls and a small part of the viscosity,
-    so lu solves only approximately. What it returns are directions of the generalised conjugate
+    so lu solves only approximately. Its solutions are directions of the generalised conjugate
     residual method (Eisenstat, Elman and Schultz 1983, SIAM J. Numer. Anal. 20, 345): along each,
     λ takes the step that makes the residual smallest. A lane whose residual stays large becomes
     NaN.
+
+    The residual is carried along. Steps are no longer than it is, so that what rounding adds stays
+    far below REFINED.
     """
     has_uniform_fluid = topology.pressures > 0
     if not has_uniform_fluid:
@@ -262,11 +265,16 @@ def refine(lu, right, solution, workspace, drive, topology, constants):
         _subtract(-share, direction, solution)
         _subtract(share, image, residual)
         largest_of(residual, size)
-        if (size <= REFINED * size_of_load).all():
+        under_way = 0
+        for lane in range(TILE):
+            # infinite: the lane has no solution, and no further direction gives one
+            if REFINED * size_of_load[lane] < size[lane] < np.inf:
+                under_way += 1
+        if under_way == 0:
             break
     for lane in range(TILE):
-        # `not <=`, since the residual may be NaN
-        if not size[lane] <= GOOD_ENOUGH * size_of_load[lane]:
+        is_solved = size[lane] < np.inf and size[lane] <= GOOD_ENOUGH * size_of_load[lane]
+        if not is_solved:
             solution[:, :, lane] = np.nan
 
 

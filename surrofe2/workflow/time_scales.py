@@ -80,10 +80,12 @@ class TimeScales:
         load = "the loads are sudden"
         if self.load > 0.0:
             load = f"the fastest load takes {self.load:.3g} µs"
-        verdict = "quasi-static: use rest" if self.is_slow else "dynamic"
-        method = f"{load}: {verdict}"
         if self.by_load_steps:
-            method = "the recipe asks for the rest, in whose load steps time has no part"
+            method = "the recipe states [rest]: load steps, without time"
+        elif self.is_slow:
+            method = f"{load}: quasi-static: use rest"
+        else:
+            method = f"{load}: dynamic"
         return (
             f"a wave crosses a plant cell in {self.cell:.3g} µs and the tissue in {self.wave:.3g} "
             f"µs, {swings}; {method}"

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.cache import CachedLaw, CacheSettings, StressTable
 from surrofe2.law.regional_law import RegionalLaw
@@ -141,6 +142,12 @@ def test_trials_that_tables_of_two_regions_do_not_answer_yet_cost_no_rves():
     assert expected.any()
     assert law.leaving(rest.F, F_dot, state) is None
     assert law.leaving(far, F_dot, None) is None
+    part = law.laws["left"]
+    of_part = far[:30], F_dot[:30], state[0]
+    np.testing.assert_array_equal(part.leaving(*of_part), expected[:30])
+    for law_asked, foreign in ((law, "nothing"), (law, state[:1]), (part, state)):
+        with pytest.raises(InputError, match="state: not"):
+            law_asked.leaving(*of_part[:2], foreign)
 
 
 def test_points_where_nothing_can_be_learnt_are_left_to_rves():

@@ -12,6 +12,7 @@ from surrofe2.cli import console
 from surrofe2.macro import find_modes, find_rest
 from surrofe2.questions import cell_image, stability
 from surrofe2.recipe.recipe import load_recipe
+from surrofe2.report.page import write_report
 from surrofe2.rve import RveLaw
 from surrofe2.store.fields import read_fields
 from surrofe2.store.run_folder import read_record, read_run
@@ -202,6 +203,11 @@ def test_a_recipe_states_the_method(invoke, recipe_path, tmp_path):
     # the body force acts downwards, in the middle; the recipe is read from the run folder
     arrows = re.findall(r'"arrows": \[\[\d+, \[0.0, 0.0\], \[0.0, (-[\d.]+)\]\]\]', page)
     assert len(arrows) == 2
+    (tmp_path / "run" / "input" / "recipe.toml").write_text("changed", encoding="utf-8")
+    damaged = write_report([tmp_path / "run"], tmp_path / "page.html").read_text(encoding="utf-8")
+    assert '"arrows": []' in damaged
+    assert "Only loads on single nodes are drawn: " in damaged
+    assert "damaged, or changed since the run was recorded" in damaged
     values = "--set", "rest.factor=0.25,0.5"
     invoke("grid", recipe_path, *values, "--out", tmp_path / "grid", law=law)
     rows = read_json(tmp_path / "grid" / "grid.json")["rows"]

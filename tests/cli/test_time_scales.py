@@ -105,7 +105,7 @@ def test_a_recipe_of_a_rest_is_not_said_to_be_dynamic(stand_in, written):
     path = pulled(written, 10.0)
     text = path.read_text(encoding="utf-8").partition("[time]")[0] + "[rest]\nload_steps = 3\n"
     scales = check.scales_of(load_recipe(written(text)))
-    assert "in whose load steps time has no part" in scales.sentence
+    assert "the recipe states [rest]: load steps, without time" in scales.sentence
     assert "dynamic" not in scales.sentence
 
 

@@ -1,5 +1,7 @@
 """Colours with round limits, supports and symmetry read off how a tissue moves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -19,6 +21,7 @@ from surrofe2 import (
     find_rest,
     rectangle,
 )
+from surrofe2.problem.mesh import nodes_on
 from surrofe2.report.figures import (
     Colours,
     draw_borders,
@@ -192,6 +195,60 @@ def test_arrows_show_which_way_loads_and_motions_act(condition, direction, where
         along = [arrow.xyann[1 - "xy".index(axis)] for arrow in arrows]
         length = 10.0 if axis == "x" else 20.0
         np.testing.assert_allclose(np.sort(along), np.linspace(0.0, length, 5), atol=1e-9)
+
+
+def arrows_on(axes):
+    """Both ends of each arrow."""
+    return [(each.xyann, each.xy) for each in axes.texts if isinstance(each, Annotation)]
+
+
+def test_loads_act_on_both_halves_of_a_specimen():
+    """The half that is computed is pulled obliquely, so that its image is pulled the other way."""
+    axes = Figure().subplots()
+    values = np.array([1.0, 2.0])
+    pull = PointForce(on=NodeAt((20.0, 5.0)), force=(3.0, 4.0))
+    nodes = drawn_nodes([pull], strip())
+    draw_tissue(axes, strip(), 0, values, Colours.of("", values), nodes=nodes)
+    (begin, tip), (mirrored_begin, mirrored_tip) = arrows_on(axes)
+    assert begin == (20.0, 5.0)
+    assert mirrored_begin == (20.0, -5.0)
+    np.testing.assert_allclose(mirrored_tip, np.array(tip) * [1.0, -1.0])
+
+
+def test_the_arrow_of_a_region_is_in_it():
+    """A skin all around: the middle of its nodes is in the flesh."""
+    mesh = rectangle(20.0, 10.0, (8, 4))
+    middles = mesh.p[:, mesh.t].mean(axis=1).T
+    is_flesh = (abs(middles - [10.0, 5.0]) < [7.0, 2.5]).all(axis=1)
+    mesh = mesh.with_subdomains({"skin": np.flatnonzero(~is_flesh)})
+    weight = BodyForce(on="skin", acceleration=(0.0, -1e-3))
+    problem = Problem(mesh=mesh, conditions=(Fixed(on="bottom"), weight))
+    fields = fields_at_rest(find_rest(problem, KelvinVoigt(), factor=0.0))
+    (load,) = drawn_loads(problem, fields)
+    assert load.node in nodes_on(mesh, "skin")
+
+
+@pytest.mark.parametrize("noise", [1e-7, -1e-7])
+def test_loads_along_a_side_do_not_depend_on_rounding(noise):
+    mesh = rectangle(20.0, 10.0, (8, 4))
+    rough = mesh.p.copy()
+    rough[1] += noise * np.sin(2.0 * rough[0]) * (rough[1] > 9.0)
+    mesh = replace(mesh, doflocs=rough)
+    rubbing = Traction(on="top", traction=(1.0, 0.0))
+    problem = Problem(mesh=mesh, conditions=(Fixed(on="bottom"), rubbing))
+    fields = fields_at_rest(find_rest(problem, KelvinVoigt(), factor=0.0))
+    assert [load.pushes for load in drawn_loads(problem, fields)] == [False] * 5
+
+
+def test_sides_within_the_tissue_have_no_outside():
+    mesh = rectangle(20.0, 10.0, (8, 4))
+    inner = mesh.facets_satisfying(lambda x: abs(x[0] - 10.0) < 1e-9)
+    mesh = mesh.with_boundaries({"line": inner})
+    for along in (1.0, -1.0):
+        motion = PrescribedMotion(on="line", displacement=(along, None))
+        problem = Problem(mesh=mesh, conditions=(Fixed(on="bottom", components="y"), motion))
+        fields = fields_at_rest(find_rest(problem, KelvinVoigt(), factor=0.0))
+        assert [load.pushes for load in drawn_loads(problem, fields)] == [False] * 5
 
 
 def test_plant_cells_fill_the_window():

@@ -118,6 +118,12 @@ def test_crushed_tissue_has_exact_tangents():
     F = np.array([[[0.84044, -0.04403], [-0.04403, 0.85671]]])
     answer = this.respond(F, 0.0 * F, tangents=True)
     assert answer.status[0] == Status.OK
+    # beside others in its tile, which need fewer directions
+    others = np.concatenate([np.eye(2)[None], F, 1.02 * np.eye(2)[None]])
+    together = this.respond(others, 0.0 * others, tangents=True).tangents.P_by_F
+    for k, at in enumerate(others):
+        alone = this.respond(at[None], 0.0 * at[None], tangents=True).tangents.P_by_F
+        assert_near(together[k], alone[0], 1e-9)
     tangents = answer.tangents.P_by_F.reshape(4, 4)
     assert_near(tangents.T, tangents, 1e-9)  # as of the slope of an energy
     for exact, unit in zip(tangents.T, np.eye(4).reshape(4, 2, 2), strict=True):
