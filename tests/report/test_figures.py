@@ -147,8 +147,8 @@ def test_nodes_that_are_held_or_pulled_are_drawn():
     values = np.array([1.0, 2.0])
     nodes = drawn_nodes(conditions, strip())
     draw_tissue(axes, strip(), 2, values, Colours.of("", values), factor=0.5, nodes=nodes)
-    (held,) = [line for line in axes.lines if line.get_marker() == CARETRIGHT]
-    np.testing.assert_array_equal(held.get_xydata(), [[0.0, 5.0]])
+    held = [line.get_xydata() for line in axes.lines if line.get_marker() == CARETRIGHT]
+    np.testing.assert_array_equal(held, [[[0.0, 5.0]], [[0.0, -5.0]]])  # and its image
     (arrow,) = [each for each in axes.texts if isinstance(each, Annotation)]
     assert arrow.xyann == (22.0, 0.0)  # where half of its displacement brings the node
     assert arrow.xy[0] == 22.0
