@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import skfem
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.collections import Collection, LineCollection, PolyCollection
@@ -14,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.markers import CARETRIGHT, CARETUP
 from matplotlib.patches import Rectangle
 
-from surrofe2.base.arrays import Array
+from surrofe2.base.arrays import Array, Index
 from surrofe2.problem import Problem
 from surrofe2.problem.conditions import (
     BodyForce,
@@ -244,8 +245,8 @@ def _pull(condition: Condition) -> Array:
 def drawn_loads(problem: Problem, fields: StoredFields) -> list[DrawnNode]:
     """Return supports of nodes, and arrows for loads and prescribed motions, for `draw_tissue`.
 
-    There are some arrows along a boundary, and one in the middle of a region. They show the
-    direction on the undeformed tissue where the amplitude is 1, and no size.
+    There are some arrows on a boundary, and one in the middle of a region. They show the direction
+    on the undeformed tissue where the amplitude is 1, and no size.
     """
     mesh = problem.mesh
     drawn = drawn_nodes(problem.conditions, fields)
@@ -261,21 +262,40 @@ def drawn_loads(problem: Problem, fields: StoredFields) -> list[DrawnNode]:
             offset = np.linalg.norm(places - places.mean(axis=0), axis=1)
             drawn.append(DrawnNode(_nearest(fields, places[offset.argmin()]), "", pull))
             continue
-        facets = facets_of(mesh, on)
-        is_outer = mesh.f2t[1, facets] == -1
-        ends = mesh.p.T[facet_nodes(mesh, facets)[:, :2]]
-        along = ends[:, 1] - ends[:, 0]
-        outward = np.column_stack([along[:, 1], -along[:, 0]])
-        for end in _apart(ends.reshape(-1, 2), _ARROWS):
-            side = end // 2
-            if isinstance(condition, Pressure):
-                pull = -np.sign(condition.pressure) * outward[side]
-            sizes = np.linalg.norm(pull) * np.linalg.norm(outward[side])
-            # along a side the sign would be that of rounding, and sides within have no outside
-            pushes = bool(is_outer[side] and pull @ outward[side] < -_TANGENTIAL * sizes)
-            node = _nearest(fields, ends[side, end % 2])
-            drawn.append(DrawnNode(node, "", pull, pushes))
+        drawn += _arrows_on(mesh, condition, facets_of(mesh, on), fields)
     return drawn
+
+
+def _arrows_on(
+    mesh: skfem.Mesh, condition: Condition, facets: Index, fields: StoredFields
+) -> list[DrawnNode]:
+    """Return arrows for a load or a motion of the sides (m,) of a boundary.
+
+    Where it acts along all of them it is one, which others would cover.
+    """
+    pull = _pull(condition)
+    ends = mesh.p.T[facet_nodes(mesh, facets)[:, :2]]
+    along = ends[:, 1] - ends[:, 0]
+    outward = np.column_stack([along[:, 1], -along[:, 0]])
+    outward /= np.linalg.norm(outward, axis=1)[:, None]
+    # sides within the tissue have no outside
+    is_outer = mesh.f2t[1, facets] == -1
+    places = ends.reshape(-1, 2)
+    if isinstance(condition, Pressure):
+        pulls = -np.sign(condition.pressure) * outward
+    else:
+        pulls = np.tile(pull / np.linalg.norm(pull), (len(facets), 1))
+    # the sign of what acts along a side would be that of rounding
+    cosine = (pulls * outward).sum(axis=1)
+    pushes = is_outer & (cosine < -_TANGENTIAL)
+    chosen = _apart(places, _ARROWS)
+    if (abs(cosine) < _TANGENTIAL).all():
+        offset = np.linalg.norm(places - places.mean(axis=0), axis=1)
+        chosen = [int(offset.argmin())]
+    return [
+        DrawnNode(_nearest(fields, places[end]), "", pulls[end // 2], bool(pushes[end // 2]))
+        for end in chosen
+    ]
 
 
 def _apart(points: Array, most: int) -> list[int]:
