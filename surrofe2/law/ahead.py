@@ -18,7 +18,7 @@ class ForesightLaw(StressLaw, Protocol):
     def leaving(self, F: Array, F_dot: Array, state: Any) -> NDArray[np.int8] | None:
         """Return what `respond` would return as `StressResponse.switched`, at the cost of a lookup.
 
-        It repeats the step where points switch, so that their stresses would be computed in vain.
+        A step in which points switch is repeated, so their stresses would be computed in vain.
         """
 
     def learn_ahead(self, F: Array, F_dot: Array, switched: NDArray[np.int8]) -> NDArray[np.int8]:

@@ -258,9 +258,8 @@ def drawn_loads(problem: Problem, fields: StoredFields) -> list[DrawnNode]:
             continue
         if on is None or on in (mesh.subdomains or {}):
             places = mesh.p.T[nodes_on(mesh, on)]
-            # the mean of a ring is not in it
-            offset = np.linalg.norm(places - places.mean(axis=0), axis=1)
-            drawn.append(DrawnNode(_nearest(fields, places[offset.argmin()]), "", pull))
+            middle = places[_middle(places)]
+            drawn.append(DrawnNode(_nearest(fields, middle), "", pull))
             continue
         drawn += _arrows_on(mesh, condition, facets_of(mesh, on), fields)
     return drawn
@@ -290,12 +289,16 @@ def _arrows_on(
     pushes = is_outer & (cosine < -_TANGENTIAL)
     chosen = _apart(places, _ARROWS)
     if (abs(cosine) < _TANGENTIAL).all():
-        offset = np.linalg.norm(places - places.mean(axis=0), axis=1)
-        chosen = [int(offset.argmin())]
+        chosen = [_middle(places)]
     return [
         DrawnNode(_nearest(fields, places[end]), "", pulls[end // 2], bool(pushes[end // 2]))
         for end in chosen
     ]
+
+
+def _middle(points: Array) -> int:
+    """Return the number of the point (n, 2) next to the mean, which of a ring is not in it."""
+    return int(np.linalg.norm(points - points.mean(axis=0), axis=1).argmin())
 
 
 def _apart(points: Array, most: int) -> list[int]:
@@ -536,8 +539,10 @@ def _with_mirror_images(
 ) -> list[tuple[Array, Array]]:
     """Return positions (n, 2) of the nodes, and of their images in lines of symmetry.
 
-    A line counts where it is straight and at an end of the undeformed tissue. With each go the
-    signs (2,) of vectors in it.
+    A line counts where it is straight and at an end of the undeformed tissue.
+
+    Returns:
+        Pairs of positions and signs (2,), by which the components of vectors are multiplied there.
     """
     copies = [(position, np.ones(2))]
     for axis, x in enumerate(fields.points.T):
